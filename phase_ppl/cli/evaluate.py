@@ -272,7 +272,8 @@ def _check_several(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Find out what is wrong before the first model is asked."""
-    from phase_ppl.evaluation.entries import check_names, stored_label, stored_names
+    from phase_ppl.evaluation.answer_sets import stored_label
+    from phase_ppl.evaluation.comparison import check_names, stored_names
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.prediction import reference_predictions
@@ -410,7 +411,7 @@ def _compare_models(options: argparse.Namespace) -> int:
 
 def named_references(given: Sequence[str]) -> str | list[str]:
     """Return what ``compare_models`` takes for the reference models named by ``--stored``."""
-    from phase_ppl.evaluation.entries import ALL
+    from phase_ppl.evaluation.comparison import ALL
 
     return ALL if ALL in given else list(given)
 

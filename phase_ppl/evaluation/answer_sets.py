@@ -1,12 +1,12 @@
-"""All answers of one source about the events of an evaluation: people, its model, other models."""
+"""All answers of one source about the events of an evaluation: of people, or of a model."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, reference_predictions
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.ratings import event_judgments
 from phase_ppl.world.event import Event
 
@@ -55,8 +55,7 @@ class AnswerSet:
     """What one source answered about events."""
 
     name: str  # of the source, as in files
-    # "people", "model" (the evaluation's own) or "reference" (a model whose answers the events
-    # carry)
+    # "people", "model" or "reference" (a model whose answers the events carry)
     kind: str
     label: str  # of the source, as in figures
     colour: str  # in figures
@@ -65,40 +64,49 @@ class AnswerSet:
     # of them, where they were asked for
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def has(self, question: str) -> bool:
-        """Whether the question was answered about any event."""
-        return any(question in given.answers for given in self.predictions.values())
-
 
 def answer_sets(
-    events: Sequence[Event], own: str, predictions: Mapping[str, Prediction]
+    events: Sequence[Event],
+    models: Mapping[str, Mapping[str, Prediction]],
+    stored: Collection[str],
+    metrics: Mapping[str, Mapping[str, Any]],
 ) -> list[AnswerSet]:
-    """Return people's answers, the model's, and those that the events carry, in order."""
-    names = dict.fromkeys(name for event in events for name in event.predictions or {})
-    own_colour, *colours = colours_of([own, *names])
-    found = [
-        people_answers(events),
-        AnswerSet(own, "model", label_of(own), own_colour, predictions),
+    """Return people's answers and those of models, in order; whoever has none is left out.
+
+    Args:
+        events: that may carry people's judgments.
+        models: name -> event id -> answers.
+        stored: those models whose answers the events carry.
+        metrics: of people and models by name, where they are asked for.
+    """
+    labels = [label_of(name) for name in models]
+    found = [AnswerSet(PEOPLE, PEOPLE, PEOPLE, PEOPLE_COLOUR, peoples_answers(events))]
+    for name, label, colour in zip(models, labels, colours_of(list(models)), strict=True):
+        kind = "reference" if name in stored else "model"
+        unlike = label if labels.count(label) == 1 else name
+        found.append(AnswerSet(name, kind, unlike, colour, models[name]))
+    return [
+        dataclasses.replace(answers, metrics=metrics.get(answers.name, {}))
+        for answers in found
+        if answers.predictions
     ]
-    references = reference_predictions(events)
-    for name, colour in zip(names, colours, strict=True):
-        label = label_of(name)
-        if label == label_of(own):
-            label += " (in the file)"
-        found.append(AnswerSet(name, "reference", label, colour, references.get(name, {})))
-    return [answers for answers in found if answers.predictions]
 
 
-def people_answers(events: Sequence[Event]) -> AnswerSet:
+def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
     """Return the shares of people's ratings, of the events that people judged."""
     found = {}
     for event in events:
         judgments = event_judgments(event)
         if judgments is not None:
-            shares = {question: judgments.distribution(question) for question in QUESTIONS}
+            shares = {question: judgments.distribution(question) for question in judgments.counts}
             given = {question: share for question, share in shares.items() if share is not None}
             found[event.id] = Prediction(event.id, given)
-    return AnswerSet(PEOPLE, "people", PEOPLE, PEOPLE_COLOUR, found)
+    return found
+
+
+def stored_label(name: str, models: Collection[str]) -> str:
+    """Return how a model whose answers the events carry is called beside other models."""
+    return f"{name} (stored)" if name in models or name == PEOPLE else name
 
 
 def label_of(name: str) -> str:

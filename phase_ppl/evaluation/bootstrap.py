@@ -58,27 +58,32 @@ def correlation(
 ) -> FloatArray:
     """Return Pearson's r (row,) of ``x`` and ``y``, each (event, component), flattened.
 
-    With ``groups``, numbers of shape (event, component), it is the r of deviations from the mean
-    of the group, which every row of weights has anew. A pair with a NaN, or of a group below 0,
-    is left out. NaN where a vector is constant.
+    Either may also have values of its own for every row, (row, event, component). With ``groups``,
+    numbers of shape (event, component), it is the r of deviations from the mean of the group, which
+    every row of weights has anew. A pair with a NaN, or of a group below 0, is left out. NaN where
+    a vector is constant.
     """
-    known = ~np.isnan(x) & ~np.isnan(y)
-    group = np.zeros(known.shape, np.int64) if groups is None else np.asarray(groups, np.int64)
+    left, right = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    known = ~np.isnan(left) & ~np.isnan(right)
+    group = np.asarray(0 if groups is None else groups, np.int64)
+    group = np.broadcast_to(group, known.shape)
     known &= group >= 0
     # about their mean, so that little is lost in the differences of sums below
     left, right = (
-        np.where(known, values, 0) - known * (np.mean(values[known]) if known.any() else 0)
-        for values in (np.asarray(x, np.float64), np.asarray(y, np.float64))
+        np.where(known, values - (np.nanmean(values) if known.any() else 0), 0)
+        for values in (left, right)
     )
-    n = weights @ known.sum(axis=1).astype(np.float64)
-    of_left = weights @ (left**2).sum(axis=1)
-    of_right = weights @ (right**2).sum(axis=1)
-    both = weights @ (left * right).sum(axis=1)
+
+    def total(values: FloatArray) -> FloatArray:
+        of_events = values.sum(axis=-1)
+        return weights @ of_events if of_events.ndim == 1 else (weights * of_events).sum(axis=1)
+
+    n, both = total(known.astype(np.float64)), total(left * right)
+    of_left, of_right = total(left**2), total(right**2)
     for number in np.unique(group[known]):
         chosen = known & (group == number)
-        count = weights @ chosen.sum(axis=1).astype(np.float64)
-        sum_left = weights @ np.where(chosen, left, 0).sum(axis=1)
-        sum_right = weights @ np.where(chosen, right, 0).sum(axis=1)
+        count = total(chosen.astype(np.float64))
+        sum_left, sum_right = total(left * chosen), total(right * chosen)
         of_left = of_left - np.nan_to_num(divided(sum_left**2, count))
         of_right = of_right - np.nan_to_num(divided(sum_right**2, count))
         both = both - np.nan_to_num(divided(sum_left * sum_right, count))

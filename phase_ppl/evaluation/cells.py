@@ -2,10 +2,28 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
+from phase_ppl.evaluation.answer_sets import PEOPLE
+from phase_ppl.evaluation.bootstrap import LEVEL
+from phase_ppl.evaluation.metrics import PREFIX, Path, at
+from phase_ppl.world.hypothesis import SCENARIOS
+
 NOTHING: Final = "-"  # what a table of a terminal has where there is no figure
+WIDTH: Final = 100  # columns of a terminal
+MAJORITY: Final = "people, majority"
+KIND_WORDS: Final = {"goal": "goals", "relation": "relations"}
+INTERVALS: Final = (
+    f"intervals of {LEVEL:.0%}: of right answers Clopper-Pearson, of the rest from resampled events"
+)
+
+_LABEL: Final = 22  # most characters of a name
+_EVENTS: Final = "n_events"
+
+Row = tuple[str, Mapping[str, Any]]  # name, metrics
+_Columns = Mapping[str, str | Path]  # heading -> place in the metrics, parts joined by dots
 
 
 def figure_text(found: Mapping[str, Any] | None, signed: bool = False) -> str:
@@ -26,34 +44,27 @@ def p_text(value: float | None) -> str:
     return "<0.001" if value < 0.001 else f"{value:.3f}"
 
 
-def aligned(table: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table: names on the left, figures on the right of their columns."""
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    lines = []
-    for name, *cells in table:
-        padded = [f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True)]
-        lines.append("  ".join([f"{name:<{widths[0]}}", *padded]).rstrip())
-    return lines
+def aligned(table: Sequence[Sequence[str]], width: int | None = WIDTH) -> list[str]:
+    """Return the lines of a table: names on the left, figures on the right of their columns.
 
+    The first row has the headings; columns beyond the width come below.
+    """
+    import pandas as pd
 
-def fitting(widths: Mapping[int, int], room: int) -> Iterator[list[int]]:
-    """Yield as many columns, by their widths, as fit side by side, again and again."""
-    block: list[int] = []
-    left = room
-    for column, width in widths.items():
-        if block and width > left:
-            yield block
-            block, left = [], room
-        block.append(column)
-        left -= width
-    if block:
-        yield block
+    (corner, *headings), *rows = table
+    names = pd.Index([name for name, *_ in rows])
+    shown = pd.DataFrame([cells for _, *cells in rows], names, headings)
+    return shown.rename_axis(columns=corner).to_string(line_width=width).splitlines()
 
 
 def short(name: str, most: int) -> str:
     """Return a name; of a long one both ends, as one of them tells it from others."""
-    half = (most - 3) // 2
-    return name if len(name) <= most else f"{name[: most - 3 - half]}...{name[-half:]}"
+    return name if len(name) <= most else f"{name[: most // 2 - 1]}...{name[2 - most // 2 :]}"
+
+
+def wrapped(text: str) -> list[str]:
+    """Return the lines of a paragraph for a terminal."""
+    return textwrap.wrap(text, WIDTH, subsequent_indent="  ")
 
 
 def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
@@ -63,3 +74,144 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
     rounded = round(value, digits) + 0.0  # without the sign of a zero
     sign = "+" if signed and rounded else ""
     return f"{rounded:{sign}.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+# --- tables of metrics ----------------------------------------------------------------------------
+
+
+def metric_tables(models: Sequence[Row], people: Mapping[str, Any] | None = None) -> list[str]:
+    """Return the lines of all tables of models' metrics, or of their differences.
+
+    Below them come people, where there are any
+    (:func:`~phase_ppl.evaluation.metrics.human_accuracy`). Rows, columns and tables without a
+    figure are left out.
+    """
+    lines = []
+    for title, columns, rows in _tables(models, people):
+        cells = {
+            name: [_cell(metrics, place) for place in columns.values()] for name, metrics in rows
+        }
+        counted = list(columns.values()).index(_EVENTS) if _EVENTS in columns.values() else None
+        kept = {
+            name: row
+            for name, row in cells.items()
+            if any(cell != NOTHING for j, cell in enumerate(row) if j != counted)
+        }
+        used = [j for j in range(len(columns)) if any(row[j] != NOTHING for row in kept.values())]
+        if kept:
+            headings = [list(columns)[j] for j in used]
+            body = [[short(name, _LABEL), *(row[j] for j in used)] for name, row in kept.items()]
+            lines += ["", title, *aligned([["", *headings], *body])]
+    return lines
+
+
+def _tables(
+    models: Sequence[Row], people: Mapping[str, Any] | None
+) -> Iterator[tuple[str, _Columns, Sequence[Row]]]:
+    """Yield title, columns and rows of the tables."""
+    right = [*models]
+    judged = people is not None and people["n_events"] > 0
+    if people is not None and judged:
+        right += [(PEOPLE, people), (MAJORITY, people["majority"])]
+    yield (
+        "right answers" + (" (people: share of people who are right)" if judged else ""),
+        {
+            "goals": "goal_accuracy",
+            "goal in top 3": "goal_top3_accuracy",
+            "relations": "relation_accuracy",
+            "events": _EVENTS,
+            "CPU s/event": "cpu_seconds",
+        },
+        right,
+    )
+    for kind, word in KIND_WORDS.items():
+        title, places = _by_part([metrics for _, metrics in models], kind)
+        columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
+        yield f"{word} right, {title}", columns, right
+    for kind, word in KIND_WORDS.items():
+        sure = dict.fromkeys(p for _, m in models for p in at(m, ("calibration", kind)) or ())
+        of_sure: dict[str, Path] = {
+            f"p >= {p}": ("calibration", kind, p) for p in sure if float(p) > 0
+        }
+        yield f"{word} right, by the least probability of the answer", of_sure, models
+    yield (
+        "mean log probability of the true answer, nats",
+        {word: f"{kind}_log_score_truth" for kind, word in KIND_WORDS.items()},
+        models,
+    )
+    among = (PEOPLE, _among_people(models))
+    for kind, word in KIND_WORDS.items():
+        prefix = PREFIX[kind]
+        yield (
+            f"agreement with people on {word} (people: r of halves; bound of the log score)",
+            {
+                "r": f"human.{kind}_r",
+                **({"r given truth": "human.relation_r_given_truth"} if not prefix else {}),
+                "log score": f"human.{prefix}log_score",
+                "JS divergence": f"human.{prefix}js",
+            },
+            [*models, among],
+        )
+    yield (
+        "doubt about relations (intervals over events and raters; people: r of one with the rest)",
+        {
+            "r": "doubt.relation_r",
+            "r given truth": "doubt.relation_r_given_truth",
+            "log score gap": "doubt.log_score_gap",
+            "Brier": "doubt.brier",
+            "ECE": "doubt.ece",
+        },
+        [*models, among],
+    )
+
+
+def _by_part(metrics: Sequence[Mapping[str, Any]], kind: str) -> tuple[str, dict[str, Path]]:
+    """Return by what answers are told apart, and heading -> its place in the metrics.
+
+    In PHASE by scenario; elsewhere goals by agent, relations by pair.
+    """
+    parts = "by_agent" if kind == "goal" else "by_pair"
+    if not any("by_scenario" in of_model for of_model in metrics):
+        names = dict.fromkeys(name for of_model in metrics for name in of_model.get(parts, ()))
+        return parts.replace("_", " "), {name: (parts, name) for name in names}
+    counts = {name: max(m["by_scenario"][name]["n"] for m in metrics) for name in SCENARIOS}
+    places: dict[str, Path] = {
+        f"{name} ({n})": ("by_scenario", name) for name, n in counts.items() if n
+    }
+    return "by true scenario (events)", places
+
+
+def _among_people(models: Sequence[Row]) -> dict[str, Any]:
+    """Return people's agreement with each other, in the places of models' with people.
+
+    It is about the same events as a model's; of those that have it, the one with most events.
+    """
+    by_events = sorted((m for _, m in models), key=lambda metrics: -metrics["n_events"])
+
+    def first(*path: str) -> Any:
+        return next(filter(None, (at(metrics, path) for metrics in by_events)), None)
+
+    human = {}
+    for kind, prefix in PREFIX.items():
+        human[f"{kind}_r"] = first("human", f"{prefix}split_half_r")
+        human[f"{prefix}log_score"] = first("human", f"{prefix}log_score_people")
+    doubt = {f"relation_{r}": first("doubt", "ceiling", f"one_out_{r}")
+             for r in ("r", "r_given_truth")}  # fmt: skip
+    return {"human": human, "doubt": doubt}
+
+
+def _cell(metrics: Mapping[str, Any], place: str | Path) -> str:
+    """Return what a table shows of a place in the metrics."""
+    found = at(metrics, tuple(place.split(".")) if isinstance(place, str) else place)
+    if place == "cpu_seconds" and found is not None:
+        value = found["value"]
+        return f"{value:.3f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+    if isinstance(found, float):
+        return f"{found:.2f}"
+    if isinstance(found, int):
+        return str(found)
+    if found is not None and "accuracy" in found:
+        return f"{figure_text(found['accuracy'])} of {found['n']}"
+    if found is not None and "p" in found:
+        return f"{figure_text(found, signed=True)} p {p_text(found['p'])}"
+    return figure_text(found)

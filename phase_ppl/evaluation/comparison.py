@@ -6,10 +6,9 @@ import dataclasses
 import functools
 import numbers
 import os
-import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -17,24 +16,26 @@ from phase_ppl.analysis.summary import plain
 from phase_ppl.dataset.documents import check_schema, of_kind, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
-from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, colours_of, label_of, people_answers
-from phase_ppl.evaluation.bootstrap import LEVEL, Figure, figure, resampled, weighted_mean
-from phase_ppl.evaluation.cells import NOTHING, aligned, figure_text, fitting, p_text, short
-from phase_ppl.evaluation.differences import LEAST_EVENTS
-from phase_ppl.evaluation.entries import (
-    Entry,
-    Source,
-    check_names,
-    entries,
-    evaluations,
-    shared_events,
+from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, stored_label
+from phase_ppl.evaluation.bootstrap import resampled
+from phase_ppl.evaluation.cells import (
+    INTERVALS,
+    KIND_WORDS,
+    NOTHING,
+    aligned,
+    figure_text,
+    metric_tables,
+    p_text,
+    short,
+    wrapped,
 )
-from phase_ppl.evaluation.folder import COMPARISON, EVENTS
-from phase_ppl.evaluation.metrics import Path as MetricPath
-from phase_ppl.evaluation.metrics import at, events_with, human_accuracy, metrics_of_each
-from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.differences import LEAST_EVENTS
+from phase_ppl.evaluation.evaluation import Evaluation, evaluation_of
+from phase_ppl.evaluation.folder import COMPARISON, EVENTS, SETTINGS
+from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_curve
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.tables import world_of
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -44,27 +45,41 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
-from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import PHASE, World, check_phase
+from phase_ppl.world.scene import World, check_phase
 
 if TYPE_CHECKING:
     import pandas as pd
 
+Source: TypeAlias = Evaluation | str | os.PathLike[str]
+ALL: Final = "all"  # stands for all models whose answers the events carry
 SCHEMA: Final = "phase-ppl-model-comparison-1"  # value of ``schema`` in comparison.json
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
 """Resamples for differences: with 1000 no p is below 0.002, which many pairs make useless."""
-
-_COSTS: Final = ("cpu_seconds", "seconds")
 
 _TABLE: Final = (
     *("goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
     *("goal_log_score_truth", "relation_log_score_truth", "human.goal_r", "human.goal_log_score"),
     *("human.goal_js", "human.relation_r", "human.relation_r_given_truth", "human.log_score"),
     *("human.js", "doubt.relation_r", "doubt.relation_r_given_truth", "doubt.log_score_gap"),
-    *("doubt.brier", *_COSTS),
+    *("doubt.brier", "cpu_seconds", "seconds"),
 )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Entry:
+    """A model that is compared."""
+
+    name: str  # as the comparison calls it, different for all
+    kind: str  # "model", of an evaluation; or "stored", whose answers the events carry
+    predictions: Mapping[str, Prediction]  # event id -> answers, of the events compared
+    # of the evaluation, as in its settings.json but for the events
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    # event id -> what went wrong, of the events compared
+    failures: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    folder: str | None = None  # of the evaluation, if it has one
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,23 +114,25 @@ class ModelComparison:
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Model -> its metrics (:mod:`phase_ppl.evaluation.metrics`).
 
-        They come with ``cpu_seconds`` and ``seconds``, the means per event. Each is about the
-        events of which the model has a prediction.
+        They come with ``cpu_seconds`` and ``seconds``, the means per event; None where they are not
+        known. Each is about the events of which the model has a prediction.
         """
         seed = self.settings["seed"]
-        found = metrics_of_each(
-            self.events, {one.name: one.predictions for one in self.entries}, seed=seed
-        )
-        return {one.name: {**found[one.name], **_costs(one, seed)} for one in self.entries}
+        scores = Scores(self.events, seed=seed)
+        found: dict[str, dict[str, Any]] = {}
+        for one in self.entries:
+            weights = resampled(len(one.predictions), seed)
+            costs = [prediction.cost for prediction in one.predictions.values()]
+            found[one.name] = scores.metrics(one.predictions)
+            for name in ("cpu_seconds", "seconds"):
+                spent = np.array([number_or_nan(cost.get(name)) for cost in costs])
+                found[one.name][name] = mean_curve(weights, spent[:, None]).figure()
+        return found
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
-        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`).
-
-        Empty in another world than PHASE, of which no judgments are read.
-        """
-        known = self.world == PHASE
-        return human_accuracy(self.events, seed=self.settings["seed"]) if known else {}
+        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
+        return human_accuracy(self.events, seed=self.settings["seed"])
 
     @functools.cached_property
     def differences(self) -> list[dict[str, Any]]:
@@ -124,7 +141,7 @@ class ModelComparison:
         ``pandas.DataFrame(comparison.differences)`` is a table of them.
         """
         return differences.differences(
-            self.events, self.entries, against=self.settings["against"], **self._drawn
+            self.events, self._predictions, against=self.settings["against"], **self._drawn
         )
 
     @functools.cached_property
@@ -133,29 +150,24 @@ class ModelComparison:
 
         Empty where no judged event has truth.
         """
-        if not self.people:
-            return []
         return differences.equivalence(
-            self.events, self.entries, margin=self.settings["margin"], **self._drawn
+            self.events, self._predictions, margin=self.settings["margin"], **self._drawn
         )
 
     @functools.cached_property
     def answers(self) -> list[AnswerSet]:
         """All answers, of people first, as figures and pages show them: those of PHASE."""
-        check_phase(self.events[0].scene, "a figure or page of models")
-        labels = [label_of(name) for name in self.models]
-        found = [people_answers(self.events)]
-        for one, label, colour in zip(self.entries, labels, colours_of(self.models), strict=True):
-            unlike = label if labels.count(label) == 1 else one.name
-            kind = "model" if one.kind == "model" else "reference"
-            found.append(AnswerSet(one.name, kind, unlike, colour, one.predictions))
-        return [answers for answers in found if answers.predictions]
+        return self._answers({})
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
         """The same with metrics."""
-        metrics = {**self.metrics, PEOPLE: self.people}
-        return [dataclasses.replace(one, metrics=metrics[one.name]) for one in self.answers]
+        return self._answers({**self.metrics, PEOPLE: self.people})
+
+    def _answers(self, metrics: Mapping[str, Mapping[str, Any]]) -> list[AnswerSet]:
+        check_phase(self.events[0].scene, "a figure or page of models")
+        stored = [one.name for one in self.entries if one.kind != "model"]
+        return answer_sets(self.events, self._predictions, stored, metrics)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -229,6 +241,10 @@ class ModelComparison:
 
     def __repr__(self) -> str:
         return f"<ModelComparison of {', '.join(self.models)} on {len(self.events)} events>"
+
+    @property
+    def _predictions(self) -> dict[str, Mapping[str, Prediction]]:
+        return {one.name: one.predictions for one in self.entries}
 
     @property
     def _drawn(self) -> dict[str, int]:
@@ -330,191 +346,182 @@ def _entry(record: object, world: World) -> Entry:
     return Entry(**{**fields, "predictions": by_id})
 
 
-def _costs(one: Entry, seed: int) -> dict[str, Figure | None]:
-    """Return the mean ``cpu_seconds`` and ``seconds`` per event; None where they are not known."""
-    found: dict[str, Figure | None] = {}
-    weights = resampled(len(one.predictions), seed)
-    for name in _COSTS:
-        given = [prediction.cost.get(name) for prediction in one.predictions.values()]
-        numbers = [value if isinstance(value, int | float) else np.nan for value in given]
-        values = np.array(numbers, np.float64).reshape(-1, 1)
-        found[name] = figure(weighted_mean(weights, values), events_with(values))
-    return found
+# --- who is compared ------------------------------------------------------------------------------
+
+
+def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> dict[str, Evaluation]:
+    """Return name -> evaluation.
+
+    A folder that holds no evaluation itself stands for those in it, under the names of their
+    folders. Others go by the name of the model or, where several are of the same, of the folder.
+    """
+    if isinstance(sources, Mapping):
+        check_names(list(sources))
+        return {name: evaluation_of(source) for name, source in sources.items()}
+    if isinstance(sources, str | os.PathLike | Evaluation):
+        sources = [sources]
+    found: list[tuple[str | None, Evaluation]] = []
+    for source in sources:
+        inside = [] if isinstance(source, Evaluation) else _inside(source)
+        if inside:
+            found += [(folder.name, Evaluation.load(folder)) for folder in inside]
+        else:
+            found.append((None, evaluation_of(source)))
+    models = [evaluation.name for _, evaluation in found]
+    named: dict[str, Evaluation] = {}
+    for given, evaluation in found:
+        name = given or evaluation.name
+        folder = evaluation.folder
+        if given is None and models.count(name) > 1 and folder is not None:
+            name = folder.path.resolve().name
+        if name in named:
+            raise InvalidSettingError(
+                f"two of the evaluations would be called {name!r}: name them, as in "
+                f"{{'one': ..., 'other': ...}} or one=DIR other=DIR"
+            )
+        named[name] = evaluation
+    return named
+
+
+def check_names(names: Sequence[object]) -> None:
+    """Raise InvalidSettingError unless all are names by which models can be told apart."""
+    for place, name in enumerate(names):
+        if not (isinstance(name, str) and name.strip()):
+            raise InvalidSettingError(f"a model is called {shown(name)}, expected a name")
+        if name == PEOPLE:
+            raise InvalidSettingError(f"a model is called {name!r}, as people are: name it, as in "
+                                      "{'mine': ...} or mine=DIR")  # fmt: skip
+        if name in names[:place]:
+            raise InvalidSettingError(f"two models are called {name!r}: expected different names")
+
+
+def _inside(source: object) -> list[Path]:
+    """Return the folders of evaluations in a folder that is none itself."""
+    if not isinstance(source, str | os.PathLike) or (Path(source) / SETTINGS).is_file():
+        return []
+    return sorted(file.parent for file in Path(source).glob(f"*/{SETTINGS}"))
+
+
+def shared_events(
+    found: Mapping[str, Evaluation], common: bool = False
+) -> tuple[list[Event], list[str]]:
+    """Return the events that all evaluations are about, and notes about them.
+
+    Events are the same if they have the same id and all that is seen of them is the same. Truth
+    and judgments are those of the first evaluation.
+    """
+    given = {name: {event.id: event for event in one.events} for name, one in found.items()}
+    digests = {name: {i: event_digest(e) for i, e in of.items()} for name, of in given.items()}
+    (first, chosen), *others = given.items()
+    notes = []
+    for name, theirs in others:
+        if not common and digests[name] != digests[first]:
+            raise InvalidEventError(
+                f"{first} and {name} were asked about different events: "
+                f"{_differences(first, digests[first], name, digests[name])}; common=True "
+                "(--common) compares them on the events that all share"
+            )
+        same = digests[first].items() & digests[name].items()
+        chosen = {i: event for i, event in chosen.items() if (i, digests[first][i]) in same}
+        changed = [
+            i
+            for i, e in chosen.items()
+            if (e.truth, e.judgments) != (theirs[i].truth, theirs[i].judgments)
+        ]
+        if changed:
+            notes.append(
+                f"truth or judgments of {len(changed)} events, such as {changed[0]!r}, are not the "
+                f"same in {first} and {name}; those in {first} count"
+            )
+    if not chosen:
+        raise InvalidEventError(f"there is no event that {', '.join(found)} share")
+    largest = max(map(len, given.values()))
+    if len(chosen) < largest:
+        notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")
+    return list(chosen.values()), notes
+
+
+def _differences(first: str, mine: Mapping[str, str], name: str, theirs: Mapping[str, str]) -> str:
+    groups = {
+        f"only in {first}": [i for i in mine if i not in theirs],
+        f"only in {name}": [i for i in theirs if i not in mine],
+        "not the same in scene or observation": [
+            i for i in mine if theirs.get(i, mine[i]) != mine[i]
+        ],
+    }
+    return ", ".join(
+        f"{len(ids)} {what} (such as {ids[0]!r})" for what, ids in groups.items() if ids
+    )
+
+
+def entries(
+    found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
+) -> list[Entry]:
+    """Return the models that are compared, with their answers about the events."""
+    ids = [event.id for event in events]
+    made = [
+        Entry(
+            name,
+            "model",
+            {i: one.predictions[i] for i in ids if i in one.predictions},
+            {key: value for key, value in one.settings.items() if key != "events"},
+            {i: str(one.failures[i]) for i in ids if i in one.failures},
+            None if one.folder is None else str(one.folder.path),
+        )
+        for name, one in found.items()
+    ]
+    references = reference_predictions(events)
+    for name in stored_names(stored, references):
+        made.append(Entry(stored_label(name, found), "stored", references[name]))
+    return made
+
+
+def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
+    """Return the names of the models, whose answers the events carry, that are wanted."""
+    known = list(references)
+    if isinstance(stored, str):
+        stored = known if stored == ALL else [stored]
+    if not isinstance(stored, Iterable):
+        raise InvalidSettingError(f"stored={shown(stored)}, expected names of models, or {ALL!r}")
+    for name in stored:
+        if name not in known:
+            raise unknown_name("stored model", name, known)
+    return list(dict.fromkeys(stored))
 
 
 # --- printed --------------------------------------------------------------------------------------
 
-WIDTH: Final = 100
 PAIRS: Final = 15
 """Pairs of models that are printed at most; of more, those with the first model."""
 
-MAJORITY: Final = "people, majority"
-
-_LABEL: Final = 24
-_NAME: Final = 19
-_EVENTS: Final = "n_events"
-_KINDS: Final = {"goal": ("goals", "goal_"), "relation": ("relations", "")}
-"""Kind of question -> its word, and what the names of its figures about people begin with."""
+_NAME: Final = 19  # most characters of a name in a pair
 
 _DIFFERENCES: Final = {
     "right answers": "accuracy",
     "the log probability of the true answer, nats": "log_score_truth",
 }
 
-_Row = tuple[str, Mapping[str, Any]]
-_Columns = Mapping[str, str | MetricPath]  # heading -> place in the metrics
-
 
 def _text(c: ModelComparison) -> str:
     """Return all tables of a comparison."""
-    n, judged = len(c.events), c.people.get("n_events", 0)
-    head = f"{_number(len(c.models), 'model')} on {_number(n, 'event')}"
+    models, judged = len(c.models), c.people["n_events"]
+    head = f"{models} model{'s' * (models > 1)} on {len(c.events)} event{'s' * (len(c.events) > 1)}"
     if judged:
         head += f", {judged} of them with truth and people's judgments"
-    lines = _wrapped(
-        f"{head}; intervals of {LEVEL:.0%}: of right answers Clopper-Pearson, of the rest from "
-        "resampled events"
-    )
+    lines = wrapped(f"{head}; {INTERVALS}")
     for note in c.notes:
-        lines += _wrapped(f"note: {note}")
-    for title, columns, rows in _tables(c):
-        lines += _table(title, columns, rows)
-    return "\n".join([*lines, *_differences(c), *_equivalence(c)])
+        lines += wrapped(f"note: {note}")
+    lines += metric_tables(list(c.metrics.items()), c.people)
+    return "\n".join([*lines, *_difference_lines(c), *_equivalence_lines(c)])
 
 
-def _tables(c: ModelComparison) -> Iterator[tuple[str, _Columns, list[_Row]]]:
-    """Yield title, columns and rows of the tables of metrics."""
-    models: list[_Row] = [(name, c.metrics[name]) for name in c.models]
-    right: list[_Row] = [*models]
-    if c.people:
-        right += [(PEOPLE, c.people), (MAJORITY, c.people["majority"])]
-    yield (
-        "right answers" + (" (people: share of people who are right)" if c.people else ""),
-        {
-            "goals": "goal_accuracy",
-            "goal in top 3": "goal_top3_accuracy",
-            "relations": "relation_accuracy",
-            "events": _EVENTS,
-            "CPU s/event": "cpu_seconds",
-        },
-        right,
-    )
-    for kind, (word, _) in _KINDS.items():
-        title, places = _by_part(c, kind)
-        columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
-        yield f"{word} right, {title}", columns, right
-    yield (
-        "mean log probability of the true answer, nats",
-        {word: f"{kind}_log_score_truth" for kind, (word, _) in _KINDS.items()},
-        models,
-    )
-    if not c.people:
-        return
-    among: _Row = (PEOPLE, _among_people(models))
-    for kind, (word, prefix) in _KINDS.items():
-        yield (
-            f"agreement with people on {word} (people: r of halves; bound of the log score)",
-            {
-                "r": f"human.{kind}_r",
-                **({"r given truth": "human.relation_r_given_truth"} if not prefix else {}),
-                "log score": f"human.{prefix}log_score",
-                "JS divergence": f"human.{prefix}js",
-            },
-            [*models, among],
-        )
-    yield (
-        "doubt about relations (intervals over events and raters; people: r of one with the rest)",
-        {
-            "r": "doubt.relation_r",
-            "r given truth": "doubt.relation_r_given_truth",
-            "log score gap": "doubt.log_score_gap",
-            "Brier": "doubt.brier",
-            "ECE": "doubt.ece",
-        },
-        [*models, (PEOPLE, _one_out(models))],
-    )
-
-
-def _by_part(c: ModelComparison, kind: str) -> tuple[str, dict[str, MetricPath]]:
-    """Return by what answers are told apart, and heading -> its place in the metrics.
-
-    In PHASE by scenario; elsewhere goals by agent, relations by pair.
-    """
-    metrics = [c.metrics[name] for name in c.models]
-    if not c.people:
-        parts = "by_agent" if kind == "goal" else "by_pair"
-        return parts.replace("_", " "), {name: (parts, name) for name in metrics[0].get(parts, {})}
-    counts = {name: max(m["by_scenario"][name]["n"] for m in metrics) for name in SCENARIOS}
-    places: dict[str, MetricPath] = {
-        f"{name} ({n})": ("by_scenario", name) for name, n in counts.items() if n
-    }
-    return "by true scenario (events)", places
-
-
-def _one_out(models: Sequence[_Row]) -> dict[str, Any]:
-    """Return how well raters predict one of them, in the places of models with people."""
-    known = [m["doubt"]["ceiling"] for _, m in models if m["doubt"] and m["doubt"]["ceiling"]]
-    names = ("r", "r_given_truth") if known else ()
-    return {"doubt": {f"relation_{name}": known[0][f"one_out_{name}"] for name in names}}
-
-
-def _among_people(models: Sequence[_Row]) -> dict[str, Any]:
-    """Return people's agreement with each other, in the places of models' with people.
-
-    It is about the same events as a model's; of those that have it, the one with most events.
-    """
-    by_events = sorted((m for _, m in models), key=lambda metrics: -metrics["n_events"])
-    found = {}
-    for kind, (_, prefix) in _KINDS.items():
-        places = (f"{kind}_r", "split_half_r"), (f"{prefix}log_score", "log_score_people")
-        for place, name in places:
-            of_people = (m["human"][f"{prefix}{name}"] for m in by_events)
-            found[place] = next(filter(None, of_people), None)
-    return {"human": found}
-
-
-def _table(title: str, columns: _Columns, rows: Sequence[_Row]) -> list[str]:
-    """Return a table without rows and columns that have nothing to say."""
-    kept = [
-        (short(name, _LABEL - 2), [_cell(metrics, place) for place in columns.values()])
-        for name, metrics in rows
-        if any(_cell(metrics, place) != NOTHING for place in columns.values() if place != _EVENTS)
-    ]
-    if not kept:
-        return []
-    headings = list(columns)
-    used = [j for j in range(len(columns)) if any(row[j] != NOTHING for _, row in kept)]
-    widths = {j: max(len(headings[j]), *(len(row[j]) for _, row in kept)) + 2 for j in used}
-    lines = ["", title]
-    for block in fitting(widths, WIDTH - max(len(name) for name, _ in kept)):
-        table = [["", *(headings[j] for j in block)]]
-        table += [
-            [name, *(row[j] for j in block)]
-            for name, row in kept
-            if any(row[j] != NOTHING for j in block)
-        ]
-        lines += aligned(table)
-    return lines
-
-
-def _cell(metrics: Mapping[str, Any], place: str | MetricPath) -> str:
-    """Return what a table shows of a place in the metrics."""
-    found = at(metrics, tuple(place.split(".")) if isinstance(place, str) else place)
-    if place == "cpu_seconds" and found is not None:
-        value = found["value"]
-        return f"{value:.3f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
-    if isinstance(found, float):
-        return f"{found:.2f}"
-    return str(found) if isinstance(found, int) else figure_text(found)
-
-
-def _differences(c: ModelComparison) -> list[str]:
+def _difference_lines(c: ModelComparison) -> list[str]:
     """Return the tables of paired differences: in right answers, in log probabilities."""
     rows = [r for r in c.differences if r["scenario"] is None]
     found = {(r["one"], r["other"], r["measure"]): r for r in rows}
     lines, left_out = [], 0
     for title, measure in _DIFFERENCES.items():
-        measures = [f"{kind}_{measure}" for kind in _KINDS]
+        measures = [f"{kind}_{measure}" for kind in KIND_WORDS]
         pairs = list(dict.fromkeys((one, other) for one, other, m in found if m in measures))
         if not pairs:
             continue
@@ -522,7 +529,7 @@ def _differences(c: ModelComparison) -> list[str]:
             shown = [pair for pair in pairs if c.models[0] in pair]
             pairs, left_out = shown, max(left_out, len(pairs) - len(shown))
         table = [
-            ["one minus other", *(cell for word, _ in _KINDS.values() for cell in (word, "p"))]
+            ["one minus other", *(cell for word in KIND_WORDS.values() for cell in (word, "p"))]
         ]
         for one, other in pairs:
             cells = [f"{short(one, _NAME)} - {short(other, _NAME)}"]
@@ -535,26 +542,26 @@ def _differences(c: ModelComparison) -> list[str]:
             table.append(cells)
         lines += ["", f"paired differences in {title}", *aligned(table)]
     if lines:
-        lines += _wrapped("p: bootstrap, corrected by Holm over the pairs")
+        lines += wrapped("p: bootstrap, corrected by Holm over the pairs")
     if left_out:
-        lines += _wrapped(
+        lines += wrapped(
             f"{left_out} more pairs, all corrected together, are in comparison.json; --against "
             "NAME compares with one model alone"
         )
     return lines
 
 
-def _equivalence(c: ModelComparison) -> list[str]:
+def _equivalence_lines(c: ModelComparison) -> list[str]:
     rows = [row for row in c.equivalence if row["scenario"] is None]
     if not rows:
         return []
     margin = c.settings["margin"]
     table = [["model minus people", "", "value", "90 %", "p equiv.", "p differ", "verdict"]]
     for row in rows:
-        word, _ = _KINDS[row["measure"].removesuffix("_accuracy")]
+        word = KIND_WORDS[row["measure"].removesuffix("_accuracy")]
         between = NOTHING if row["low"] is None else f"[{row['low']:+.2f}, {row['high']:+.2f}]"
         tests = [p_text(row[p]) for p in ("p_equivalent_holm", "p_holm")]
-        model = short(row["model"], _LABEL)
+        model = short(row["model"], 24)
         table.append([model, word, f"{row['value']:+.2f}", between, *tests, row["verdict"]])
     words = (
         f"Tested is a model's being right minus the share of people who are right, event by event. "
@@ -564,12 +571,4 @@ def _equivalence(c: ModelComparison) -> list[str]:
         "comparison.json has differences and equivalence by scenario too."
     )
     title = f"equivalence with people, margin {margin:g}"
-    return ["", title, *aligned(table), *_wrapped(words)]
-
-
-def _number(n: int, what: str) -> str:
-    return f"{n} {what}" if n == 1 else f"{n} {what}s"
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, subsequent_indent="  ")
+    return ["", title, *aligned(table), *wrapped(words)]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from phase_ppl.dataset.documents import MAX_BYTES, in_front, reading_bytes, too_large
-from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.files import existing_file
 
 
@@ -46,16 +46,21 @@ def csv_lines(text: str) -> Iterator[tuple[int, list[str]]]:
 
 def read_rows(
     path: str | os.PathLike[str],
-    check: Callable[[dict[str, str], int], dict[str, Any]],
+    check: Callable[[dict[str, str]], dict[str, Any]],
     check_header: Callable[[list[str]], None],
+    once: Sequence[str],
 ) -> list[dict[str, Any]]:
     """Return the rows of a CSV file; an error's message begins with file and line.
 
-    ``check`` makes what is returned of a row, of column -> cell and the number of its line;
-    ``check_header`` is given the names of the columns.
+    Args:
+        path: of the file.
+        check: makes what is returned of a row, of column -> cell.
+        check_header: is given the names of the columns.
+        once: columns whose values no two rows have in common.
     """
     source = existing_file(path)
     found = []
+    seen: dict[tuple[Any, ...], int] = {}
     with in_front(f"{source}: "):
         text = csv_text(source)
     with in_front(str(source)):
@@ -69,7 +74,13 @@ def read_rows(
             with in_front(f", line {line}: "):
                 if len(cells) != len(header):
                     raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
-                found.append(check(dict(zip(header, cells, strict=True)), line))
+                row = check(dict(zip(header, cells, strict=True)))
+                given = tuple(row[name] for name in once)
+                if given in seen:
+                    what = ", ".join(f"{name} {shown(row[name])}" for name in once)
+                    raise InvalidEventError(f"has {what} a second time, after line {seen[given]}")
+                seen[given] = line
+                found.append(row)
     return found
 
 
@@ -78,6 +89,7 @@ def read_columns(
     names: Sequence[str],
     check: Callable[[dict[str, Any]], None],
     required: Sequence[str],
+    once: Sequence[str],
 ) -> list[dict[str, Any]]:
     """Return some columns of a CSV file, row by row, as ``check`` leaves or refuses them.
 
@@ -89,7 +101,7 @@ def read_columns(
             if given.count(name) != 1:
                 raise InvalidEventError(f"expected a column {name}")
 
-    def row(cells: dict[str, str], _: int) -> dict[str, Any]:
+    def row(cells: dict[str, str]) -> dict[str, Any]:
         for name in required:
             if not cells[name]:
                 raise InvalidEventError(f"{name} is empty")
@@ -97,7 +109,7 @@ def read_columns(
         check(kept)
         return kept
 
-    found = read_rows(path, row, header)
+    found = read_rows(path, row, header, once)
     if not found:
         raise InvalidEventError(f"{path}: holds no rows")
     return found

@@ -32,9 +32,7 @@ Candidate: TypeAlias = (
     "str | os.PathLike[str] | Model | Evaluation | FittedObserver | Callable[..., Any] "
     "| Mapping[str, Any]"
 )
-"""What can be told from others: a model by name, a :class:`phase_ppl.Model`, a function
-``(scene, observation, seed)``, an evaluation or its folder, event id -> posterior or prediction;
-or, on top of ``source``, a prior by name or as a program, or a fitted observer."""
+"""What can be told from others, see :func:`design`."""
 
 
 def design(

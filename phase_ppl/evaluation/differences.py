@@ -1,4 +1,4 @@
-"""Paired differences between models and equivalence with people, on resampled events.
+"""Scores differences between models and equivalence with people, on resampled events.
 
 Both resample events: every figure is about other events like these, not about other people or
 other runs of the models.
@@ -7,19 +7,18 @@ other runs of the models.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from phase_ppl.evaluation import tables
 from phase_ppl.evaluation.bootstrap import LEVEL, difference, interval, resampled, weighted_mean
-from phase_ppl.evaluation.entries import Entry
-from phase_ppl.evaluation.metrics import Paired, events_with
+from phase_ppl.evaluation.metrics import Scores, events_with
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
 
 Row = dict[str, Any]
 LEAST_EVENTS: Final = 10  # events without which nothing is said of equivalence
@@ -31,7 +30,7 @@ _ROUNDING: Final = 1e-12
 
 def differences(
     events: Sequence[Event],
-    compared: Sequence[Entry],
+    models: Mapping[str, Mapping[str, Prediction]],
     *,
     against: str | None = None,
     seed: int = 0,
@@ -50,46 +49,42 @@ def differences(
         the measure; for the scenarios over all pairs and scenarios of the measure.
     """
     if against is None:
-        pairs = list(itertools.combinations(compared, 2))
+        pairs = list(itertools.combinations(models, 2))
     else:
-        other = next(one for one in compared if one.name == against)
-        pairs = [(one, other) for one in compared if one is not other]
-    paired = Paired(events, seed=seed, resamples=resamples)
+        pairs = [(name, against) for name in models if name != against]
+    paired = Scores(events, seed=seed, resamples=resamples)
     rows: list[Row] = []
     for one, other in pairs:
-        found = paired.difference(one.predictions, other.predictions)
-        counts = {name: part["n"] for name, part in found.get("by_scenario", {}).items()}
-        for scenario, measure, value in _figures(found):
+        found = paired.difference(models[one], models[other])
+        for path, value in _figures(found):
+            scenario = path[1] if path[0] == "by_scenario" else None
             rows.append(
                 {
-                    **{"one": one.name, "other": other.name},
-                    **{"measure": measure, "scenario": scenario},
+                    **{"one": one, "other": other},
+                    **{"measure": ".".join(path[2:] if scenario else path), "scenario": scenario},
                     **value,
-                    "n_events": found["n_events"] if scenario is None else counts[scenario],
+                    "n_events": found["by_scenario"][scenario]["n"]
+                    if scenario
+                    else found["n_events"],
                 }
             )
     return _corrected(rows, "p")
 
 
-def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, Any]]]:
-    """Return scenario, measure and figure of all that :class:`Paired` found."""
-    flat: list[tuple[str | None, str, Any]] = []
+def _figures(
+    found: Mapping[str, Any], above: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+    """Yield path and figure of all that :class:`Scores` found."""
     for name, value in found.items():
-        if name == "by_scenario":
-            flat += [(s, kind, v) for s, part in value.items() for kind, v in part.items()]
-        elif name == "human":
-            flat += [(None, f"human.{inner}", v) for inner, v in value.items()]
-        elif name in ("by_agent", "by_pair"):
-            for part, measures in value.items():
-                flat += [(None, f"{name}.{part}.{inner}", v) for inner, v in measures.items()]
-        else:
-            flat.append((None, name, value))
-    return [(scenario, name, v) for scenario, name, v in flat if isinstance(v, dict)]
+        if isinstance(value, dict) and "value" in value:
+            yield (*above, name), value
+        elif isinstance(value, dict):
+            yield from _figures(value, (*above, name))
 
 
 def equivalence(
     events: Sequence[Event],
-    compared: Sequence[Entry],
+    models: Mapping[str, Mapping[str, Prediction]],
     *,
     margin: float,
     seed: int = 0,
@@ -112,23 +107,18 @@ def equivalence(
         are not tested for equivalence: resampling a handful that agree shows no spread.
     """
     rows: list[Row] = []
-    for one in compared:
-        chosen = tables.predicted(events, one.predictions)
-        known, said = tables.facts(chosen), tables.said(chosen, one.predictions)
+    for model, predictions in models.items():
+        chosen = tables.predicted(events, predictions)
+        known, said = tables.facts(chosen), tables.said(chosen, predictions)
         weights = resampled(len(chosen), seed, resamples)
         for kind in KINDS:
-            of_people = np.take_along_axis(
-                known.people[kind], np.maximum(known.truth[kind], 0)[..., None], axis=-1
-            )[..., 0]
-            more = said.right[kind] - of_people
-            for scenario in (None, *SCENARIOS):
-                part = more
-                if scenario is not None:
-                    chosen_rows = known.scenario == SCENARIOS.index(scenario)
-                    part = np.where(chosen_rows[:, None], more, np.nan)
+            more = said.right[kind] - tables.at_truth(known.people[kind], known.truth[kind])
+            for path, chosen_rows in known.parts(kind).items():
+                scenario = path[-1] if path else None
+                part = np.where(chosen_rows, more, np.nan)
                 found = _tested(weighted_mean(weights, part), events_with(part), margin)
                 if found is not None:
-                    row = {"model": one.name, "measure": f"{kind}_accuracy", "scenario": scenario}
+                    row = {"model": model, "measure": f"{kind}_accuracy", "scenario": scenario}
                     rows.append({**row, **found})
     for name in ("p", "p_equivalent"):
         rows = _corrected(rows, name)

@@ -32,13 +32,14 @@ else:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from phase_ppl.evaluation.bootstrap import (
     Figure,
+    correlation,
     divided,
     figure,
     r_of_sums,
@@ -73,6 +74,8 @@ def doubt(
     known: Facts, model: Said, ids: Sequence[str], seed: int, resamples: int
 ) -> dict[str, Any] | None:
     """Return what the module describes, of events as arrays."""
+    if not any(known.judgments):
+        return None
     p, people = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
     there = ~np.isnan(p[:, 0]) & ~np.isnan(people[:, 0])
     if not there.any():
@@ -81,6 +84,7 @@ def doubt(
     judged = [one for one, is_there in zip(known.judgments, there, strict=True) if is_there and one]
     counts = np.array([one.counts["relation"] for one in judged])
     names = [name for name, is_there in zip(ids, there, strict=True) if is_there]
+    groups = same_truth(truth, len(RELATIONS))
     rng = np.random.default_rng([seed, _STREAM])
     drawn = people_drawn(judged, counts, known.by_participant, rng, resamples)
     weights = resampled(len(p), seed, resamples)
@@ -89,7 +93,7 @@ def doubt(
     bins = calibration(p, people)
     return {
         "relation_r": _two_way(weights, p, people, drawn, None),
-        "relation_r_given_truth": _two_way(weights, p, people, drawn, truth),
+        "relation_r_given_truth": _two_way(weights, p, people, drawn, groups),
         "log_score_gap": figure(weighted_mean(weights, gap), len(p)),
         "brier": figure(weighted_mean(weights, brier), len(p)),
         "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
@@ -108,30 +112,14 @@ def doubt(
     }
 
 
-def pearson(
-    weights: FloatArray, x: FloatArray, y: FloatArray, truth: IntArray | None = None
-) -> FloatArray:
-    """Return (row,) Pearson's r of x and y (row or 1, event, answer), NaN where one is constant.
+def same_truth(truth: IntArray, n_answers: int) -> IntArray:
+    """Return (..., answer) numbers of groups of the same true answer (...), -1 where it is unknown.
 
-    Weights are (row, event). With ``truth`` (event,) it is the r of what is left when the mean over
-    the events of the same truth is taken off each answer; those of unknown truth (-1) do not count.
+    Deviations from the means of these groups are what is left of probabilities, and of the shares
+    of people, when it does not help to be right.
     """
-    groups = np.zeros(weights.shape[1], np.int64) if truth is None else truth
-    weights = np.where(groups < 0, 0.0, weights)[..., None]
-    total = np.zeros((3, len(weights)))
-    for group in np.unique(groups[groups >= 0]):
-        w = weights[:, groups == group]
-        left, right = (values[:, groups == group] for values in (x, y))
-        axes = (1,) if truth is not None else (1, 2)
-        n = (w * np.ones_like(left)).sum(axis=axes, keepdims=True)
-        n = np.where(n > 0, n, 1.0)
-        left = left - (w * left).sum(axis=axes, keepdims=True) / n
-        right = right - (w * right).sum(axis=axes, keepdims=True) / n
-        products = (left * right, left * left, right * right)
-        total += np.stack([(w * one).sum(axis=(1, 2)) for one in products])
-    both, of_left, of_right = total
-    varied = np.minimum(of_left, of_right) > 1e-12
-    return np.where(varied, both / np.sqrt(np.where(varied, of_left * of_right, 1)), np.nan)
+    groups = truth[..., None] * n_answers + np.arange(n_answers)
+    return np.where(truth[..., None] < 0, -1, groups)
 
 
 def people_drawn(
@@ -166,11 +154,11 @@ def _two_way(
     p: FloatArray,
     people: FloatArray,
     drawn: FloatArray,
-    truth: IntArray | None,
+    groups: IntArray | None,
 ) -> Figure | None:
-    value = pearson(weights[:1], p[None], people[None], truth)
-    among_raters = pearson(np.ones_like(weights[1:]), p[None], drawn, truth)
-    both = pearson(weights[1:], p[None], drawn, truth)
+    value = correlation(weights[:1], p, people, groups)
+    among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
+    both = correlation(weights[1:], p, drawn, groups)
     moved = both + value - _mean(among_raters)
     return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
 
@@ -209,14 +197,14 @@ def ceiling(
     rest = np.maximum(several[left_out] - answer, 0)
     rest = rest / np.maximum(rest.sum(axis=1, keepdims=True), 1)
     times = several.ravel().astype(float)
-    by_row = of_several[left_out]
+    groups = same_truth(of_several, len(RELATIONS))
     found: dict[str, float] = {}
-    for suffix, groups in (("", None), ("_given_truth", of_several)):
-        halves = _mean(pearson(np.ones(half.shape[:2]), one, other, groups))
-        rows = None if groups is None else by_row
+    for suffix, of_events in (("", None), ("_given_truth", groups)):
+        of_rows = None if of_events is None else of_events[left_out]
+        halves = _mean(correlation(np.ones(half.shape[:2]), one, other, of_events))
         found[f"split_half_r{suffix}"] = halves
         found[f"spearman_brown{suffix}"] = 2 * halves / (1 + halves) if halves > -1 else np.nan
-        found[f"one_out_r{suffix}"] = float(pearson(times[None], rest[None], answer[None], rows)[0])
+        found[f"one_out_r{suffix}"] = float(correlation(times[None], rest, answer, of_rows)[0])
     scores = np.average(log_score(rest, answer), weights=times)
     found["one_out_log_score"] = float(scores)
     return {name: None if np.isnan(value) else value for name, value in found.items()}
@@ -271,10 +259,6 @@ SPLITS: Final = 1000
 """Random halves of the raters over which the split-half correlation is averaged."""
 
 
-_Halves: TypeAlias = Callable[[Judgments, str], tuple[IntArray, IntArray]]
-"""Returns the ratings (split, answer) of two halves of the raters of a question."""
-
-
 def log_probabilities(probabilities: FloatArray) -> FloatArray:
     """Return log((1 - lapse) p + lapse / K), in nats, over the K answers of the last axis."""
     logs = np.log((1 - LAPSE) * probabilities + LAPSE / probabilities.shape[-1])
@@ -326,14 +310,10 @@ def split_half(
     ):
         return np.full(len(weights), np.nan), 0
     rng = np.random.default_rng([seed, 1])
-    halves = _of_participants(judged, rng, splits) if by_participant else _of_ratings(rng, splits)
     sums = np.zeros((6, splits, len(judged)))
-    for place, judgments in enumerate(judged):
-        for question in questions:
-            if judgments is not None and question in judgments.counts:
-                one, other = halves(judgments, question)
-                both = (one.sum(axis=1) > 0) & (other.sum(axis=1) > 0)
-                sums[:, both, place] += _sums(one[both], other[both])
+    for place, one, other in _halves(judged, questions, by_participant, rng, splits):
+        both = (one.sum(axis=1) > 0) & (other.sum(axis=1) > 0)
+        sums[:, both, place] += _sums(one[both], other[both])
     n, x, y, xx, yy, xy = (weights @ part.T for part in sums)
     r = r_of_sums(
         n,
@@ -346,39 +326,40 @@ def split_half(
     return mean, int(sums[0].any(axis=0).sum())
 
 
-def _of_ratings(rng: np.random.Generator, splits: int) -> _Halves:
-    """Halve the ratings of each question on their own, without replacement."""
+def _halves(
+    judged: Sequence[Judgments | None],
+    questions: Sequence[str],
+    by_participant: bool,
+    rng: np.random.Generator,
+    splits: int,
+) -> Iterator[tuple[int, IntArray, IntArray]]:
+    """Yield the place of an event and the ratings (split, answer) of both halves of its raters.
 
-    def halves(judgments: Judgments, question: str) -> tuple[IntArray, IntArray]:
-        ratings = judgments.counts[question]
-        given = np.flatnonzero(ratings)
-        one = np.zeros((splits, len(ratings)), np.int64)
-        one[:, given] = rng.multivariate_hypergeometric(
-            ratings[given], int(ratings.sum()) // 2, size=splits, method="marginals"
-        )
-        return one, ratings - one
-
-    return halves
-
-
-def _of_participants(
-    judged: Sequence[Judgments | None], rng: np.random.Generator, splits: int
-) -> _Halves:
-    """Halve the participants of all events together."""
-    names = {who: None for one in judged if one is not None for who in one.responses}
+    Participants are halved for all events at once, ratings without replacement.
+    """
+    names = dict.fromkeys(who for one in judged if one is not None for who in one.responses)
     places = {who: place for place, who in enumerate(names)}
-    first = np.arange(len(names)) < len(names) // 2
-    in_one = rng.permuted(np.tile(first, (splits, 1)), axis=1)
-
-    def halves(judgments: Judgments, question: str) -> tuple[IntArray, IntArray]:
-        labels = QUESTIONS[question]
-        rows = [(who, row[question]) for who, row in judgments.responses.items() if question in row]
-        answers = np.zeros((len(rows), len(labels)), np.int64)
-        answers[np.arange(len(rows)), [labels.index(answer) for _, answer in rows]] = 1
-        one = in_one[:, [places[who] for who, _ in rows]] @ answers
-        return one, judgments.counts[question] - one
-
-    return halves
+    if by_participant:
+        first = np.arange(len(names)) < len(names) // 2
+        in_one = rng.permuted(np.tile(first, (splits, 1)), axis=1)
+    for place, judgments in enumerate(judged):
+        for question in questions:
+            if judgments is None or question not in judgments.counts:
+                continue
+            ratings = judgments.counts[question]
+            if by_participant:
+                answers = np.zeros((len(names), len(ratings)), np.int64)
+                for who, row in judgments.responses.items():
+                    if question in row:
+                        answers[places[who], QUESTIONS[question].index(row[question])] = 1
+                one = in_one @ answers
+            else:
+                given = np.flatnonzero(ratings)
+                one = np.zeros((splits, len(ratings)), np.int64)
+                one[:, given] = rng.multivariate_hypergeometric(
+                    ratings[given], int(ratings.sum()) // 2, size=splits, method="marginals"
+                )
+            yield place, one, ratings - one
 
 
 def _sums(one: IntArray, other: IntArray) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import itertools
 import json
@@ -11,7 +12,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -166,19 +167,38 @@ def evaluate(
         if out is not None:
             folder, done, notes = ResultsFolder.begin(out, settings, chosen, resume)
             settings = folder.settings
-        session = _Session(asked, folder, done, slots, executor)
+        failures: dict[str, str] = {}
 
         def evaluation() -> Evaluation:
             kept = {event.id: done[event.id] for event in chosen if event.id in done}
             cost = cost_of(kept, slots, time.monotonic() - clock)
-            return Evaluation(chosen, kept, session.failures, settings, cost, folder, tuple(notes))
+            return Evaluation(chosen, kept, failures, settings, cost, folder, tuple(notes))
 
         left = sorted(
             (event for event in chosen if event.id not in done),
             key=lambda event: -event.observation.n_frames,
         )
+        outcomes = _outcomes(asked, left, settings, folder is not None, slots, executor)
         try:
-            session.work(left, settings, Progress(left, len(done), slots, progress), notes)
+            with Progress(left, len(done), slots, progress) as bar, contextlib.closing(outcomes):
+                for note in notes:
+                    bar.say(note)
+                for event_id, outcome in outcomes:
+                    if outcome.prediction is not None:
+                        prediction = dataclasses.replace(outcome.prediction, event_id=event_id)
+                        if folder is not None:
+                            folder.add(prediction, functools.partial(_write, outcome, event_id))
+                        done[event_id] = prediction
+                        bar.one_more(event_id, prediction.cost["seconds"])
+                        continue
+                    failure = f"model {asked.name!r}, event {event_id!r}: {outcome.failure}"
+                    if outcome.of_settings and asked.registered and not done:
+                        raise InvalidSettingError(failure)
+                    failures[event_id] = outcome.failure
+                    if folder is not None:
+                        folder.write_failures(failures)
+                    bar.say(failure)
+                    bar.one_more(event_id, None)
         except KeyboardInterrupt as stop:
             raise EvaluationInterrupted(evaluation()) from stop
         except SimulationError as error:
@@ -220,61 +240,30 @@ def event_seed(seed: int, digest: str) -> int:
     return int.from_bytes(found[:4], "big") >> 1
 
 
-class _Session:
-    """An evaluation at work: it adds to ``done``, to the folder, and to ``failures``."""
-
-    def __init__(
-        self,
-        model: ReadyModel,
-        folder: ResultsFolder | None,
-        done: dict[str, Prediction],
-        workers: int | None,
-        executor: Executor | None,
-    ) -> None:
-        self.failures: dict[str, str] = {}
-        self._model, self._folder, self._done = model, folder, done
-        self._workers, self._executor = workers, executor
-
-    def work(
-        self, events: Sequence[Event], settings: Mapping[str, Any], bar: Progress, notes: list[str]
-    ) -> None:
-        """Ask about the events, which begin in the order given."""
-        keeps, seed, digests = self._folder is not None, settings["seed"], settings["events"]
-        jobs = [
-            # models and worker processes do not get to know the event
-            _Job(i, e.scene, e.observation, event_seed(seed, digests[e.id]), keeps)
-            for i, e in enumerate(events)
-        ]
-        answers = results(
-            _ask, self._model.predict, jobs, self._workers, "the model", self._executor
-        )
-        with bar, contextlib.closing(answers):
-            for note in notes:
-                bar.say(note)
-            for job, result in answers:
-                failed = isinstance(result, Failure)
-                outcome = _Outcome(failure=result.reason) if failed else result
-                self._take(events[job.place].id, outcome, bar)
-
-    def _take(self, event_id: str, outcome: _Outcome, bar: Progress) -> None:
-        if outcome.prediction is not None:
-            prediction = dataclasses.replace(outcome.prediction, event_id=event_id)
-            if self._folder is not None:
-                self._folder.add(prediction, lambda folder: _write(folder, outcome, event_id))
-            self._done[event_id] = prediction
-            bar.one_more(event_id, prediction.cost["seconds"])
-            return
-        failure = f"model {self._model.name!r}, event {event_id!r}: {outcome.failure}"
-        if outcome.of_settings and self._model.registered and not self._done:
-            raise InvalidSettingError(failure)
-        self.failures[event_id] = outcome.failure
-        if self._folder is not None:
-            self._folder.write_failures(self.failures)
-        bar.say(failure)
-        bar.one_more(event_id, None)
+def _outcomes(
+    model: ReadyModel,
+    events: Sequence[Event],
+    settings: Mapping[str, Any],
+    with_artefacts: bool,
+    workers: int | None,
+    executor: Executor | None,
+) -> Generator[tuple[str, _Outcome], None, None]:
+    """Ask about the events, which begin in this order; yield what becomes of each, by its id."""
+    seed, digests = settings["seed"], settings["events"]
+    jobs = [
+        # models and worker processes do not get to know the event
+        _Job(i, e.scene, e.observation, event_seed(seed, digests[e.id]), with_artefacts)
+        for i, e in enumerate(events)
+    ]
+    answers = results(_ask, model.predict, jobs, workers, "the model", executor)
+    with contextlib.closing(answers):
+        for job, result in answers:
+            lost = isinstance(result, Failure)
+            yield events[job.place].id, _Outcome(failure=result.reason) if lost else result
 
 
-def _write(folder: Path, outcome: _Outcome, event_id: str) -> None:
+def _write(outcome: _Outcome, event_id: str, folder: Path) -> None:
+    """Write the files that belong to an answer."""
     for name, content in outcome.artefacts.items():
         if name == POSTERIOR and content.startswith(SIGNATURE):
             # the model did not know of which event it is
@@ -307,31 +296,27 @@ class _Outcome(NamedTuple):
 
 
 def _ask(predict: Predict, job: _Job) -> _Outcome:
-    try:
-        return _outcome(predict, job)
-    finally:
-        jax = sys.modules.get("jax")
-        if in_worker() and jax is not None and next(_asked) % COMPILED_OF == 0:
-            jax.clear_caches()
-
-
-def _outcome(predict: Predict, job: _Job) -> _Outcome:
     """Ask a model about one event; whatever it raises is an outcome."""
     clock, used = time.perf_counter(), time.process_time()
+    of_settings = False
     try:
-        given = predict(job.scene, job.observation, job.seed)
-    except (Exception, SystemExit) as error:
-        of_settings = isinstance(error, InvalidSettingError | UnknownNameError)
-        return _Outcome(failure=described(error), of_settings=of_settings)
-    seconds, cpu = time.perf_counter() - clock, time.process_time() - used
-    try:
+        try:
+            given = predict(job.scene, job.observation, job.seed)
+        except (InvalidSettingError, UnknownNameError):
+            of_settings = True
+            raise
+        seconds, cpu = time.perf_counter() - clock, time.process_time() - used
         answer = given if isinstance(given, Answer) else Answer(given)
         prediction = as_prediction(answer.given, world=job.scene.world)
         cost = {**stable(plain(prediction.cost)), "seconds": seconds, "cpu_seconds": cpu}
         prediction = dataclasses.replace(prediction, cost=cost)
         return _Outcome(prediction, _contents(answer) if job.with_artefacts else {})
-    except Exception as error:
-        return _Outcome(failure=described(error))
+    except (Exception, SystemExit) as error:
+        return _Outcome(failure=described(error), of_settings=of_settings)
+    finally:
+        jax = sys.modules.get("jax")
+        if in_worker() and jax is not None and next(_asked) % COMPILED_OF == 0:
+            jax.clear_caches()
 
 
 def _contents(answer: Answer) -> dict[str, bytes]:

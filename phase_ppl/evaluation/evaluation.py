@@ -5,31 +5,26 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any
 
-from phase_ppl.analysis.summary import WIDTH, plain
-from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets
-from phase_ppl.evaluation.cells import fitting
+from phase_ppl.analysis.summary import plain
+from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, stored_label
+from phase_ppl.evaluation.cells import INTERVALS, metric_tables, wrapped
 from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
 from phase_ppl.evaluation.metrics import (
-    at,
     evaluate_predictions,
     human_accuracy,
     paired_difference,
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import PHASE, check_phase
-
-_DRAWN: Final = "a figure or page of an evaluation"
+from phase_ppl.world.scene import check_phase
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -65,10 +60,9 @@ class Evaluation:
         (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
-        of_phase = world_of(self.events) == PHASE
         found = {
             **evaluate_predictions(self.events, self.predictions),
-            "people": human_accuracy(self.events) if of_phase else None,
+            "people": human_accuracy(self.events),
             "reference_models": reference_models(self.events),
             "failures": self.failures,
             "settings": self.settings,
@@ -84,22 +78,30 @@ class Evaluation:
     @functools.cached_property
     def answers(self) -> list[AnswerSet]:
         """All answers, of people first, as figures and pages show them."""
-        check_phase(self.events[0].scene, _DRAWN)
-        return answer_sets(self.events, self.name, self.predictions)
+        return self._answers_about(self.events, {})
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
         """The same with metrics; of an evaluation that is not finished all about what is."""
-        metrics, events = self.metrics, self.events
-        check_phase(events[0].scene, _DRAWN)
-        others = {PEOPLE: metrics["people"], **metrics["reference_models"]}
+        events, metrics = self.events, self.metrics
+        others = {PEOPLE: metrics["people"], **self._of_references(metrics["reference_models"])}
         if not self.finished:
             events = [event for event in events if event.id in self.predictions]
-            others = {PEOPLE: human_accuracy(events), **reference_models(events)}
-        return [
-            dataclasses.replace(one, metrics=metrics if one.kind == "model" else others[one.name])
-            for one in answer_sets(events, self.name, self.predictions)
-        ]
+            references = self._of_references(reference_models(events))
+            others = {PEOPLE: human_accuracy(events), **references}
+        return self._answers_about(events, {**others, self.name: metrics})
+
+    def _answers_about(
+        self, events: Sequence[Event], metrics: Mapping[str, Mapping[str, Any]]
+    ) -> list[AnswerSet]:
+        check_phase(self.events[0].scene, "a figure or page of an evaluation")
+        references = self._of_references(reference_predictions(events))
+        models = {self.name: self.predictions, **references}
+        return answer_sets(events, models, references, metrics)
+
+    def _of_references(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what is given of models whose answers the events carry by their names here."""
+        return {stored_label(name, [self.name]): of_model for name, of_model in given.items()}
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Evaluation:
@@ -144,7 +146,17 @@ class Evaluation:
         return str(self.settings["model"])
 
     def __str__(self) -> str:
-        return table(self)
+        metrics = self.metrics
+        models = {self.name: metrics, **self._of_references(metrics["reference_models"])}
+        head = f"{self.name}: {len(self.predictions)} of {len(self.events)} events"
+        told = [
+            f"cost: {_cost(self.cost)}",
+            *(f"failed: {event}: {failure}" for event, failure in self.failures.items()),
+            *(f"note: {note}" for note in self.notes),
+        ]
+        lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
+        lines += [*metric_tables(list(models.items()), metrics["people"]), ""]
+        return "\n".join([*lines, *(line for text in told for line in wrapped(text))])
 
     def _repr_html_(self) -> str:
         return preformatted(self)
@@ -156,6 +168,18 @@ class Evaluation:
         )
 
 
+def evaluation_of(source: object, references: Collection[str] = ()) -> Evaluation:
+    """Return an evaluation, or that in a folder; ``references`` are names it could have been."""
+    if isinstance(source, Evaluation):
+        return source
+    if not isinstance(source, str | os.PathLike):
+        raise InvalidSettingError(f"{shown(source)} is neither an evaluation nor the folder of one")
+    if not Path(source).exists():
+        known = f", and no reference model ({', '.join(references)})" if references else ""
+        raise InvalidEventError(f"{source}: no such folder{known}")
+    return Evaluation.load(source)
+
+
 def opponent(
     events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
 ) -> tuple[str, Mapping[str, Prediction]]:
@@ -163,26 +187,17 @@ def opponent(
     references = reference_predictions(events)
     if isinstance(other, str) and other in references:
         return other, references[other]
-    if not isinstance(other, Evaluation):
-        if not isinstance(other, str | os.PathLike):
-            raise InvalidSettingError(
-                f"{shown(other)} is neither an evaluation, the folder of one, nor the name of a "
-                "model"
-            )
-        if not Path(other).exists():
-            known = f", and no reference model ({', '.join(references)})" if references else ""
-            raise InvalidEventError(f"{other}: no such folder{known}")
-        other = Evaluation.load(other)
+    found = evaluation_of(other, references)
     mine = {event.id: event for event in events}
-    for event in other.events:
+    for event in found.events:
         if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
             raise InvalidEventError(
                 f"event {event.id!r} is not the same in both evaluations: its scene or "
                 "observation differ"
             )
-    if not any(event.id in other.predictions for event in events):
-        raise InvalidSettingError(f"{other.name} predicts none of the {len(events)} events")
-    return other.name, other.predictions
+    if not any(event.id in found.predictions for event in events):
+        raise InvalidSettingError(f"{found.name} predicts none of the {len(events)} events")
+    return found.name, found.predictions
 
 
 def cost_of(
@@ -238,132 +253,14 @@ def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
 
 # --- printed --------------------------------------------------------------------------------------
 
-_LABEL: Final = 24
-_OWN: Final = 19
-_NAME: Final = 16
-_GAP: Final = 2
-"""Widths of columns: of the labels, of the model, of others' names at most, and between them."""
-
-_INTERVALS: Final = "95 %; of right answers Clopper-Pearson, of scores and r over resampled events"
-
-MetricPath = tuple[str, ...]
-
-
-class _Row(NamedTuple):
-    """A row: its label, where models have the figure, and where people have theirs.
-
-    People's figures with a path that begins with "human" are among the model's metrics, as they
-    are about the same events.
-    """
-
-    label: str
-    path: MetricPath
-    people: MetricPath = ()
-
-
-class _Column(NamedTuple):
-    """A column: whose figures it has, their metrics, and whether with intervals."""
-
-    name: str
-    metrics: Mapping[str, Any]
-    width: int
-    whole: bool = False
-
-
-def table(evaluation: Evaluation) -> str:
-    """Return the metrics of an evaluation by scenario, beside those of people and references."""
-    metrics = evaluation.metrics
-    head = f"{len(evaluation.predictions)} of {len(evaluation.events)} events"
-    others = [(PEOPLE, metrics["people"]), *metrics["reference_models"].items()]
-    columns = [
-        _Column(evaluation.name, metrics, _OWN, whole=True),
-        *(_Column(name, of, min(len(name), _NAME) + _GAP) for name, of in others),
-    ]
-    lines = [
-        *_wrapped(evaluation.name, f"{head}, seed {evaluation.settings['seed']}"),
-        *_figures(columns, metrics),
-        "",
-        *_wrapped("intervals", _INTERVALS),
-        *_wrapped("cost", _cost(evaluation.cost)),
-    ]
-    for event, failure in evaluation.failures.items():
-        lines += _wrapped("failed", f"{event}: {failure}")
-    for note in evaluation.notes:
-        lines += _wrapped("note", note)
-    return "\n".join(lines)
-
 
 def difference_table(found: Mapping[str, Any]) -> str:
     """Return the differences that ``Evaluation.against`` found."""
-    lines = _wrapped(
-        f"{found['one']} minus {found['other']}",
-        f"on the {found['n_events']} events that both predict; intervals and p from resampled "
-        "events",
+    head = wrapped(
+        f"{found['one']} minus {found['other']}: on the {found['n_events']} events that both "
+        "predict; intervals and p from resampled events"
     )
-    column = _Column("difference", found, _OWN + 9, whole=True)
-    return "\n".join([*lines, *_figures([column], found)])
-
-
-def _rows(metrics: Mapping[str, Any]) -> Iterator[_Row]:
-    for kind, title in (("goal", "goals right"), ("relation", "relation right")):
-        name = f"{kind}_accuracy"
-        yield _Row(title, (name,), (name,))
-        for scenario, of_scenario in metrics.get("by_scenario", {}).items():
-            n = of_scenario.get("n")
-            path = ("by_scenario", scenario, name)
-            yield _Row(f"  {scenario} ({n})" if n else f"  {scenario}", path, path)
-        parts = "by_agent" if kind == "goal" else "by_pair"
-        for part in metrics.get(parts, {}):
-            yield _Row(f"  {part}"[: _LABEL - 1], (parts, part, name))
-        if kind == "goal":
-            yield _Row("  among the top 3", ("goal_top3_accuracy",))
-        yield _Row("  log score of truth", (f"{kind}_log_score_truth",))
-        for least, of_those in metrics.get("calibration", {}).get(kind, {}).items():
-            if least != "0":
-                label = f"  of p >= {least} ({of_those['n']})"
-                yield _Row(label, ("calibration", kind, least, "accuracy"))
-    for kind, prefix in (("goal", "goal_"), ("relation", "")):
-        score, js = f"{prefix}log_score", f"{prefix}js"
-        yield _Row(
-            f"r with people, {kind}", ("human", f"{kind}_r"), ("human", f"{prefix}split_half_r")
-        )
-        if kind == "relation":
-            yield _Row("  given the truth", ("human", "relation_r_given_truth"))
-        yield _Row("  log score", ("human", score), ("human", f"{score}_people"))
-        yield _Row("  JS divergence", ("human", js))
-
-
-def _figures(columns: Sequence[_Column], metrics: Mapping[str, Any]) -> list[str]:
-    """Return the lines of a table; rows and columns without a figure are left out."""
-    found = [(row, [_figure(row, column, metrics) for column in columns]) for row in _rows(metrics)]
-    used = [i for i in range(len(columns)) if any(figures[i] for _, figures in found)]
-    lines = []
-    for block in fitting({i: columns[i].width for i in used}, WIDTH - _LABEL):
-        names = "".join(f"{columns[i].name[:_NAME]:>{columns[i].width}}" for i in block)
-        lines += ["", f"{'':<{_LABEL}}{names}"]
-        for row, figures in found:
-            if any(figures[i] for i in block):
-                cells = "".join(_cell(figures[i], columns[i]) for i in block)
-                lines.append(f"{row.label:<{_LABEL}}{cells}")
-    return lines
-
-
-def _figure(row: _Row, column: _Column, metrics: Mapping[str, Any]) -> dict[str, Any] | None:
-    path, found = row.path, column.metrics
-    if column.name == PEOPLE:
-        path, found = row.people, metrics if row.people[:1] == ("human",) else found
-    return at(found, path) if path else None
-
-
-def _cell(figure: Mapping[str, Any] | None, column: _Column) -> str:
-    if figure is None:
-        return f"{'-':>{column.width}}"
-    text = f"{figure['value']:.2f}"
-    if column.whole and figure["ci_low"] is not None:
-        text += f" [{figure['ci_low']:.2f}, {figure['ci_high']:.2f}]"
-    if figure.get("p") is not None:
-        text += f" p {figure['p']:.3f}"
-    return f"{text:>{column.width}}"
+    return "\n".join([*head, *metric_tables([("difference", found)])])
 
 
 def _cost(cost: Mapping[str, Any]) -> str:
@@ -379,7 +276,3 @@ def _cost(cost: Mapping[str, Any]) -> str:
 
 def _time(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
-
-
-def _wrapped(label: str, text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=f"{label}: ", subsequent_indent=" " * 4)

@@ -128,16 +128,11 @@ def load_tags(path: str | os.PathLike[str]) -> Tags:
     """
     names = ("participant", "video", "label")
     spelled = {label.lower(): label for label in LABELS}
-    seen: set[tuple[str, str, str | None]] = set()
 
     def check(row: dict[str, Any]) -> None:
         row["label"] = spelled.get(row["label"].lower(), row["label"]) or None
-        choice = row["participant"], row["video"], row["label"]
-        if choice in seen:
-            raise InvalidEventError(f"the same label for the same video as before: {shown(choice)}")
-        seen.add(choice)
 
-    rows = read_columns(path, names, check, names[:2])
+    rows = read_columns(path, names, check, required=names[:2], once=names)
     return Tags(pd.DataFrame(rows, columns=list(names), dtype=object))
 
 
@@ -173,29 +168,27 @@ class Likeness:
         Raises:
             UnknownNameError: ``by`` is neither.
         """
+        found = self._means(by)
+        return {group: found[group].to_numpy(float) for group in self.groups}
+
+    def _means(self, by: By) -> pd.Series[float]:
         if by not in _COLUMN:
             raise unknown_name("by", by, _COLUMN)
-        found = self.table.groupby(["group", _COLUMN[by]])["rating"].mean()
-        return {group: found[group].to_numpy(float) for group in self.groups}
+        return self.table.groupby(["group", _COLUMN[by]])["rating"].mean()
 
     def summary(self) -> pd.DataFrame:
         """Return group -> mean rating, and its standard deviation over videos and participants.
 
         The paper does not say of which of them its standard deviations are.
         """
-        rows = {}
-        for group in self.groups:
-            ratings = self.table.loc[self.table["group"] == group, "rating"]
-            videos, people = (self.means(by)[group] for by in ("videos", "participants"))
-            rows[group] = {
-                "mean": videos.mean(),
-                "sd_videos": _sd(videos),
-                "sd_participants": _sd(people),
-                "videos": len(videos),
-                "participants": len(people),
-                "ratings": len(ratings),
-            }
-        return pd.DataFrame.from_dict(rows, orient="index")
+        found = pd.DataFrame(index=pd.Index(self.groups))
+        of_group = self.table.groupby("group")["rating"]
+        videos, people = (self._means(by).groupby("group") for by in ("videos", "participants"))
+        found["mean"] = videos.mean()
+        found["sd_videos"], found["sd_participants"] = videos.std(), people.std()
+        found["videos"], found["participants"] = videos.size(), people.size()
+        found["ratings"] = of_group.size()
+        return found
 
     def equivalence(self, margin: float = MARGIN, by: By = "participants") -> dict[str, Any]:
         """Test whether the mean ratings of the groups differ by less than a margin.
@@ -246,10 +239,6 @@ class Likeness:
         return f"<Likeness of {' and '.join(self.groups)}, {len(self.table)} ratings>"
 
 
-def _sd(values: FloatArray) -> float:
-    return float(values.std(ddof=1)) if len(values) > 1 else float("nan")
-
-
 def load_likeness(path: str | os.PathLike[str]) -> Likeness:
     """Read ratings from a CSV file of the form that the module describes.
 
@@ -257,22 +246,18 @@ def load_likeness(path: str | os.PathLike[str]) -> Likeness:
         InvalidEventError: there is no such file, it is no such table, a rating is not 1 to 5,
             there are not two groups, or somebody rates a video twice or sees both groups.
     """
-    seen: set[tuple[str, str]] = set()
+    names = ("participant", "video", "group", "rating")
     group_of: dict[str, str] = {}
 
     def check(row: dict[str, Any]) -> None:
-        who, video, group, rating = (row[name] for name in names)
-        if rating not in map(str, RATINGS):
-            raise InvalidEventError(f"rating is {shown(rating)}, expected 1 to 5")
-        row["rating"] = int(rating)
-        if (who, video) in seen:
-            raise InvalidEventError(f"participant {shown(who)} rates {shown(video)} a second time")
-        seen.add((who, video))
-        if group_of.setdefault(who, group) != group:
+        if row["rating"] not in map(str, RATINGS):
+            raise InvalidEventError(f"rating is {shown(row['rating'])}, expected 1 to 5")
+        row["rating"] = int(row["rating"])
+        who = row["participant"]
+        if group_of.setdefault(who, row["group"]) != row["group"]:
             raise InvalidEventError(f"participant {shown(who)} is in two groups")
 
-    names = ("participant", "video", "group", "rating")
-    rows = read_columns(path, names, check, names)
+    rows = read_columns(path, names, check, required=names, once=names[:2])
     if len({row["group"] for row in rows}) != 2:
         found = sorted({row["group"] for row in rows})
         raise InvalidEventError(f"{path}: groups are {shown(found)}, expected two")

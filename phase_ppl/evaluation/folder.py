@@ -183,10 +183,6 @@ class ResultsFolder:
         """Return the folder of an event, whether it is there or not."""
         return self.path / "events" / entry_name(self._place[event_id], event_id)
 
-    def is_finished(self, event_id: str) -> bool:
-        """Whether the event has a prediction."""
-        return (self.folder_of(event_id) / PREDICTION).is_file()
-
     def add(self, prediction: Prediction, artefacts: Callable[[Path], None] | None = None) -> None:
         """Keep the prediction of an event; ``artefacts(folder)`` writes what else belongs to it."""
         target = self.folder_of(prediction.event_id)
@@ -213,9 +209,9 @@ class ResultsFolder:
 
     def prediction(self, event_id: str) -> Prediction | None:
         """Return the prediction of an event; None where it is not finished."""
-        if not self.is_finished(event_id):
-            return None
         source = self.folder_of(event_id) / PREDICTION
+        if not source.is_file():
+            return None
         record = read_json(source)
         world = self.events[self._place[event_id]].scene.world
         try:

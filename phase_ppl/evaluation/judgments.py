@@ -32,8 +32,8 @@ from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.csv_file import read_rows
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
-from phase_ppl.evaluation.prediction import QUESTIONS, reference_predictions
-from phase_ppl.evaluation.ratings import Judgments, checked_answer, event_judgments
+from phase_ppl.evaluation.prediction import QUESTIONS, checked_answer, reference_predictions
+from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
@@ -107,22 +107,14 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
             matches. Messages begin with the file, and the line where it is one.
     """
     videos = None if events is None else [event.id for event in events]
-    first: dict[tuple[str, str], int] = {}
 
-    def check(cells: dict[str, str], line: int) -> dict[str, Any]:
+    def check(cells: dict[str, str]) -> dict[str, Any]:
         row = _row(cells)
-        who, video = row["participant"], row["video"]
-        if videos is not None and video not in videos:
-            raise unknown_name("video", video, videos)
-        if (who, video) in first:
-            raise InvalidEventError(
-                f"participant {shown(who)} judges video {shown(video)} a second time, after line "
-                f"{first[who, video]}"
-            )
-        first[who, video] = line
+        if videos is not None and row["video"] not in videos:
+            raise unknown_name("video", row["video"], videos)
         return row
 
-    rows = read_rows(path, check, _check_header)
+    rows = read_rows(path, check, _check_header, once=("participant", "video"))
     if not any(row[question] for row in rows for question in QUESTIONS):
         raise InvalidEventError(f"{path}: holds no judgments")
     # plain objects: pandas' own text would make NaN of None

@@ -19,25 +19,22 @@ per question.
 ``relation_accuracy``          share of relations whose answer is true
 ``goal_log_score_truth``       mean log probability of the true answer [nats], with a lapse as
 ``relation_log_score_truth``   below
-``by_scenario``                true scenario -> ``goal_accuracy``, ``relation_accuracy``, ``n``
-``confusion``                  true scenario -> scenario of the two goals answered -> events
+``by_scenario``                in PHASE: true scenario -> ``goal_accuracy``, ``relation_accuracy``,
+                               both log scores of the truth, ``n``
+``by_agent``                   in other worlds: agent -> ``goal_accuracy``,
+                               ``goal_log_score_truth``
+``by_pair``                    in other worlds: "red & green" -> ``relation_accuracy``,
+                               ``relation_log_score_truth``
+``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> of the
+                               answers of at least that probability ``n``, ``probability``, its
+                               mean, and ``accuracy``, the share that is true
+``confusion``                  true scenario -> scenario of the two goals answered -> events; None
+                               in other worlds than PHASE, of which no judgments are read either
 ``human``                      see below
 ``doubt``                      whether the model doubts where people do:
                                :mod:`phase_ppl.evaluation.doubt`
 ``ties``                       question -> events in which several answers are the most probable;
                                None where there are no probabilities
-=============================  ===================================================================
-
-Of events of another world than PHASE there are no ``by_scenario``, ``confusion``, ``human`` and
-``doubt``, but:
-
-=============================  ===================================================================
-``by_agent``                   agent -> ``goal_accuracy``, ``goal_log_score_truth``
-``by_pair``                    "red & green" -> ``relation_accuracy``,
-                               ``relation_log_score_truth``
-``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> of the
-                               answers of at least that probability ``n``, ``probability``, its
-                               mean, and ``accuracy``, the share that is true
 =============================  ===================================================================
 
 ``human`` is about people's answers, of which each event has a distribution per question; names
@@ -65,7 +62,7 @@ without "goal" are about the relation:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -86,17 +83,17 @@ from phase_ppl.evaluation.doubt import (
     log_probabilities,
     log_score,
     negative_entropy,
+    same_truth,
     split_half,
 )
 from phase_ppl.evaluation.prediction import (
     GOAL_QUESTIONS,
     Prediction,
-    pairs_of,
     questions_of,
     reference_predictions,
 )
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.tables import KINDS, Facts, Said, true_answer
+from phase_ppl.evaluation.tables import KINDS, Facts, Said, at_truth, true_answer
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
@@ -106,17 +103,6 @@ Path = tuple[str, ...]  # keys under which a figure is found in the metrics
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> what the names of figures under ``human`` begin with."""
-
-_ORDER: Final = (
-    *("n_events", "n", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
-    *("goal_log_score_truth", "relation_log_score_truth", "by_scenario", "confusion", "human"),
-    *("by_agent", "by_pair", "calibration", "doubt", "ties"),
-)
-_HUMAN_ORDER: Final = (
-    *("relation_r", "relation_r_given_truth", "goal_r", "log_score", "log_score_people"),
-    *("goal_log_score", "goal_log_score_people", "js", "goal_js", "split_half_r"),
-    *("goal_split_half_r", "split_half_by"),
-)
 
 
 def evaluate_predictions(
@@ -142,7 +128,7 @@ def evaluate_predictions(
         InvalidSettingError: a prediction is of another event than it is filed under, or
             ``seed`` or ``resamples`` is out of range.
     """
-    return metrics_of_each(events, {"": predictions}, seed=seed, resamples=resamples)[""]
+    return Scores(events, seed=seed, resamples=resamples).metrics(predictions)
 
 
 def reference_models(
@@ -153,49 +139,8 @@ def reference_models(
     Arguments and errors as for :func:`evaluate_predictions` and
     :func:`~phase_ppl.evaluation.prediction.reference_predictions`.
     """
-    return metrics_of_each(events, reference_predictions(events), seed=seed, resamples=resamples)
-
-
-def metrics_of_each(
-    events: Sequence[Event],
-    models: Mapping[str, Mapping[str, Prediction]],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
-) -> dict[str, dict[str, Any]]:
-    """Return name -> metrics of several models, from name -> event id -> prediction.
-
-    Arguments and errors as for :func:`evaluate_predictions`. What people say among themselves is
-    computed once for all models that predict the same events.
-    """
-    given: dict[tuple[str, ...], tuple[Facts, FloatArray, dict[Path, Any]]] = {}
-    found = {}
-    for name, predictions in models.items():
-        chosen = tables.predicted(events, predictions)
-        ids = tuple(event.id for event in chosen)
-        if ids not in given:
-            known, weights = tables.facts(chosen), resampled(len(chosen), seed, resamples)
-            given[ids] = known, weights, _among_people(known, weights, seed)
-        known, weights, among_people = given[ids]
-        model = tables.said(chosen, predictions)
-        judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
-        result: dict[str, Any] = {
-            "n_events": len(chosen),
-            "n": {"events": len(events), "truth": int((known.scenario >= 0).sum()), **judged},
-        }
-        curves = model_curves(known, model, weights) | people_curves(known, model, weights)
-        put(result, {path: curve.figure() for path, curve in curves.items()})
-        if known.world == PHASE:
-            put(result, among_people)
-            count_scenarios(result, known.scenario)
-            result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
-            result["doubt"] = doubt(known, model, ids, seed, resamples)
-        else:
-            result["n"]["truth"] = events_with(np.where(known.truth["goal"] < 0, np.nan, 0.0))
-            result["calibration"] = calibration(model)
-        result["ties"] = count_ties([predictions[event.id] for event in chosen], known.world)
-        found[name] = _ordered(result)
-    return found
+    scores = Scores(events, seed=seed, resamples=resamples)
+    return {name: scores.metrics(given) for name, given in reference_predictions(events).items()}
 
 
 def paired_difference(
@@ -219,44 +164,73 @@ def paired_difference(
     Raises:
         As :func:`evaluate_predictions`.
     """
-    return Paired(events, seed=seed, resamples=resamples).difference(one, other)
+    return Scores(events, seed=seed, resamples=resamples).difference(one, other)
 
 
-class Paired:
-    """Differences between several models on the same resamples of events.
+class Scores:
+    """Metrics of several models and their differences, on the same resamples of events.
 
-    What is asked of a model for one pair is kept for the next.
+    What does not depend on the model, and what is asked of one for a pair, is kept for the next.
     """
 
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
         self._events, self._seed, self._resamples = events, seed, resamples
         self._facts: dict[tuple[str, ...], tuple[Facts, FloatArray]] = {}
+        self._among_people: dict[tuple[str, ...], dict[Path, Any]] = {}
         self._curves: dict[tuple[int, tuple[str, ...], bytes], dict[Path, Curve]] = {}
         self._models: list[Mapping[str, Prediction]] = []  # kept, so that each has its own id
+
+    def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
+        """Return what :func:`evaluate_predictions` does."""
+        chosen, ids, known, weights = self._of_events(predictions)
+        model = tables.said(chosen, predictions)
+        true_goals = np.where(known.truth["goal"] < 0, np.nan, 0.0)
+        judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
+        result: dict[str, Any] = {
+            "n_events": len(chosen),
+            "n": {"events": len(self._events), "truth": events_with(true_goals), **judged},
+        }
+        curves = model_curves(known, model, weights) | people_curves(known, model, weights)
+        put(result, {path: curve.figure() for path, curve in curves.items()})
+        if ids not in self._among_people:
+            self._among_people[ids] = _among_people(known, weights, self._seed)
+        put(result, self._among_people[ids])
+        count_scenarios(result, known.scenario)
+        result["calibration"] = calibration(model)
+        result["confusion"] = confusion(known.scenario, model.scenario)
+        result["doubt"] = doubt(known, model, ids, self._seed, self._resamples)
+        result["ties"] = count_ties([predictions[name] for name in ids], known.world)
+        return result
 
     def difference(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> dict[str, Any]:
         """Return what :func:`paired_difference` does."""
-        chosen = tables.predicted(tables.predicted(self._events, one), other)
-        ids = tuple(event.id for event in chosen)
-        if ids not in self._facts:
-            weights = resampled(len(chosen), self._seed, self._resamples)
-            self._facts[ids] = tables.facts(chosen), weights
+        chosen, ids, known, _ = self._of_events(one, other)
         first, second = tables.said(chosen, one), tables.said(chosen, other)
         of_one = self._of(one, ids, first.where_known(second))
         of_other = self._of(other, ids, second.where_known(first))
         result: dict[str, Any] = {"n_events": len(chosen)}
-        put(
-            result,
-            {
-                path: difference(curve.values, of_other[path].values, curve.n)
-                for path, curve in of_one.items()
-            },
-        )
-        if self._facts[ids][0].world == PHASE:
-            count_scenarios(result, self._facts[ids][0].scenario)
-        return _ordered(result)
+        differences = {
+            path: difference(curve.values, of_other[path].values, curve.n)
+            for path, curve in of_one.items()
+        }
+        put(result, differences)
+        count_scenarios(result, known.scenario)
+        return result
+
+    def _of_events(
+        self, *models: Mapping[str, Prediction]
+    ) -> tuple[list[Event], tuple[str, ...], Facts, FloatArray]:
+        """Return the events that all models predict, their ids, facts and resamples."""
+        chosen = list(self._events)
+        for predictions in models:
+            chosen = tables.predicted(chosen, predictions)
+        ids = tuple(event.id for event in chosen)
+        if ids not in self._facts:
+            weights = resampled(len(chosen), self._seed, self._resamples)
+            self._facts[ids] = tables.facts(chosen), weights
+        return chosen, ids, *self._facts[ids]
 
     def _of(
         self, model: Mapping[str, Prediction], ids: tuple[str, ...], said: Said
@@ -270,29 +244,17 @@ class Paired:
 
 def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Path, Any]:
     """Return the figures of people's agreement with each other."""
+    by_participant = known.by_participant
     found: dict[Path, Any] = {}
     for kind, prefix in PREFIX.items():
-        found["human", f"{prefix}split_half_r"] = figure(
-            *split_half(
-                known.judgments,
-                KINDS[kind],
-                weights,
-                by_participant=known.by_participant,
-                seed=seed,
-            )
+        halves = split_half(
+            known.judgments, KINDS[kind], weights, by_participant=by_participant, seed=seed
         )
+        found["human", f"{prefix}split_half_r"] = figure(*halves)
     judged = any(one is not None for one in known.judgments)
-    by = "participants" if known.by_participant else "votes"
+    by = "participants" if by_participant else "votes"
     found["human", "split_half_by"] = by if judged else None
     return found
-
-
-def _ordered(result: Mapping[str, Any]) -> dict[str, Any]:
-    given = dict(result)
-    if "human" in given:
-        of_people = given["human"]
-        given["human"] = {name: of_people[name] for name in _HUMAN_ORDER if name in of_people}
-    return {name: given[name] for name in _ORDER if name in given}
 
 
 # --- every metric of a model as a curve: its value, and its values on the resamples ---------------
@@ -313,54 +275,37 @@ class Curve(NamedTuple):
 
 def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return all figures that are about the model."""
-    elsewhere = known.world != PHASE
-    curves = accuracy_curves(model.right, known.scenario, weights, by_scenario=not elsewhere)
-
-    def mean(values: FloatArray) -> Curve:
-        return Curve(weighted_mean(weights, values), events_with(values))
-
+    curves = accuracy_curves(model.right, known, weights)
     curves["goal_top3_accuracy",] = share_curve(weights, model.in_top)
     for kind, prefix in PREFIX.items():
-        probabilities, people, truth = (
-            model.probabilities[kind],
-            known.people[kind],
-            known.truth[kind],
-        )
-        logs = log_probabilities(probabilities)
-        of_truth = np.take_along_axis(logs, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
-        of_truth = np.where(truth < 0, np.nan, of_truth)
-        curves[f"{kind}_log_score_truth",] = mean(of_truth)
-        if elsewhere:
-            for place, part in enumerate(_parts(kind, known.world)):
-                right = model.right[kind][:, [place]]
-                curves[*part, f"{kind}_accuracy"] = share_curve(weights, right)
-                curves[*part, f"{kind}_log_score_truth"] = mean(of_truth[:, [place]])
-            continue
+        probabilities, people = model.probabilities[kind], known.people[kind]
+        of_truth = at_truth(log_probabilities(probabilities), known.truth[kind])
+        for path, chosen in known.parts(kind).items():
+            part = np.where(chosen, of_truth, np.nan)
+            curves[*path, f"{kind}_log_score_truth"] = mean_curve(weights, part)
         curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
-        curves["human", f"{prefix}log_score"] = mean(log_score(probabilities, people))
-        curves["human", f"{prefix}js"] = mean(jensen_shannon(probabilities, people))
-    if elsewhere:
-        return curves
-    true, n = known.truth["relation"], len(RELATIONS)
-    groups = np.where(true < 0, -1, true * n + np.arange(n))
+        agreed, apart = log_score(probabilities, people), jensen_shannon(probabilities, people)
+        curves["human", f"{prefix}log_score"] = mean_curve(weights, agreed)
+        curves["human", f"{prefix}js"] = mean_curve(weights, apart)
     curves["human", "relation_r_given_truth"] = _r(
-        weights, model.probabilities["relation"], known.people["relation"], groups
+        weights,
+        model.probabilities["relation"],
+        known.people["relation"],
+        same_truth(known.truth["relation"], len(RELATIONS)),
     )
     return curves
-
-
-def _parts(kind: str, world: World) -> list[Path]:
-    """Return where the figures of each question of a kind are, in another world than PHASE."""
-    if kind == "goal":
-        return [("by_agent", agent) for agent in world.agents]
-    key = dict(zip(world.agents, world.keys, strict=True))
-    return [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs_of(world).values()]
 
 
 def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
     flat = (x.shape[0], int(np.prod(x.shape[1:])))
     left, right = x.reshape(flat), y.reshape(flat)
-    return Curve(correlation(weights, left, right, groups), events_with(left * right))
+    of_groups = None if groups is None else groups.reshape(flat)
+    return Curve(correlation(weights, left, right, of_groups), events_with(left * right))
+
+
+def mean_curve(weights: FloatArray, values: FloatArray) -> Curve:
+    """Return the mean of (event, answer) values of any size."""
+    return Curve(weighted_mean(weights, values), events_with(values))
 
 
 def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
@@ -371,35 +316,25 @@ def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
 def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return people's own log scores, on the events on which the model has one."""
     curves: dict[Path, Curve] = {}
-    if known.world != PHASE:
-        return curves
     for kind, prefix in PREFIX.items():
         people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
-        bound = negative_entropy(people)
         path = ("human", f"{prefix}log_score_people")
-        curves[path] = Curve(weighted_mean(weights, bound), events_with(bound))
+        curves[path] = mean_curve(weights, negative_entropy(people))
     return curves
 
 
 def accuracy_curves(
-    right: Mapping[str, FloatArray],
-    scenario: IntArray,
-    weights: FloatArray,
-    *,
-    by_scenario: bool = True,
+    right: Mapping[str, FloatArray], known: Facts, weights: FloatArray
 ) -> dict[Path, Curve]:
-    """Return the accuracies, overall and by true scenario.
+    """Return the accuracies, overall and of each part (:meth:`~Facts.parts`).
 
-    From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown, and (event,)
-    index of the true scenario.
+    From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
     """
     curves: dict[Path, Curve] = {}
     for kind, values in right.items():
-        curves[f"{kind}_accuracy",] = share_curve(weights, values)
-        for place, name in enumerate(SCENARIOS if by_scenario else ()):
-            part = np.where((scenario == place)[:, None], values, np.nan)
-            path = ("by_scenario", name, f"{kind}_accuracy")
-            curves[path] = share_curve(weights, part)
+        for path, chosen in known.parts(kind).items():
+            part = np.where(chosen, values, np.nan)
+            curves[*path, f"{kind}_accuracy"] = share_curve(weights, part)
     return curves
 
 
@@ -408,16 +343,15 @@ def events_with(values: FloatArray) -> int:
     return int((~np.isnan(values)).any(axis=tuple(range(1, values.ndim))).sum())
 
 
-def confusion(pairs: Iterable[tuple[int, int]]) -> dict[str, dict[str, int]] | None:
-    """Return true scenario -> other scenario -> number of pairs (true, other) of indices.
+def confusion(true: IntArray, other: IntArray) -> dict[str, dict[str, int]] | None:
+    """Return true scenario -> other scenario -> number of pairs, from indices (pair,) of both.
 
     Pairs with an unknown scenario (-1) do not count; None where all are unknown.
     """
     counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
-    for true, other in pairs:
-        if true >= 0 and other >= 0:
-            counts[true, other] += 1
-    if not counts.any():
+    known = (true >= 0) & (other >= 0)
+    np.add.at(counts, (true[known], other[known]), 1)
+    if not known.any():
         return None
     return {
         name: dict(zip(SCENARIOS, row, strict=True))
@@ -457,8 +391,8 @@ def count_ties(
 
 def count_scenarios(result: dict[str, Any], scenario: IntArray) -> None:
     """Put the number of events of each true scenario into ``by_scenario``."""
-    for place, name in enumerate(SCENARIOS):
-        result["by_scenario"][name]["n"] = int((scenario == place).sum())
+    for name, part in result.get("by_scenario", {}).items():
+        part["n"] = int((scenario == SCENARIOS.index(name)).sum())
 
 
 def put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:
@@ -481,7 +415,6 @@ def at(metrics: Mapping[str, Any], path: Path) -> Any:
 # --- what people got right ------------------------------------------------------------------------
 
 _RED, _GREEN = GOAL_QUESTIONS.values()
-_ALL: Final = ""  # stands for all scenarios together
 
 
 def human_accuracy(
@@ -514,14 +447,14 @@ def human_accuracy(
     majority: dict[str, FloatArray] = {}
     for kind, people in known.people.items():
         truth = known.truth[kind]
-        share[kind] = np.take_along_axis(people, truth[..., None], axis=-1)[..., 0]
+        share[kind] = at_truth(people, truth)
         # argmax takes NaN for the largest, and what nobody answered is left out here
         most = np.nan_to_num(people).argmax(axis=-1)
         majority[kind] = np.where(np.isnan(share[kind]), np.nan, most == truth)
     result: dict[str, Any] = {"n_events": len(chosen)}
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
-        curves = accuracy_curves(right, known.scenario, weights)
+        curves = accuracy_curves(right, known, weights)
         put(place, {path: curve.figure() for path, curve in curves.items()})
         count_scenarios(place, known.scenario)
     result["majority"] = of_majority
@@ -529,13 +462,14 @@ def human_accuracy(
     result["by_participant"] = result["confusion"] = None
     if known.by_participant:
         result["by_participant"] = participant_accuracy(chosen, seed=seed, resamples=resamples)
-        result["confusion"] = confusion(
+        pairs = [
             (true, SCENARIOS.index(scenario(row[_RED], row[_GREEN])))
             for true, one in zip(known.scenario, known.judgments, strict=True)
             if one is not None
             for row in one.responses.values()
             if _RED in row and _GREEN in row
-        )
+        ]
+        result["confusion"] = confusion(*np.array(pairs, np.int64).reshape(-1, 2).T)
     return result
 
 
@@ -555,26 +489,29 @@ def participant_accuracy(
         scenario -> both, of what participants said about its events, and ``n``, the participants
         who said anything.
     """
-    tally: dict[str, dict[tuple[str, str], list[bool]]] = {}
-    for event in events:
-        judgments = event_judgments(event)
-        if event.truth is None or judgments is None:
-            continue
-        for who, row in judgments.responses.items():
-            mine = tally.setdefault(who, {})
-            for kind, questions in KINDS.items():
-                right = [row[q] == true_answer(event, q) for q in questions if q in row]
-                for scope in (_ALL, event.truth.scenario) if right else ():
-                    mine.setdefault((kind, scope), []).extend(right)
-    weights = resampled(len(tally), seed, resamples)
-    result: dict[str, Any] = {"n_participants": len(tally)}
-    by_scenario: dict[str, dict[str, Any]] = {name: {} for name in SCENARIOS}
-    for scope, place in {_ALL: result, **by_scenario}.items():
+    import pandas as pd
+
+    rows = [
+        (who, kind, event.truth.scenario, float(row[question] == true_answer(event, question)))
+        for event in events
+        if event.truth is not None and (judgments := event_judgments(event)) is not None
+        for who, row in judgments.responses.items()
+        for kind, questions in KINDS.items()
+        for question in questions
+        if question in row
+    ]
+    table = pd.DataFrame(rows, columns=["who", "kind", "scenario", "right"])
+    people = table["who"].unique()
+    weights = resampled(len(people), seed, resamples)
+    result: dict[str, Any] = {"n_participants": len(people)}
+    by_scenario: dict[str, dict[str, Any]] = {
+        name: {"n": table["who"][table["scenario"] == name].nunique()} for name in SCENARIOS
+    }
+    scopes: list[tuple[str | None, dict[str, Any]]] = [(None, result), *by_scenario.items()]
+    for scope, place in scopes:
+        part = table if scope is None else table[table["scenario"] == scope]
         for kind in KINDS:
-            shares = np.array([np.mean(mine.get((kind, scope), np.nan)) for mine in tally.values()])
-            n = int((~np.isnan(shares)).sum())
-            place[f"{kind}_accuracy"] = figure(weighted_mean(weights, shares), n)
-        if scope != _ALL:
-            said = [mine for mine in tally.values() if any((kind, scope) in mine for kind in KINDS)]
-            place["n"] = len(said)
+            each = part[part["kind"] == kind].groupby("who")["right"].mean().reindex(people)
+            values = weighted_mean(weights, each.to_numpy(float))
+            place[f"{kind}_accuracy"] = figure(values, int(each.notna().sum()))
     return {**result, "by_scenario": by_scenario}

@@ -169,7 +169,8 @@ class Reproduction(NamedTuple):
             said = cell.verdict + ", loosely" * cell.loose
             rows.append([f"{cell.label}: {p.what}", text, ours, said])
         head = [] if self.real else [NO_REPRODUCTION]
-        return "\n".join([*head, *(f"note: {note}" for note in self.notes), "", *aligned(rows)])
+        notes = (f"note: {note}" for note in self.notes)
+        return "\n".join([*head, *notes, "", *aligned(rows, width=None)])
 
 
 def verdict(printed: Printed, ours: Figure) -> str:

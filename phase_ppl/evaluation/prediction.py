@@ -17,21 +17,9 @@ from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import PHASE, World
-
-QUESTIONS: Final[Mapping[str, tuple[str, ...]]] = {
-    "goal_red": GOALS,
-    "goal_green": GOALS,
-    "relation": RELATIONS,
-}
-"""What is asked about an event of PHASE -> the possible answers, in label order. Goals are
-effective."""
-
-GOAL_QUESTIONS: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
-"""Agent -> the question about its goal."""
 
 _SUM_TOLERANCE: Final = 1e-3
 
@@ -40,24 +28,29 @@ _SUM_TOLERANCE: Final = 1e-3
 def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
     """Return what is asked about an event of a world -> the possible answers, in label order.
 
-    Of another world than PHASE ``goal_<agent>`` and ``relation_<one>_<other>``, with the agents'
-    ``world.keys``, as its posteriors call them.
+    ``goal_<agent>`` and ``relation_<one>_<other>``, with the agents' ``world.keys``, as its
+    posteriors call them; goals are effective. PHASE has one pair, whose question is ``relation``.
     """
-    if world == PHASE:
-        return QUESTIONS
     goals = {f"goal_{key}": world.goals for key in world.keys}
     return goals | dict.fromkeys(pairs_of(world), RELATIONS)
 
 
 @functools.lru_cache(16)
 def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
-    """Return the question about a relation -> the two agents, of another world than PHASE."""
+    """Return the question about a relation -> the two agents."""
     named = list(zip(world.keys, world.agents, strict=True))
     return {
-        f"relation_{one}_{other}": (agent, whom)
+        "relation" if world == PHASE else f"relation_{one}_{other}": (agent, whom)
         for place, (other, whom) in enumerate(named)
         for one, agent in named[:place]
     }
+
+
+QUESTIONS: Final = questions_of(PHASE)
+"""What is asked about an event of PHASE -> the possible answers, in label order."""
+
+GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
+"""Agent of PHASE -> the question about its goal."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -91,15 +84,14 @@ class Prediction:
     def __post_init__(self) -> None:
         given, questions = {**self.probabilities, **self.answers}, self.questions
         for question in {**given, **self.errors}:
-            if question not in questions:
-                raise unknown_name("question", question, questions)
+            labels_of(question, self.world)
         probabilities = {
             question: _distribution(question, self.probabilities[question], labels)
             for question, labels in questions.items()
             if question in self.probabilities
         }
         answers = {
-            question: _answer(question, self.answers[question], self.world)
+            question: checked_answer(question, self.answers[question], self.world)
             if question in self.answers
             else labels[int(probabilities[question].argmax())]
             for question, labels in questions.items()
@@ -156,24 +148,22 @@ class Prediction:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
+        errors = {
+            question: {
+                label: None if math.isnan(error) else error
+                for label, error in zip(self.questions[question], values.tolist(), strict=True)
+            }
+            for question, values in self.errors.items()
+        }
         return {
             "event": self.event_id,
             "probabilities": {
                 question: dict(zip(self.questions[question], values.tolist(), strict=True))
                 for question, values in self.probabilities.items()
             },
-            **({"errors": self._plain_errors()} if self.errors else {}),
+            **({"errors": errors} if errors else {}),
             "answers": dict(self.answers),
             "cost": dict(self.cost),
-        }
-
-    def _plain_errors(self) -> dict[str, dict[str, float | None]]:
-        return {
-            question: {
-                label: None if math.isnan(error) else error
-                for label, error in zip(self.questions[question], errors.tolist(), strict=True)
-            }
-            for question, errors in self.errors.items()
         }
 
     @classmethod
@@ -187,14 +177,9 @@ class Prediction:
                 another type.
         """
         given = {**record, **{name: record.get(name) or {} for name in ("cost", "errors")}}
-        fields = {"event": str, "probabilities": dict, "errors": dict, "answers": dict}
-        fields["cost"] = dict
-        for name, kind in fields.items():
-            if not isinstance(given.get(name), kind):
-                raise InvalidEventError(
-                    f"{name} of a prediction is {shown(given.get(name))}, "
-                    f"expected {'text' if kind is str else 'an object'}"
-                )
+        of_kind("event of a prediction", given.get("event"), str)
+        for name in ("probabilities", "errors", "answers", "cost"):
+            of_kind(f"{name} of a prediction", given.get(name), dict)
         return cls(
             event_id=record["event"],
             probabilities={
@@ -221,16 +206,13 @@ def as_prediction(given: object, event_id: str = "", world: World = PHASE) -> Pr
             )
         found = dataclasses.replace(given, event_id=event_id)
     elif isinstance(given, Mapping):
-        probabilities, labels = {}, {}
-        for question, answer in given.items():
-            if answer is None:
-                continue
-            if isinstance(answer, str):
-                labels[question] = answer
-            elif isinstance(answer, Mapping):
-                probabilities[question] = probabilities_of(question, answer, world)
-            else:
-                probabilities[question] = np.asarray(answer)
+        answered = {q: answer for q, answer in given.items() if answer is not None}
+        labels = {q: answer for q, answer in answered.items() if isinstance(answer, str)}
+        probabilities = {
+            q: probabilities_of(q, shares, world) if isinstance(shares, Mapping) else shares
+            for q, shares in answered.items()
+            if q not in labels
+        }
         found = Prediction(event_id, probabilities, labels, world=world)
     else:
         raise InvalidEventError(
@@ -254,28 +236,35 @@ def probabilities_of(question: str, shares: Mapping[str, Any], world: World = PH
 
 def _in_order(question: str, shares: Mapping[str, Any], default: float, world: World) -> FloatArray:
     """Return numbers in label order; ``default`` for answers that are left out, or null."""
-    questions = questions_of(world)
-    if question not in questions:
-        raise unknown_name("question", question, questions)
+    labels = labels_of(question, world)
     if not isinstance(shares, Mapping):
         raise InvalidEventError(f"{question} is {shown(shares)}, expected answers with numbers")
-    labels = questions[question]
     values = np.full(len(labels), default)
     for answer, share in shares.items():
         if share is None and math.isnan(default):
             continue
         if isinstance(share, bool) or not isinstance(share, numbers.Real):
             raise InvalidEventError(f"{question}: {answer!r} has {shown(share)}, expected a number")
-        values[labels.index(_answer(question, answer, world))] = share
+        values[labels.index(checked_answer(question, answer, world))] = share
     return values
 
 
-def _answer(question: str, answer: object, world: World) -> str:
-    if questions_of(world)[question] is RELATIONS:
-        if answer not in RELATIONS:
-            raise unknown_name("relation", answer, RELATIONS)
-        return str(answer)
-    return world.goals[world.goal_index(str(answer))]
+def labels_of(question: str, world: World = PHASE) -> tuple[str, ...]:
+    """Return the possible answers to a question (UnknownNameError: there is no such question)."""
+    questions = questions_of(world)
+    if question not in questions:
+        raise unknown_name("question", question, questions)
+    return questions[question]
+
+
+def checked_answer(question: str, answer: object, world: World = PHASE) -> str:
+    """Return ``answer`` as the labels of ``question`` spell it; case and spaces do not matter."""
+    if labels_of(question, world) is not RELATIONS:
+        return world.goals[world.goal_index(str(answer))]
+    relation = str(answer).strip().lower()
+    if relation not in RELATIONS:
+        raise unknown_name("relation", answer, RELATIONS)
+    return relation
 
 
 def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> FloatArray:
@@ -302,7 +291,7 @@ def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> Flo
 # --- of other models, as files of events carry them -----------------------------------------------
 
 _FIELDS: Final = ("goals", "relation", "goal_probs", "relation_probs")
-_OWN_FIELDS: Final = ("event", "probabilities", "answers", "cost")
+_OWN_FIELDS: Final = ("event", "probabilities", "errors", "answers", "cost")
 
 
 def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Prediction]]:
@@ -343,26 +332,22 @@ def _prediction(event_id: str, record: object, world: World) -> Prediction:
     for name in given:
         if name not in allowed:
             raise unknown_name("field", name, allowed)
-    if own:
-        if given.get("event", event_id) != event_id:
-            raise InvalidEventError(f"is of the event {shown(given['event'])}")
-        return Prediction.from_dict(
-            {"answers": {}, "probabilities": {}, **given, "event": event_id}, world
-        )
-    answers = _per_agent("goals", given.get("goals"))
-    shares = _per_agent("goal_probs", given.get("goal_probs"))
-    if "relation" in given:
-        answers["relation"] = given["relation"]
-    if "relation_probs" in given:
-        shares["relation"] = given["relation_probs"]
-    return Prediction(
-        event_id,
-        {question: probabilities_of(question, values) for question, values in shares.items()},
-        answers,
+    if given.get("event", event_id) != event_id:
+        raise InvalidEventError(f"is of the event {shown(given['event'])}")
+    if not own:
+        answers = per_agent("goals", given.get("goals"))
+        shares = per_agent("goal_probs", given.get("goal_probs"))
+        if "relation" in given:
+            answers["relation"] = given["relation"]
+        if "relation_probs" in given:
+            shares["relation"] = given["relation_probs"]
+        given = {"answers": answers, "probabilities": shares}
+    return Prediction.from_dict(
+        {"answers": {}, "probabilities": {}, **given, "event": event_id}, world
     )
 
 
-def _per_agent(field: str, record: object) -> dict[str, Any]:
+def per_agent(field: str, record: object) -> dict[str, Any]:
     """Return question -> value from agent -> value, without those that are null."""
     values = {} if record is None else of_kind(field, record, dict)
     for agent in values:

@@ -9,13 +9,12 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.dataset.documents import in_front, of_kind
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, checked_answer, per_agent
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.names import AGENTS
 
 MAX_RATINGS: Final = 10**9 - 1  # most ratings on one question of one event
 _COUNTS: Final = ("relation_counts", "goal_counts", "responses")
@@ -151,26 +150,8 @@ def event_judgments(event: Event) -> Judgments | None:
         return Judgments.from_record(event.judgments)
 
 
-def checked_answer(question: str, answer: object) -> str:
-    """Return ``answer`` as the labels of ``question`` spell it; case and spaces do not matter."""
-    if question not in QUESTIONS:
-        raise unknown_name("question", question, QUESTIONS)
-    if question != "relation":
-        return GOALS[goal_index(str(answer))]
-    relation = str(answer).strip().lower()
-    if relation not in RELATIONS:
-        raise unknown_name("relation", answer, RELATIONS)
-    return relation
-
-
 def _counts(record: Mapping[str, Any]) -> dict[str, IntArray]:
-    given: dict[str, object] = {}
-    goals = record.get("goal_counts")
-    if goals is not None:
-        for agent in of_kind("goal_counts", goals, dict):
-            if agent not in AGENTS:
-                raise unknown_name("agent in goal_counts", agent, AGENTS)
-        given = {GOAL_QUESTIONS[agent]: ratings for agent, ratings in goals.items()}
+    given = per_agent("goal_counts", record.get("goal_counts"))
     given["relation"] = record.get("relation_counts")
     counts = {}
     for question, ratings in given.items():

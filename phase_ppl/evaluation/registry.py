@@ -156,10 +156,16 @@ def model_info(name: str) -> ModelInfo:
 
 def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
     """Raise InvalidSettingError where a module is missing that ``what`` needs."""
-    missing = [module for module in needs if not is_installed(module)]
+    missing = not_installed(needs, extra)
     if missing:
-        how = f": pip install 'phase_ppl[{extra}]'" if extra else ""
-        raise InvalidSettingError(f"{what} needs {', '.join(missing)}, which is not installed{how}")
+        raise InvalidSettingError(f"{what} needs {missing}")
+
+
+def not_installed(needs: Sequence[str], extra: str | None) -> str | None:
+    """Return which of the modules are missing, and how to install them; None: they are there."""
+    missing = [module for module in needs if not is_installed(module)]
+    how = f": pip install 'phase_ppl[{extra}]'" if extra else ""
+    return f"{', '.join(missing)}, which is not installed{how}" if missing else None
 
 
 def check_world(model: object, world: World) -> None:

@@ -49,7 +49,7 @@ from phase_ppl.evaluation.paper import (
     Reproduction,
     verdict,
 )
-from phase_ppl.evaluation.registry import is_installed, model_info
+from phase_ppl.evaluation.registry import model_info, not_installed
 from phase_ppl.inference.settings import simulations
 from phase_ppl.world.checks import number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
@@ -200,10 +200,11 @@ def reproduce(
         events, real, note = _events(folder, videos, profile, slots, progress, say)
         events = judged(list(events), judgments)
         write_json(folder / ASKED, given)
+        known = {label: model_info(one.model) for label, one in asked.items()}
         missing = {
-            label: needs
-            for label, one in asked.items()
-            if (needs := _not_installed(one.model)) is not None
+            label: absent
+            for label, info in known.items()
+            if (absent := not_installed(info.needs, info.extra)) is not None
         }
         chosen = {label: one for label, one in asked.items() if label not in missing}
         minutes = expected_seconds(chosen, events, slots) / 60
@@ -283,14 +284,6 @@ def _events(
     return all_events(source, "test"), False, "test split of a generated set"
 
 
-def _not_installed(model: str) -> str | None:
-    """Return the libraries that a model lacks, and how to install them."""
-    info = model_info(model)
-    absent = [module for module in info.needs if not is_installed(module)]
-    how = f" (pip install 'phase_ppl[{info.extra}]')" if info.extra else ""
-    return f"{', '.join(absent)}{how}" if absent else None
-
-
 # --- cells ----------------------------------------------------------------------------------------
 
 _STORED: Final = {SIMPLE: "simple_authors", SOCIALGNN: "socialgnn_2023"}
@@ -322,25 +315,23 @@ def _cells(
         RATED: {} if likeness is None else _of_likeness(likeness),
     }
     for printed in PRINTED:
+        path = tuple(printed.path.split("."))
         labels = [label for label, one in asked.items() if one.whose == printed.whose]
-        stored = next((n for n in metrics if n.startswith(_STORED.get(printed.whose, "?"))), None)
-        for label in [*labels, *([stored] if stored else [])] or [printed.whose]:
+        labels += [n for n in metrics if n.startswith(_STORED.get(printed.whose, "?"))][:1]
+        for label in labels or [printed.whose]:
             of_model = {**metrics, **others}.get(label, {})
-            ours = at(of_model, tuple(printed.path.split(".")))
+            ours = at(of_model, path)
             if ours is not None:
-                first, scenario, *_ = [*printed.path.split("."), ""]
-                in_scenario = first == "by_scenario"
+                in_scenario = path[0] == "by_scenario"
                 counted = in_scenario and label in metrics  # of people there are participants
-                videos = of_model[first][scenario]["n"] if counted else None
+                videos = at(of_model, (*path[:2], "n")) if counted else None
                 alone = in_scenario and ours["ci_low"] is None
-                why = f"more than one {scenario} event" if alone else ""
+                why = f"more than one {path[1]} event" if alone else ""
                 said = "not computable" if alone else verdict(printed, ours)
                 yield Cell(printed, label, ours, said, why, videos)
                 continue
-            judged = any(
-                at(m, tuple(printed.path.split("."))) is not None for m in metrics.values()
-            )
-            unsure = "its probabilities" if judged and printed.path.startswith("human") else None
+            judged = any(at(of_other, path) is not None for of_other in metrics.values())
+            unsure = "its probabilities" if judged and path[0] == "human" else None
             why = missing.get(label) or _NEEDS.get(printed.whose) or unsure or _data(printed)
             yield Cell(printed, label, None, "not computable", why)
 
@@ -363,15 +354,18 @@ def _like_people(comparison: ModelComparison, name: str) -> dict[str, Figure]:
     """Return kind -> in how many types of scenario a model is no different from people."""
     found: dict[str, Figure] = {}
     for kind in ("goal", "relation"):
-        p = {
-            row["scenario"]: row["p"]
+        p = [
+            row["p"]
             for row in comparison.equivalence
-            if (row["model"], row["measure"]) == (name, f"{kind}_accuracy")
-        }
-        if all(p.get(scenario) is not None for scenario in SCENARIOS):
-            alike = sum(p[scenario] >= 0.05 for scenario in SCENARIOS)
-            found[kind] = {"value": float(alike), "ci_low": None, "ci_high": None}
+            if (row["model"], row["measure"]) == (name, f"{kind}_accuracy") and row["scenario"]
+        ]
+        if len(p) == len(SCENARIOS) and None not in p:
+            found[kind] = _count(sum(one >= 0.05 for one in p))
     return found
+
+
+def _count(n: int) -> Figure:
+    return {"value": float(n), "ci_low": None, "ci_high": None}
 
 
 def _of_people(comparison: ModelComparison) -> dict[str, Any]:
@@ -394,8 +388,8 @@ def _of_events(events: Sequence[Event]) -> dict[str, Figure | None]:
 
 def _of_tags(tags: Tags) -> dict[str, Figure]:
     table = tags.summary()
-    counts = {"used": (table["used"] > 0).sum(), "categories": (table["percent"] > 0).sum()}
-    return {k: {"value": float(n), "ci_low": None, "ci_high": None} for k, n in counts.items()}
+    return {"used": _count((table["used"] > 0).sum()),
+            "categories": _count((table["percent"] > 0).sum())}  # fmt: skip
 
 
 def _of_likeness(likeness: Likeness) -> dict[str, Figure]:

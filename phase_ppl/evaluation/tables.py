@@ -3,38 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from phase_ppl.evaluation.prediction import (
-    GOAL_QUESTIONS,
-    Prediction,
-    pairs_of,
-    questions_of,
-)
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of, questions_of
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, Roles
 from phase_ppl.world.scene import PHASE, World
-
-KINDS: Final[Mapping[str, tuple[str, ...]]] = {
-    "goal": tuple(GOAL_QUESTIONS.values()),
-    "relation": ("relation",),
-}
-"""What is measured together -> its questions, in PHASE."""
 
 TOP: Final = 3
 
 
 def kinds_of(world: World) -> Mapping[str, tuple[str, ...]]:
     """Return what is measured together -> its questions."""
-    if world == PHASE:
-        return KINDS
     return {"goal": tuple(f"goal_{key}" for key in world.keys), "relation": tuple(pairs_of(world))}
+
+
+KINDS: Final = kinds_of(PHASE)
 
 
 def world_of(events: Sequence[Event]) -> World:
@@ -61,13 +51,34 @@ class Facts:
     judgments: Sequence[Judgments | None]  # of each event
     # kind -> (event, question, answer) share of people, NaN where nobody answered
     people: Mapping[str, FloatArray]
-    world: World = PHASE  # of all events
+    world: World  # of all events
 
     @property
     def by_participant(self) -> bool:
         """Whether it is known, for all events that people judged, who gave which answer."""
         judged = [one for one in self.judgments if one is not None]
         return bool(judged) and all(one.responses for one in judged)
+
+    def parts(self, kind: str) -> dict[tuple[str, ...], BoolArray]:
+        """Return where the metrics have a part of the answers -> which of (event, question) it is.
+
+        The whole comes first, at (). In PHASE parts are those of a scenario; elsewhere goals of an
+        agent, relations of a pair.
+        """
+        parts: dict[tuple[str, ...], BoolArray] = {(): np.ones((1, 1), bool)}
+        if self.world == PHASE:
+            for place, name in enumerate(SCENARIOS):
+                parts["by_scenario", name] = (self.scenario == place)[:, None]
+            return parts
+        if kind == "goal":
+            paths = [("by_agent", agent) for agent in self.world.agents]
+        else:
+            key = dict(zip(self.world.agents, self.world.keys, strict=True))
+            pairs = pairs_of(self.world).values()
+            paths = [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs]
+        for place, path in enumerate(paths):
+            parts[path] = np.arange(len(paths))[None] == place
+        return parts
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,16 +97,17 @@ class Said:
     def where_known(self, other: Said) -> Said:
         """Return it without what is unknown of ``other``."""
 
-        def common(
-            mine: Mapping[str, FloatArray], theirs: Mapping[str, FloatArray]
-        ) -> dict[str, FloatArray]:
-            return {k: np.where(np.isnan(theirs[k]), np.nan, mine[k]) for k in mine}
+        def common(mine: FloatArray, theirs: FloatArray) -> FloatArray:
+            return np.where(np.isnan(theirs), np.nan, mine)
 
         return dataclasses.replace(
             self,
-            right=common(self.right, other.right),
-            in_top=np.where(np.isnan(other.in_top), np.nan, self.in_top),
-            probabilities=common(self.probabilities, other.probabilities),
+            right={kind: common(mine, other.right[kind]) for kind, mine in self.right.items()},
+            in_top=common(self.in_top, other.in_top),
+            probabilities={
+                kind: common(mine, other.probabilities[kind])
+                for kind, mine in self.probabilities.items()
+            },
         )
 
     def unknown(self) -> bytes:
@@ -123,18 +135,12 @@ def facts(events: Sequence[Event]) -> Facts:
     judgments = [event_judgments(event) for event in events]
     world = world_of(events)
     return Facts(
-        truth={
-            kind: _array(
-                [[_true_index(event, question) for question in questions] for event in events],
-                (len(events), len(questions)),
-            ).astype(np.int64)
-            for kind, questions in kinds_of(world).items()
-        },
+        truth=_places([true_answers(event) for event in events], world),
         scenario=np.array([_true_scenario(event) for event in events], np.int64),
         judgments=judgments,
         people=_distributions(
             [
-                None if one is None else {q: one.distribution(q) for q in questions_of(world)}
+                {} if one is None else {q: one.distribution(q) for q in questions_of(world)}
                 for one in judgments
             ],
             world,
@@ -147,17 +153,16 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
     """Collect what the predictions say about the events, each of which has one."""
     made = [predictions[event.id] for event in events]
     world = world_of(events)
-    kinds = kinds_of(world)
-
-    def asked(kind: str, check: Callable[[Event, Prediction, str], float]) -> FloatArray:
-        pairs = zip(events, made, strict=True)
-        rows = [[check(*pair, question) for question in kinds[kind]] for pair in pairs]
-        return _array(rows, (len(events), len(kinds[kind])))
-
+    truth = _places([true_answers(event) for event in events], world)
+    answered = _places([one.answers for one in made], world)
+    probabilities = _distributions([one.probabilities for one in made], world)
     return Said(
-        right={kind: asked(kind, _is_right) for kind in KINDS},
-        in_top=asked("goal", _is_in_top),
-        probabilities=_distributions([one.probabilities for one in made], world),
+        right={
+            kind: np.where((true < 0) | (answered[kind] < 0), np.nan, true == answered[kind])
+            for kind, true in truth.items()
+        },
+        in_top=_in_top(probabilities["goal"], truth["goal"]),
+        probabilities=probabilities,
         scenario=np.array(
             [-1 if one.scenario is None else SCENARIOS.index(one.scenario) for one in made],
             np.int64,
@@ -167,20 +172,25 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
 
 def true_answer(event: Event, question: str) -> str | None:
     """Return the true answer; None where the event has no truth."""
+    return true_answers(event).get(question)
+
+
+def true_answers(event: Event) -> dict[str, str]:
+    """Return question -> true answer; empty where the event has no truth."""
     truth = event.truth
-    if isinstance(truth, Roles):
-        pair = pairs_of(truth.world).get(question)
-        if pair is not None:
-            return truth.relation_between(*pair)
-        agents = zip(kinds_of(truth.world)["goal"], truth.goals.values(), strict=True)
-        return dict(agents)[question]
-    return None if truth is None else str(getattr(truth, question))
+    if truth is None:
+        return {}
+    if not isinstance(truth, Roles):
+        return {question: str(getattr(truth, question)) for question in QUESTIONS}
+    goals = zip(kinds_of(truth.world)["goal"], truth.goals.values(), strict=True)
+    pairs = pairs_of(truth.world).items()
+    return dict(goals) | {q: truth.relation_between(*pair) for q, pair in pairs}
 
 
-def _true_index(event: Event, question: str) -> int:
-    answer = true_answer(event, question)
-    labels = questions_of(event.scene.world)[question]
-    return -1 if answer is None else labels.index(answer)
+def at_truth(values: FloatArray, truth: IntArray) -> FloatArray:
+    """Return (event, question) the values (event, question, answer) of true answers, else NaN."""
+    of_truth = np.take_along_axis(values, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
+    return np.where(truth < 0, np.nan, of_truth)
 
 
 def _true_scenario(event: Event) -> int:
@@ -189,39 +199,42 @@ def _true_scenario(event: Event) -> int:
     return SCENARIOS.index(event.truth.scenario) if known else -1
 
 
-def _is_right(event: Event, prediction: Prediction, question: str) -> float:
-    true = true_answer(event, question)
-    if true is None or question not in prediction.answers:
-        return np.nan
-    return float(prediction.answers[question] == true)
-
-
-def _is_in_top(event: Event, prediction: Prediction, question: str) -> float:
-    true, top = true_answer(event, question), prediction.top(question, TOP)
-    if true is None or top is None:
-        return np.nan
+def _in_top(probabilities: FloatArray, truth: IntArray) -> FloatArray:
+    """Return ``in_top`` of :class:`Said`."""
+    of_truth = at_truth(probabilities, truth)
+    # of equals, the first in label order is the more probable
+    before = np.arange(probabilities.shape[-1]) < truth[..., None]
+    more = probabilities > of_truth[..., None]
+    equal = probabilities == of_truth[..., None]
     # of the answers that a sampler never met, the first in label order are no better than others
-    probability = prediction.probabilities[question][prediction.questions[question].index(true)]
-    return float(true in top and probability > 0)
+    found = ((more | (equal & before)).sum(axis=-1) < TOP) & (of_truth > 0)
+    return np.where(np.isnan(of_truth), np.nan, found)
+
+
+def _places(given: Sequence[Mapping[str, str]], world: World) -> dict[str, IntArray]:
+    """Return kind -> (event, question) index of the answer, -1 where there is none."""
+    found = {}
+    for kind, questions in kinds_of(world).items():
+        rows = [
+            [questions_of(world)[q].index(one[q]) if q in one else -1 for q in questions]
+            for one in given
+        ]
+        found[kind] = np.array(rows, np.int64).reshape(len(given), len(questions))
+    return found
 
 
 def _distributions(
-    given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray] | None],
-    world: World,
+    given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray]], world: World
 ) -> dict[str, FloatArray]:
     """Return kind -> (event, question, answer) from question -> distribution per event."""
     arrays = {}
-    n_answers = {"goal": len(world.goals), "relation": len(RELATIONS)}
     for kind, questions in kinds_of(world).items():
-        values = np.full((len(given), len(questions), n_answers[kind]), np.nan)
+        n_answers = len(questions_of(world)[questions[0]]) if questions else len(RELATIONS)
+        values = np.full((len(given), len(questions), n_answers), np.nan)
         for event, of_event in enumerate(given):
             for place, question in enumerate(questions):
-                shares = None if of_event is None else of_event.get(question)
+                shares = of_event.get(question)
                 if shares is not None:
                     values[event, place] = shares
         arrays[kind] = values
     return arrays
-
-
-def _array(rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> FloatArray:
-    return np.array(rows, np.float64).reshape(shape)

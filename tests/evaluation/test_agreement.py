@@ -12,7 +12,7 @@ from scipy.spatial.distance import jensenshannon
 from scipy.stats import entropy, pearsonr
 
 from phase_ppl.evaluation.bootstrap import correlation, resampled
-from phase_ppl.evaluation.doubt import jensen_shannon, split_half
+from phase_ppl.evaluation.doubt import jensen_shannon, same_truth, split_half
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.ratings import Judgments
@@ -49,21 +49,54 @@ def human(made: dict[str, Prediction] | None = None) -> dict[str, Any]:
     return evaluate_predictions(events(), made or model())["human"]  # type: ignore[no-any-return]
 
 
-def test_relation_r_is_pearsons_of_the_concatenated_shares() -> None:
+def deviations(values: Any, groups: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (event, answer) values less their mean over the events of the same group."""
+    found = np.array(values, float)
+    for group in np.unique(groups):
+        found[groups == group] -= found[groups == group].mean(axis=0)
+    return found
+
+
+RELATION = np.array([0, 0, 2, 1, 0, 2])  # of TRUTH
+
+
+def test_figures_about_relations_are_those_of_scipy() -> None:
     found = human()
-    expected = pearsonr(np.ravel(MODEL), PEOPLE.ravel()).statistic
-    assert found["relation_r"]["value"] == pytest.approx(expected, abs=1e-12)
-    assert found["relation_r"]["ci_low"] < expected < found["relation_r"]["ci_high"]
+    bits = [jensenshannon(m, h, base=2) ** 2 for m, h in zip(MODEL, PEOPLE, strict=True)]
+    scores = [np.repeat(np.log(0.99 * np.array(m) + 0.01 / 3), v).mean()
+              for m, v in zip(MODEL, VOTES, strict=True)]  # fmt: skip
+    left = [deviations(values, RELATION).ravel() for values in (MODEL, PEOPLE)]
+    expected = {
+        "relation_r": pearsonr(np.ravel(MODEL), PEOPLE.ravel()).statistic,
+        "relation_r_given_truth": pearsonr(*left).statistic,
+        "js": np.mean(bits),
+        "log_score": np.mean(scores),
+        "log_score_people": -np.mean([entropy(h) for h in PEOPLE]),
+    }
+    for name, value in expected.items():
+        assert found[name]["value"] == pytest.approx(value, abs=1e-12), name
+        assert found[name]["ci_low"] < value < found[name]["ci_high"]
     assert found["goal_r"] is None
+    apart = jensen_shannon(np.array([[1.0, 0, 0]]), np.array([[0, 0.5, 0.5]]))
+    assert apart == pytest.approx(1)
 
 
-def test_resampled_r_is_that_of_the_drawn_events() -> None:
+@pytest.mark.parametrize("by_truth", [False, True])
+@pytest.mark.parametrize("drawn", [False, True])
+def test_resampled_r_is_that_of_the_drawn_events(by_truth: bool, drawn: bool) -> None:
+    """Also with the means of the groups in the resample, and with people of its own for each."""
     weights = resampled(6, seed=3, resamples=20)
-    found = correlation(weights, np.array(MODEL), PEOPLE)
-    for row, value in zip(weights.astype(int), found, strict=True):
-        drawn = np.repeat(np.arange(6), row)
-        expected = pearsonr(np.array(MODEL)[drawn].ravel(), PEOPLE[drawn].ravel()).statistic
-        assert value == pytest.approx(expected, abs=1e-12)
+    people = np.stack([PEOPLE] * 21)
+    if drawn:
+        people = np.random.default_rng(0).dirichlet(np.ones(3), (21, 6))
+    groups = same_truth(RELATION, 3) if by_truth else None
+    found = correlation(weights, MODEL, people if drawn else PEOPLE, groups)
+    for row, shares_, value in zip(weights.astype(int), people, found, strict=True):
+        rows = np.repeat(np.arange(6), row)
+        x, y = np.array(MODEL)[rows], shares_[rows]
+        if by_truth:
+            x, y = (deviations(values, RELATION[rows]) for values in (x, y))
+        assert value == pytest.approx(pearsonr(x.ravel(), y.ravel()).statistic, abs=1e-9)
 
 
 def test_goal_r_is_over_both_agents_and_all_36_goals() -> None:
@@ -97,71 +130,21 @@ def test_goal_r_is_over_both_agents_and_all_36_goals() -> None:
     assert found["goal_js"]["value"] == pytest.approx(np.mean(np.square(distances)))
 
 
-def test_js_is_the_squared_distance_of_scipy_in_bits() -> None:
-    found = human()
-    distances = [jensenshannon(m, h, base=2) for m, h in zip(MODEL, PEOPLE, strict=True)]
-    assert found["js"]["value"] == pytest.approx(np.mean(np.square(distances)), abs=1e-12)
-    apart = jensen_shannon(np.array([[1.0, 0, 0]]), np.array([[0, 0.5, 0.5]]))
-    assert apart == pytest.approx(1)
-
-
-def test_log_score_is_the_mean_log_probability_of_an_answer() -> None:
-    found = human()
-    scores = [
-        np.mean(np.repeat(np.log(0.99 * np.array(m) + 0.01 / 3), v))
-        for m, v in zip(MODEL, VOTES, strict=True)
-    ]
-    assert found["log_score"]["value"] == pytest.approx(np.mean(scores), abs=1e-12)
-
-
-def test_peoples_own_entropy_bounds_the_log_score() -> None:
-    bound = -np.mean([entropy(h) for h in PEOPLE])
-    found = human()
-    assert found["log_score_people"]["value"] == pytest.approx(bound, abs=1e-12)
+def test_people_themselves_agree_but_for_the_lapse() -> None:
     themselves = human(model(PEOPLE.tolist()))
+    bound = themselves["log_score_people"]["value"]
     assert bound - 0.05 < themselves["log_score"]["value"] < bound
     assert themselves["js"]["value"] == pytest.approx(0, abs=1e-12)
     assert themselves["relation_r"]["value"] == pytest.approx(1)
 
 
-def test_r_given_truth_is_that_of_deviations_from_the_mean_of_the_same_relation() -> None:
-    found = human()
-    relation = np.array(["f", "f", "a", "n", "f", "a"])
-    x, y = np.array(MODEL), PEOPLE.copy()
-    for name in "fna":
-        x[relation == name] -= x[relation == name].mean(axis=0)
-        y[relation == name] -= y[relation == name].mean(axis=0)
-    expected = pearsonr(x.ravel(), y.ravel()).statistic
-    assert found["relation_r_given_truth"]["value"] == pytest.approx(expected, abs=1e-12)
-
-
-def test_r_given_truth_does_not_reward_being_right() -> None:
-    truth = [[1, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 1]]
-    found = human(model(truth))
-    assert found["relation_r"]["value"] > 0.8
-    assert found["relation_r_given_truth"] is None
-    # the groups of a resample have means of their own
-    groups = np.argmax(truth, axis=1)[:, None] * 3 + np.arange(3)
-    weights = resampled(6, seed=1, resamples=10)
-    for row, value in zip(
-        weights.astype(int), correlation(weights, np.array(MODEL), PEOPLE, groups), strict=True
-    ):
-        drawn = np.repeat(np.arange(6), row)
-        x, y = np.array(MODEL)[drawn], PEOPLE[drawn]
-        for group in range(3):
-            member = np.argmax(truth, axis=1)[drawn] == group
-            if member.any():
-                x[member] -= x[member].mean(axis=0)
-                y[member] -= y[member].mean(axis=0)
-        assert value == pytest.approx(pearsonr(x.ravel(), y.ravel()).statistic, abs=1e-9)
-
-
-def test_r_of_a_constant_vector_is_none() -> None:
-    flat = model([[1 / 3] * 3] * 6)
-    found = human(flat)
-    assert found["relation_r"] is None
-    assert found["relation_r_given_truth"] is None
-    assert found["log_score"]["value"] == pytest.approx(np.log(1 / 3))
+def test_r_of_what_is_constant_is_none() -> None:
+    right = human(model(np.eye(3)[RELATION].tolist()))
+    assert right["relation_r"]["value"] > 0.8
+    assert right["relation_r_given_truth"] is None  # to be right is not rewarded
+    flat = human(model([[1 / 3] * 3] * 6))
+    assert flat["relation_r"] is None
+    assert flat["log_score"]["value"] == pytest.approx(np.log(1 / 3))
 
 
 def test_events_without_probabilities_or_judgments_do_not_count() -> None:

@@ -70,10 +70,10 @@ def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
     with_lapse = 0.99 * np.array([1.0, 1.0, 0.9, 0.0, 0.6, 0.6]) + 0.01 / len(TRIO.goals)
     assert metrics["goal_log_score_truth"]["value"] == pytest.approx(np.log(with_lapse).mean())
     assert metrics["relation_log_score_truth"] is None
-    assert "human" not in metrics
+    assert metrics["human"]["goal_r"] is metrics["confusion"] is metrics["doubt"] is None
     assert "by_scenario" not in metrics
     text = str(found)
-    for word in ("purple agent", "red & purple", "of p >= 0.8 (4)"):
+    for word in ("purple agent", "red & purple", "0.75 [0.19, 0.99] of 4"):
         assert word in text
 
 
@@ -147,21 +147,13 @@ def test_what_the_closed_loop_answers_is_its_posterior() -> None:
         np.testing.assert_allclose(post.marginal(question).values, shares, atol=1e-9)
 
 
-@pytest.mark.parametrize("model", ["majority", "vlm", "socialgnn", "no_physics"])
-def test_models_of_phase_are_refused_with_their_names_and_the_worlds(
-    events: list[ppl.Event], model: str
-) -> None:
-    with pytest.raises(InvalidSettingError, match=f"'{model}' knows the world PHASE only, not 'tr"):
-        ppl.evaluate(events, model, **ONE_PROCESS)
-
-
 def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path: Path) -> None:
     sources = {
         "home": ppl.evaluate(events, always_home, **ONE_PROCESS),
         "last": ppl.evaluate(events, "last_frame", **ONE_PROCESS),
     }
     compared = ppl.compare_models(sources, resamples=100)
-    assert compared.people == {}
+    assert compared.people["n_events"] == 0
     assert compared.equivalence == []
     rows = {row["measure"]: row for row in compared.differences}
     alone = sources["home"].against(sources["last"])
@@ -176,16 +168,26 @@ def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path
     assert str(ppl.ModelComparison.load(compared.save(tmp_path / "kept"))) == text
 
 
-def test_what_else_is_of_phase_or_of_several_worlds_is_refused(
-    events: list[ppl.Event], tmp_path: Path
+@pytest.mark.parametrize(
+    ("model", "more", "message"),
+    [
+        *((name, {}, f"'{name}' knows the world PHASE only, not 'trio'")
+          for name in ("majority", "vlm", "socialgnn", "no_physics")),
+        ("last_frame", {"observer": "people"}, "an observer of people knows the world PHASE"),
+        ("last_frame", {"judgments": "none.csv"}, "a file of people's judgments knows the world"),
+    ],
+)  # fmt: skip
+def test_what_is_of_phase_is_refused(
+    events: list[ppl.Event], model: str, more: dict[str, str], message: str
 ) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        ppl.evaluate(events, model, **more, **ONE_PROCESS)
+
+
+def test_worlds_are_not_mixed_and_there_are_no_figures(events: list[ppl.Event]) -> None:
     both = [*events, moved(SOLO, 1, None)]
     with pytest.raises(InvalidSettingError, match="of the worlds 'trio', 'solo', expected those"):
         ppl.evaluate(both, "stepwise", **ONE_PROCESS)
-    with pytest.raises(InvalidSettingError, match="an observer of people knows the world PHASE"):
-        ppl.evaluate(events, "last_frame", observer="people", **ONE_PROCESS)
-    with pytest.raises(InvalidSettingError, match="a file of people's judgments knows the world"):
-        ppl.evaluate(events, "last_frame", judgments=tmp_path / "none.csv", **ONE_PROCESS)
     one = ppl.evaluate(events, "last_frame", **ONE_PROCESS)
     compared = ppl.compare_models({"one": one, "other": one})
     with pytest.raises(InvalidSettingError, match="a figure or page of models knows the world"):

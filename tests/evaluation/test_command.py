@@ -102,21 +102,16 @@ def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
     assert len(list(out.glob("events/*/page.html"))) == 1
 
 
-def test_there_is_a_bar_only_in_a_terminal_or_where_it_is_asked_for(
+def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_is_kept(
     events: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["evaluate", str(events), "--model", "right", "--workers", "1"]
     assert main(command) == 0
-    assert capsys.readouterr().err == ""
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert "Nothing was saved" in printed.out
     assert main([*command, "--progress"]) == 0
     assert "predicting" in capsys.readouterr().err
-
-
-def test_without_a_folder_it_says_that_nothing_is_kept(
-    events: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate(events, "--model", "right") == 0
-    assert "Nothing was saved" in capsys.readouterr().out
 
 
 def test_a_failing_event_is_told_by_the_exit_code(
@@ -223,17 +218,12 @@ def test_asked_for_a_posterior_an_evaluation_names_one(
     assert main(["diagnose", error.rsplit("such as ", 1)[1].strip()]) == 0
 
 
-def test_options_reach_the_model(events: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert evaluate(events, "--model", "right", "--option", "size=3", "--out", out) == 0
-    assert json.loads((out / "settings.json").read_text())["options"] == {"size": 3}
-
-
-def test_judgments_come_from_a_file(events: Path, tmp_path: Path) -> None:
+def test_options_and_judgments_reach_the_evaluation(events: Path, tmp_path: Path) -> None:
     study, out = tmp_path / "people.csv", tmp_path / "out"
     study.write_text("participant,video,relation\np1,a,neutral\np2,a,friendly\n")
-    args = ["--model", "right", "--out", out, "--no-figures", "--judgments", study]
-    assert evaluate(events, *args) == 0
+    given = ["--option", "size=3", "--judgments", study, "--out", out, "--no-figures"]
+    assert evaluate(events, "--model", "right", *given) == 0
+    assert json.loads((out / "settings.json").read_text())["options"] == {"size": 3}
     people = json.loads((out / "metrics.json").read_text())["people"]
     assert people["relation_accuracy"]["value"] == 0.5
 

@@ -13,7 +13,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
-from phase_ppl.evaluation.comparison import WIDTH
+from phase_ppl.evaluation.cells import WIDTH
 from phase_ppl.evaluation.differences import holm
 from phase_ppl.evaluation.figures import DRAWINGS, NothingToDrawError, draw_figures
 from phase_ppl.evaluation.figures.layout import Results

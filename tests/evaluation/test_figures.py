@@ -317,7 +317,7 @@ def test_the_summary_has_deviations_of_videos_and_of_people() -> None:
     [
         ("p,a,g,6\n", "line 2: rating is '6', expected 1 to 5"),
         ("p,a,g,4.0\n", "rating is '4.0'"),
-        ("p,a,g,4\np,a,g,4\n", "line 3: participant 'p' rates 'a' a second time"),
+        ("p,a,g,4\np,a,g,4\n", "line 3: has participant 'p', video 'a' a second time"),
         ("p,a,g,4\np,b,h,4\n", "line 3: participant 'p' is in two groups"),
         ("p,a,g,4\nq,a,g,4\n", r"groups are \['g'\], expected two"),
     ],

@@ -123,7 +123,7 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
             "line 3: goal_green: unknown goal.*did you mean 'Get blue item to red lm'",
         ),
         (f"{HEADER}\np02,a,,,freindly,", "line 2: relation: .*did you mean 'friendly'"),
-        (f"{HEADER}\n{ROW}\n{ROW}", "line 3: participant 'p01' judges video 'a' a second time"),
+        (f"{HEADER}\n{ROW}\n{ROW}", "line 3: has participant 'p01', video 'a' a second time"),
         (f"{HEADER}\n{ROW}\np02,a,,,friendly", "line 3: has 5 cells, expected 6"),
         (f"{HEADER}\n{ROW},", "line 2: has 7 cells, expected 6"),
         (f"{HEADER}\n,a,,,friendly,", "line 2: participant is '', expected printable text"),
@@ -160,16 +160,17 @@ def test_line_is_counted_where_cells_have_lines_of_their_own(tmp_path: Path) -> 
         load_judgments(path)
 
 
-def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.csv", tmp_path):
-        with pytest.raises(InvalidEventError, match="no such file"):
-            load_judgments(path)
-
-
-def test_file_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_file_or_too_large_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("phase_ppl.evaluation.csv_file.MAX_BYTES", 100)
-    with pytest.raises(InvalidEventError, match="is larger than"):
-        load_judgments(write(tmp_path, STUDY))
+    for path, message in (
+        (tmp_path / "none.csv", "no such file"),
+        (tmp_path, "no such file"),
+        (write(tmp_path, STUDY), "is larger than"),
+    ):
+        with pytest.raises(InvalidEventError, match=message):
+            load_judgments(path)
 
 
 def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None:
@@ -272,13 +273,10 @@ def test_counts_of_the_published_videos_are_read() -> None:
 
 def test_record_of_nobody_is_none() -> None:
     nobody = {"relation_counts": {"friendly": 0, "neutral": 0, "adversarial": 0}, "n_raters": 0}
-    for record in ({}, nobody, {"responses": []}, {"relation_counts": None, "n_raters": None}):
+    none = {"relation_counts": None, "n_raters": None}
+    for record in ({}, nobody, none, {"responses": []}, {"majority": "friendly"}):
         assert Judgments.from_record(record) is None
     assert event_judgments(make_event("a")) is None
-
-
-def test_a_majority_without_votes_is_no_vote() -> None:
-    assert Judgments.from_record({"majority": "friendly"}) is None
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def test_accuracies_are_shares_of_goals_and_of_relations() -> None:
     assert by_scenario["collaborative"]["relation_accuracy"]["value"] == 1
     assert by_scenario["competing"]["goal_accuracy"]["value"] == 1 / 2
     assert by_scenario["independent"]["goal_accuracy"]["value"] == 0
-    assert by_scenario["opposing"] == {"goal_accuracy": None, "relation_accuracy": None, "n": 0}
+    assert {figure for name, figure in by_scenario["opposing"].items() if name != "n"} == {None}
 
 
 def test_confusion_counts_true_scenarios_against_those_of_the_goals_answered() -> None:
@@ -84,13 +84,6 @@ def test_confusion_counts_true_scenarios_against_those_of_the_goals_answered() -
         "competing": {**nothing, "collaborative": 1},
         "opposing": nothing,
     }
-
-
-def test_interval_of_an_accuracy_is_the_binomial_one() -> None:
-    found = evaluate_predictions(alike(40), relations(40, right=30))["relation_accuracy"]
-    exact = stats.binomtest(30, 40).proportion_ci(method="exact")
-    assert found["value"] == 0.75
-    assert (found["ci_low"], found["ci_high"]) == pytest.approx((exact.low, exact.high))
 
 
 def test_all_right_is_not_certain() -> None:
@@ -141,25 +134,22 @@ def test_shares_that_are_all_the_same_have_an_interval() -> None:
     assert proportion([[np.nan, np.nan]]) is None
 
 
-def test_goals_that_are_right_on_their_own_say_more_than_those_that_go_together() -> None:
-    right = np.repeat([1.0, 0.0], 20)
-    together = proportion(np.stack([right, right], axis=1))
-    apart = proportion(np.stack([right, np.tile([1.0, 0.0], 20)], axis=1))
-    exact = stats.binomtest(40, 80).proportion_ci(method="exact")
-    assert together is not None
-    assert apart is not None
-    assert together == proportion(right)
-    assert (apart["ci_low"], apart["ci_high"]) == pytest.approx((exact.low, exact.high))
-
-
-def test_goals_of_an_event_go_together() -> None:
+def test_goals_that_go_together_say_no_more_than_one() -> None:
     """Both goals right or both wrong: the interval is as wide as of one answer per event."""
-    made = relations(40, right=20)
+    made = relations(40, right=30)
     for i in range(40):
-        goals = COLLABORATIVE if i < 20 else OPPOSING
+        goals = COLLABORATIVE if i < 30 else OPPOSING
         made[str(i)] = answers(str(i), *goals, relation=made[str(i)].answers["relation"])
     metrics = evaluate_predictions(alike(40), made)
-    assert metrics["goal_accuracy"] == metrics["relation_accuracy"]
+    exact = stats.binomtest(30, 40).proportion_ci(method="exact")
+    found = metrics["relation_accuracy"]
+    assert metrics["goal_accuracy"] == found
+    assert list(found.values()) == pytest.approx([0.75, exact.low, exact.high])
+    right = np.repeat([1.0, 0.0], 20)
+    apart = proportion(np.stack([right, np.tile([1.0, 0.0], 20)], axis=1))
+    exact = stats.binomtest(40, 80).proportion_ci(method="exact")
+    assert apart is not None
+    assert (apart["ci_low"], apart["ci_high"]) == pytest.approx((exact.low, exact.high))
 
 
 def test_one_event_has_no_interval() -> None:
@@ -210,6 +200,16 @@ def test_log_score_of_the_truth_has_a_lapse_of_one_in_a_hundred() -> None:
     goal = (np.log(0.99 + 0.01 / 36) + np.log(0.99 * 0.25 + 0.01 / 36)) / 2
     assert metrics["relation_log_score_truth"]["value"] == pytest.approx(relation, abs=1e-12)
     assert metrics["goal_log_score_truth"]["value"] == pytest.approx(goal, abs=1e-12)
+    competing = metrics["by_scenario"]["competing"]["relation_log_score_truth"]
+    assert competing == {"value": pytest.approx(np.log(0.01 / 3)), "ci_low": None, "ci_high": None}
+    sure = metrics["calibration"]["relation"]
+    assert {least: one["n"] for least, one in sure.items()} == {
+        "0": 2,
+        "0.5": 2,
+        "0.8": 1,
+        "0.95": 1,
+    }
+    assert sure["0.8"]["accuracy"]["value"] == 0
 
 
 def test_only_events_with_a_prediction_count() -> None:
@@ -241,16 +241,11 @@ def test_without_truth_judgments_or_predictions_figures_are_none() -> None:
         metrics = evaluate_predictions(events, made)
         of_counts = ("n", "n_events", "by_scenario", "ties")
         assert set(figures({k: v for k, v in metrics.items() if k not in of_counts})) == {None}
-        assert all(
-            entry == {"goal_accuracy": None, "relation_accuracy": None, "n": 0}
-            for entry in metrics["by_scenario"].values()
-        )
+        for part in metrics["by_scenario"].values():
+            assert part.pop("n") == 0
+            assert set(part.values()) == {None}
         json.dumps(metrics, allow_nan=False)
-
-
-def test_events_without_truth_do_not_count_in_accuracies() -> None:
-    events = [EVENTS[0], make_event("b", None)]
-    metrics = evaluate_predictions(events, ANSWERS)
+    metrics = evaluate_predictions([EVENTS[0], unknown[1]], ANSWERS)
     assert (metrics["n_events"], metrics["n"]["truth"]) == (2, 1)
     assert metrics["goal_accuracy"]["value"] == 1
 
@@ -272,17 +267,25 @@ def test_seed_decides_the_interval_and_nothing_else() -> None:
     assert score["value"] == another["value"]
 
 
-@pytest.mark.parametrize("wrong", [{"seed": -1}, {"resamples": 0}, {"resamples": 1.5}])
-def test_settings_out_of_range_are_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(InvalidSettingError, match=next(iter(wrong))):
-        evaluate_predictions(EVENTS, ANSWERS, **wrong)
-
-
-def test_what_belongs_to_another_event_is_refused() -> None:
-    with pytest.raises(InvalidSettingError, match="the prediction for 'a' is of the event 'b'"):
-        evaluate_predictions(EVENTS, {"a": ANSWERS["b"]})
-    with pytest.raises(InvalidEventError, match="two events with the id 'a'"):
-        evaluate_predictions([EVENTS[0], EVENTS[0]], ANSWERS)
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"seed": -1}, InvalidSettingError, "seed"),
+        ({"resamples": 0}, InvalidSettingError, "resamples"),
+        ({"resamples": 1.5}, InvalidSettingError, "resamples"),
+        (
+            {"predictions": {"a": ANSWERS["b"]}},
+            InvalidSettingError,
+            "the prediction for 'a' is of the event 'b'",
+        ),
+        ({"events": [EVENTS[0]] * 2}, InvalidEventError, "two events with the id 'a'"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    given: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        evaluate_predictions(**{"events": EVENTS, "predictions": ANSWERS, **given})
 
 
 # --- differences -------------------------------------------------------------------------------
@@ -311,11 +314,8 @@ def test_difference_is_paired() -> None:
     found = paired_difference(alike(20), one, other, resamples=999)["goal_accuracy"]
     assert [found[name] for name in ("value", "ci_low", "ci_high")] == pytest.approx([0.5] * 3)
     assert found["p"] == pytest.approx(2 / 1000)
-
-
-def test_equal_models_do_not_differ() -> None:
-    found = paired_difference(EVENTS, ANSWERS, ANSWERS)
-    assert found["goal_accuracy"] == {"value": 0, "ci_low": 0, "ci_high": 0, "p": 1}
+    equal = paired_difference(EVENTS, ANSWERS, ANSWERS)["goal_accuracy"]
+    assert equal == {"value": 0, "ci_low": 0, "ci_high": 0, "p": 1}
 
 
 def test_p_is_small_only_where_the_difference_is_clear() -> None:
@@ -378,13 +378,11 @@ def test_shares_and_majorities_of_votes() -> None:
     assert found["goal_accuracy"] is None
     assert found["by_participant"] is None
     assert found["confusion"] is None
-
-
-def test_an_agent_whose_goal_nobody_named_does_not_count() -> None:
-    votes = {"goal_counts": {"red agent": {BLUE_TO_RED: 1, PINK_TO_BLUE: 3}}}
-    found = human_accuracy([make_event("a", COLLABORATIVE, judgments=votes)])
-    assert found["goal_accuracy"]["value"] == 0.25
-    assert found["majority"]["goal_accuracy"]["value"] == 0
+    # an agent whose goal nobody named does not count
+    one = {"goal_counts": {"red agent": {BLUE_TO_RED: 1, PINK_TO_BLUE: 3}}}
+    of_goals = human_accuracy([make_event("a", COLLABORATIVE, judgments=one)])
+    assert of_goals["goal_accuracy"]["value"] == 0.25
+    assert of_goals["majority"]["goal_accuracy"]["value"] == 0
 
 
 def test_responses_tell_what_each_participant_got_right() -> None:

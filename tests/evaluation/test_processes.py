@@ -20,15 +20,15 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation.evaluate import COMPILED_OF
 from phase_ppl.world.errors import InvalidSettingError
-from tests.evaluation.toys import Counted, FailsAt, guesses, right, several, still
+from tests.evaluation import toys
+from tests.evaluation.toys import EVENTS, Counted, FailsAt, guesses, several, still
 
 ROOT = Path(ppl.__file__).parents[1]
 PATIENCE = 60.0
-EVENTS = several(4)
 
 
 def evaluate(model: Any, events: Any = EVENTS, **more: Any) -> ppl.Evaluation:
-    return ppl.evaluate(events, model, **{"workers": 2, "progress": False, **more})
+    return toys.evaluate(events, model, **{"workers": 2, **more})
 
 
 def test_the_result_is_the_same_for_any_number_of_workers() -> None:
@@ -92,21 +92,6 @@ def test_an_event_that_kills_its_process_is_tried_twice_and_costs_no_other(tmp_p
     # one event is left: it must not take the evaluation itself with it
     again = evaluate(model, out=out, resume=True)
     assert list(again.failures) == ["c"]
-
-
-def test_an_event_whose_process_dies_once_is_made_good(tmp_path: Path) -> None:
-    died = tmp_path / "died"
-
-    def dies_once(scene: Any, observation: Any, seed: int) -> Any:
-        if observation.n_frames == 6 and not died.exists():
-            died.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return right(scene, observation, seed)
-
-    found = evaluate(dies_once)
-    assert died.exists()
-    assert not found.failures
-    assert len(found.predictions) == 4
 
 
 def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending() -> None:

@@ -52,7 +52,8 @@ def test_what_a_file_gives_is_read_and_nothing_added() -> None:
 
 
 def test_predictions_of_the_package_are_read_back(tmp_path: Path) -> None:
-    made = Prediction("a", {"relation": [0.5, 0.25, 0.25]}, {"goal_red": BLUE_TO_RED})
+    given = {"relation": [0.5, 0.25, 0.25]}
+    made = Prediction("a", given, {"goal_red": BLUE_TO_RED}, errors={"relation": [0.1, 0.0, 0.1]})
     record = made.to_dict()
     ppl.save_event(make_event("a", predictions={"mine": record}), tmp_path / "a.json")
     events = [

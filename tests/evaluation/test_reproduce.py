@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -113,11 +114,12 @@ def models(monkeypatch: pytest.MonkeyPatch) -> None:
     }
     monkeypatch.setattr(module, "models_of", lambda profile, store: dict(asked))
     info = module.model_info
+    absent = dataclasses.replace(info("majority"), needs=("torch",))
     monkeypatch.setattr(
-        module, "model_info", lambda name: info("majority" if name == "absent" else name)
+        module, "model_info", lambda name: absent if name == "absent" else info(name)
     )
-    absent = {"absent": "torch is not installed"}
-    monkeypatch.setattr(module, "_not_installed", absent.get)
+    said = "torch is not installed"
+    monkeypatch.setattr(module, "not_installed", lambda needs, _: said if needs else None)
 
 
 @pytest.fixture
