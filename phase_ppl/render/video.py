@@ -9,7 +9,7 @@ import re
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -215,6 +215,13 @@ def video(
             encode_gif(frames, part, fps, samples=map(draw, chosen))
         else:
             encode_mp4(frames, part, fps)
+    return Film(path)
+
+
+def film(draw: Callable[[int], Image.Image], n_frames: int, path: str | os.PathLike[str]) -> Film:
+    """Write what ``draw`` returns for each number of a frame, as MP4; OutputError: it cannot be."""
+    with atomic_output(path, (".mp4",)) as part:
+        encode_mp4(map(draw, range(n_frames)), part, FRAMES_PER_SECOND)
     return Film(path)
 
 
