@@ -196,8 +196,9 @@ def _ranks(axes: Axes, values: FloatArray) -> None:
         interpolation="nearest", extent=(0, 1, n_chains + 0.5, 0.5),
     )  # fmt: skip
     axes.set_xticks([0, 1], ["lowest", "highest"])
-    for label, side in zip(axes.get_xticklabels(), ("left", "right"), strict=True):
-        label.set_horizontalalignment(side)
+    lowest, highest = axes.get_xticklabels()
+    lowest.set_horizontalalignment("left")
+    highest.set_horizontalalignment("right")
     axes.set_title("ranks, per particle")
     _chain_rows(axes, n_chains)
     axes.tick_params(length=0)

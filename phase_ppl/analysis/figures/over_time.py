@@ -197,6 +197,8 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     Raises:
         OutputError: another ending, or the file cannot be written.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     found, named = post.over_time(), titles(post)
     n = _GOALS // max(2, len(post.goals_of))
     shown = {name: _ever_leading(found[name], n) for name in post.goals_of.values()}
@@ -207,6 +209,7 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     rows = [len(labels) + 1.6 for labels in shown.values()]
     height = max(PANEL, 2 * round(_ROW / 2 * sum(rows)))  # films have an even number of lines
     figure = new_figure(PANEL / _PER_INCH, height / _PER_INCH)
+    canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=rows)[:, 0]
     painter, poses = Painter(post.scene), between_frames(post.observed(), FRAMES_PER_STEP)
 
@@ -218,9 +221,9 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
             share, error = (at[key].sel({f"{name}_is": labels}) for key in (name, f"{name}_error"))
             bars(axes, labels, share, error, colours.get(name, RELATION_COLOUR))
             axes.set(title=named[name], xticks=[])
-        figure.canvas.draw()
+        canvas.draw()
         figure.set_layout_engine("none")  # the same for all frames
-        return Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
     def draw(index: int) -> Image.Image:
         # a drawn frame shows what is on the way to the next; that one is not known yet

@@ -44,7 +44,7 @@ MANY_COLOURS: Final = (
 OTHER: Final = "#d0d0d0"
 """Colour of what has none of its own."""
 
-STYLE: Final[dict[str, Any]] = {
+STYLE: Final[Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
