@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -268,7 +269,7 @@ _FAINT: Final = "#e6e6e6"
 
 
 def _read(source: Any, kind: type[_Data], load: Callable[[Any], _Data]) -> _Data:
-    if isinstance(source, PathLike):
+    if isinstance(source, str | os.PathLike):
         return load(source)
     if not isinstance(source, kind):
         raise InvalidSettingError(f"{in_short(source)}, expected {kind.__name__} or their file")
