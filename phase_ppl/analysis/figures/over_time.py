@@ -158,7 +158,7 @@ def why(
     for still, frame in zip(stills, _deciding(change), strict=False):
         still.imshow(np.asarray(panel(painter.draw(poses[frame]))))
         words = f"{time[frame]:.1f} s: {change[frame]:+.2f}"
-        still.set_title(words, fontsize=NORMAL, color=colours[frame], pad=2)
+        still.set_title(words, loc="center", fontsize=NORMAL, color=colours[frame], pad=2)
         for axes in (odds, steps):
             axes.axvline(time[frame], color="#bbbbbb", lw=0.7, ls=":", zorder=0)
     return written(figure, path)
@@ -209,6 +209,7 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     rows = [len(labels) + 1.6 for labels in shown.values()]
     height = max(PANEL, 2 * round(_ROW / 2 * sum(rows)))  # films have an even number of lines
     figure = new_figure(PANEL / _PER_INCH, height / _PER_INCH)
+    figure.set_layout_engine("constrained", w_pad=0.15, h_pad=0.12)
     canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=rows)[:, 0]
     painter, poses = Painter(post.scene), between_frames(post.observed(), FRAMES_PER_STEP)
@@ -221,6 +222,7 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
             share, error = (at[key].sel({f"{name}_is": labels}) for key in (name, f"{name}_error"))
             bars(axes, labels, share, error, colours.get(name, RELATION_COLOUR))
             axes.set(title=named[name], xticks=[])
+            axes.spines["bottom"].set_visible(False)
         canvas.draw()
         figure.set_layout_engine("none")  # the same for all frames
         return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

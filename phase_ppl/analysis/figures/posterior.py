@@ -152,7 +152,7 @@ def _relation_bars(axes: Axes, post: Hypotheses) -> None:
     ]
     values = np.concatenate([found.values for found in marginals])
     errors = np.concatenate([found["error"].values for found in marginals])
-    bars(axes, labels, values, errors, RELATION_COLOUR, gap_after=len(marginals[0]))
+    bars(axes, labels, values, errors, RELATION_COLOUR, groups=[len(found) for found in marginals])
     title = "Relation, and scenario" if post.scenarios_of else "Relations"
     axes.set(title=title, xlabel="posterior probability")
 
@@ -210,13 +210,16 @@ def bars(
     values: ArrayLike,
     errors: ArrayLike,
     colour: Colour | str,
-    gap_after: int | None = None,
+    groups: Sequence[int] = (),
 ) -> None:
-    """Draw labelled horizontal bars from the top down, with values and errors at their ends."""
+    """Draw labelled horizontal bars from the top down, with values and errors at their ends.
+
+    ``groups`` are numbers of bars that stand apart from the next.
+    """
     values, errors = np.asarray(values, float), np.asarray(errors, float)
     places = np.arange(len(values), dtype=float)
-    if gap_after is not None:
-        places[gap_after:] += 0.6
+    if groups:
+        places += 0.6 * np.repeat(np.arange(len(groups)), groups)
     bars = axes.barh(
         places, values, 0.72, color=colour, xerr=_reach(values, errors), error_kw=_ERRORS
     )

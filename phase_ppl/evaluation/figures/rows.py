@@ -185,7 +185,7 @@ def _bars(axes: Axes, rows: Sequence[AnswerSet], found: Sequence[Any], low: floa
         axes.barh(row, value, 0.7, color=answers.colour, alpha=0.5, lw=0)
         axes.vlines(value, row - 0.35, row + 0.35, answers.colour, lw=1.6, clip_on=False)
         if None not in ends:
-            axes.hlines(row, *ends, INK, lw=0.9, clip_on=False)
+            axes.hlines(row, ends[0], ends[1], INK, lw=0.9, clip_on=False)
         axes.annotate(
             number(value), (1, row), (5, 0), xycoords=axes.get_yaxis_transform(),
             textcoords="offset points", va="center", annotation_clip=False,
@@ -458,7 +458,7 @@ def _correlation_bars(axes: Axes, doubt: dict[str, Any], colour: str) -> None:
         for ceiling, line in ((f"split_half_r{suffix}", "-"), (f"spearman_brown{suffix}", "--")):
             value = doubt["ceiling"].get(ceiling)
             if value is not None:
-                axes.hlines(value, place - 0.38, place + 0.38, GREY, line, lw=1.3)
+                axes.plot([place - 0.38, place + 0.38], [value, value], line, color=GREY, lw=1.3)
         axes.annotate(
             f"{found['value']:.2f}", (place, 0), (9, 3), textcoords="offset points", ha="center",
             color="white" if found["value"] > 0.2 else INK,
