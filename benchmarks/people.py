@@ -27,6 +27,7 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_ppl.analysis._arviz import pareto_smoothed
+from phase_ppl.analysis.figures.style import COLOURS, NORMAL, in_style, new_figure, written
 from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.doubt import doubt_of
 from phase_ppl.evaluation.evaluation import Evaluation
@@ -313,13 +314,12 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+@in_style
 def draw(rows: list[dict[str, Any]], path: str) -> None:
     """Draw true against inferred parameters, one panel each."""
-    from phase_ppl.analysis.figures.style import COLOURS, NORMAL, bare, new_figure, written
-
     names = sorted({site for row in rows for site in row["parameters"] if "raw" not in site})
     n_rows = -(-len(names) // 5)
-    figure = new_figure(9.0, 1.9 * n_rows, "constrained")
+    figure = new_figure(9.0, 1.9 * n_rows)
     for axes, name in zip(figure.subplots(n_rows, 5, squeeze=False).flat, names, strict=False):
         of = [row["parameters"][name] for row in rows if name in row["parameters"]]
         for p in of:
@@ -329,8 +329,7 @@ def draw(rows: list[dict[str, Any]], path: str) -> None:
             axes.plot(p["true"], p["mean"], "o", ms=3, color=colour)
         ends = [min(p["true"] for p in of), max(p["true"] for p in of)]
         axes.plot(ends, ends, color="#999999", lw=0.7)
-        bare(axes)
-        axes.set_title(name, fontsize=NORMAL, loc="left")
+        axes.set_title(name, fontsize=NORMAL)
     for axes in figure.axes[len(names) :]:
         axes.set_visible(False)
     figure.supxlabel("true", fontsize=NORMAL)

@@ -9,17 +9,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from phase_ppl.render.frames import (
-    Painter,
-    between_frames,
-    panel,
-    side_by_side,
-)
-from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, encode_mp4
+from phase_ppl.render.frames import Painter, between_frames, panel, side_by_side
+from phase_ppl.render.video import FRAMES_PER_STEP, film
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import atomic_output
 from phase_ppl.world.goals import goal_literal, is_true, planned_as
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
@@ -233,8 +227,7 @@ def _film(event: Event, thoughts: Thoughts, path: str | os.PathLike[str]) -> Non
             _write(picture, event, thoughts, step, agent)
         return picture
 
-    with atomic_output(path, (".mp4",)) as part:
-        encode_mp4(map(draw, range(len(poses))), part, FRAMES_PER_SECOND)
+    film(draw, len(poses), path)
 
 
 def _mind(

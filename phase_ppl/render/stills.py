@@ -205,11 +205,6 @@ def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
     return ImageOps.pad(arena, (side, side), Image.Resampling.LANCZOS, BACKGROUND)
 
 
-def scenario_colour(event: Event) -> Colour:
-    """Return the colour that stands for the event's scenario."""
-    return SCENARIO_COLOURS.get(_scenario(event), UNKNOWN_COLOUR)
-
-
 def _scenario(event: Event) -> str:
     """Return the scenario of an event of PHASE whose truth is known; "" of others."""
     return event.truth.scenario if isinstance(event.truth, Truth) else ""
@@ -218,12 +213,11 @@ def _scenario(event: Event) -> str:
 def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
     """Write below a thumbnail whose lower left corner is (x, y)."""
     font, draw = ImageFont.load_default(_TEXT_SIZE), ImageDraw.Draw(picture)
-    draw.rectangle((x, y, x + THUMBNAIL - 1, y + _LINE - 1), fill=scenario_colour(event))
+    colour = SCENARIO_COLOURS.get(_scenario(event), UNKNOWN_COLOUR)
+    draw.rectangle((x, y, x + THUMBNAIL - 1, y + _LINE - 1), fill=colour)
     text = " ".join(event.id.split())
-    if font.getlength(text) > THUMBNAIL:
-        while text and font.getlength(f"{text}...") > THUMBNAIL:
-            text = text[:-1]
-        text += "..."
+    while font.getlength(text) > THUMBNAIL:
+        text = f"{text[:-4]}..."
     middle = y + (_LINE + _CAPTION) // 2
     draw.text((x, middle), text, fill=_TEXT_COLOUR, font=font, anchor="lm")
 

@@ -9,7 +9,7 @@ import re
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +26,6 @@ from phase_ppl.render.frames import (
     side_by_side,
     write_centred,
 )
-from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
@@ -201,8 +200,11 @@ def video(
         beside = None if isinstance(compare, Event) else shown[0][0]
         shown.append(scene_and_trajectory(compare, compare_scene or beside))
     painters = [Painter(of, fields_of_view) for of, _ in shown]
-    poses = _equally_long([between_frames(track, frames_per_step) for _, track in shown])
-    n_frames = len(poses[0])
+    tracks = [between_frames(track, frames_per_step) for _, track in shown]
+    n_frames = max(map(len, tracks))
+    poses = [
+        np.pad(track, ((0, n_frames - len(track)), (0, 0), (0, 0)), mode="edge") for track in tracks
+    ]
 
     def draw(index: int) -> Image.Image:
         drawn = [painter.draw(track[index]) for painter, track in zip(painters, poses, strict=True)]
@@ -218,10 +220,11 @@ def video(
     return Film(path)
 
 
-def _equally_long(tracks: list[FloatArray]) -> list[FloatArray]:
-    longest = max(len(track) for track in tracks)
-    still = [np.repeat(track[-1:], longest - len(track), axis=0) for track in tracks]
-    return [np.concatenate(parts) for parts in zip(tracks, still, strict=True)]
+def film(draw: Callable[[int], Image.Image], n_frames: int, path: str | os.PathLike[str]) -> Film:
+    """Write what ``draw`` returns for each number of a frame, as MP4; OutputError: it cannot be."""
+    with atomic_output(path, (".mp4",)) as part:
+        encode_mp4(map(draw, range(n_frames)), part, FRAMES_PER_SECOND)
+    return Film(path)
 
 
 def _beside(drawn: list[Image.Image], captions: tuple[str, str]) -> Image.Image:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 import phase_ppl
 from phase_ppl.analysis.data_table import Row, data_table, goal_grid, rows, shares_differ
 from phase_ppl.dataset.statistics import PHASE, statistics
-from phase_ppl.world.errors import OutputError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
@@ -184,14 +182,11 @@ def test_a_card_without_manifest_or_truth_leaves_out_what_they_tell() -> None:
     assert sum(text.get_text() == "not known" for axes in figure.axes for text in axes.texts) == 3
 
 
-def test_a_card_holds_any_set_beside_another(tmp_path: Path, generated: dict[str, Any]) -> None:
+def test_a_card_holds_any_set_beside_another(generated: dict[str, Any]) -> None:
     other = statistics(random_events(2, 5), name="two others")
-    phase_ppl.plot.data_card(generated, tmp_path / "card.pdf", beside=other)
-    assert (tmp_path / "card.pdf").read_bytes().startswith(b"%PDF")
+    assert "two others" in phase_ppl.plot.data_card(generated, beside=other).get_supxlabel()
     phase_ppl.plot.data_card(other, beside=generated)
     assert "two others" in data_table(generated, other)
-    with pytest.raises(OutputError, match=r"card\.odd"):
-        phase_ppl.plot.data_card(generated, tmp_path / "card.odd")
 
 
 def test_a_set_does_not_differ_from_itself(generated: dict[str, Any]) -> None:

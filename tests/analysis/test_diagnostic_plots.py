@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from matplotlib.figure import Figure
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.figures.style import MANY_COLOURS, OTHER
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.world.errors import OutputError
 from phase_ppl.world.goals import GOALS
 
 from .factory import Simulation, hypothesis, make_tree, random_tree
@@ -99,11 +97,3 @@ def test_a_users_real_site_has_a_trace() -> None:
         tree[group]["mood"] = tree[group]["mood"].astype(float)
     titles = [axes.get_title(loc="left") for axes in plots.chains(Posterior(tree)).axes]
     assert "mood" in titles
-
-
-def test_figures_are_written_and_bad_paths_are_named(tmp_path: Path) -> None:
-    post = Posterior(random_tree(3))
-    plots.diagnostics(post, tmp_path / "a b.pdf")
-    assert (tmp_path / "a b.pdf").read_bytes().startswith(b"%PDF")
-    with pytest.raises(OutputError, match="odd"):
-        plots.goal_map(post, tmp_path / "map.odd")

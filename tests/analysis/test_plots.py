@@ -57,18 +57,14 @@ def test_no_text_leaves_the_page_or_covers_another() -> None:
     assert texts_apart(plots.posterior(Posterior(make_tree(simulations, [list(range(6))])))) > 50
 
 
-def test_figure_is_written_as_png_and_pdf(tmp_path: Path) -> None:
-    post = Posterior(random_tree(3))
-    plots.posterior(post, tmp_path / "posterior.png")
-    plots.posterior(post, tmp_path / "posterior.pdf")
-    assert (tmp_path / "posterior.png").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "posterior.pdf").read_bytes().startswith(b"%PDF")
-
-
-@pytest.mark.parametrize("name", ["missing/posterior.png", "posterior.odd"])
-def test_a_figure_that_cannot_be_written_is_named(tmp_path: Path, name: str) -> None:
-    with pytest.raises(OutputError, match=name):
-        plots.posterior(Posterior(random_tree(3)), tmp_path / name)
+def test_figures_are_written_and_bad_paths_are_named(tmp_path: Path) -> None:
+    plots.training_curves(report(), tmp_path / "a b.png")
+    plots.training_curves(report(), tmp_path / "a b.pdf")
+    assert (tmp_path / "a b.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "a b.pdf").read_bytes().startswith(b"%PDF")
+    for name in ("missing/curves.png", "curves.odd"):
+        with pytest.raises(OutputError, match=name):
+            plots.training_curves(report(), tmp_path / name)
 
 
 def test_importing_the_figures_imports_neither_pyplot_nor_arviz_nor_jax() -> None:
@@ -157,10 +153,6 @@ def test_every_network_has_its_curves_and_the_epoch_that_was_kept(variant: str, 
     assert len(labels) == lines
 
 
-def test_it_says_what_was_trained_on_what_and_is_written(tmp_path: Path) -> None:
-    figure = ppl.plot.training_curves(report(networks=1), tmp_path / "curves.pdf")
-    title = figure.texts[0].get_text()
+def test_it_says_what_was_trained_on_what() -> None:
+    title = ppl.plot.training_curves(report(networks=1)).get_suptitle()
     assert title == "SocialGNN, extended: 1 network, 320 training and 80 validation events"
-    assert (tmp_path / "curves.pdf").stat().st_size > 1000
-    with pytest.raises(OutputError, match=r"curves\.txt"):
-        ppl.plot.training_curves(report(), tmp_path / "curves.txt")

@@ -15,10 +15,17 @@ import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis import roles_table
 from phase_ppl.analysis.roles_posterior import RolesPosterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.models.roles import factors
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, QueryError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    PhasePPLError,
+    QueryError,
+)
 from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import Roles, company
+from tests.analysis.readings import reading
 
 TRIO = ppl.worlds.TRIO
 MODEL = ppl.Model(
@@ -83,6 +90,19 @@ def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
     found = post.dataset.drop_vars("density")
     with pytest.raises(InvalidEventError, match="it lacks density"):
         RolesPosterior(found)
+
+
+def test_figures_and_the_page_of_a_run_speak_of_its_world(tmp_path: Path) -> None:
+    post = posterior()
+    figure = ppl.plot.posteriors({"read": post, "alone": post.with_prior("no_social_goals")})
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles[2:4] == ["Goal of the purple agent", "Relation of red & green"]
+    with pytest.raises(InvalidSettingError, match="must be of one world"):
+        ppl.plot.posteriors({"read": post, "of PHASE": StepwisePosterior(reading())})
+    post.save(tmp_path / "posterior.nc")
+    page = ppl.report(tmp_path).read_text("utf-8")
+    for words in ("Goal of the purple agent", "Relation of red &amp; purple", "What decided"):
+        assert words in page
 
 
 def test_another_prior_changes_what_is_asked_without_reading_again() -> None:

@@ -290,6 +290,8 @@ def test_a_curve_against_an_argument_of_the_prior() -> None:
     np.testing.assert_allclose(number, curve.sel(relation="friendly")[:1])
     figure = ppl.plot.sensitivity(post, "P(relation)", related, [0.1, 0.9])
     assert [len(line.get_xdata()) for line in figure.axes[0].lines] == [2, 2, 2]
+    figure = ppl.plot.sensitivity(post, "P(relation=friendly)", related, [0.1, 0.9])
+    assert [len(line.get_xdata()) for line in figure.axes[0].lines] == [2], "one number has no name"
     with pytest.raises(InvalidSettingError, match="makes no curve"):
         post.sensitivity("top goal_red", related, [0.5])
     with pytest.raises(InvalidSettingError, match="empty"):

@@ -16,11 +16,11 @@ from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.cells import WIDTH
 from phase_ppl.evaluation.differences import holm
 from phase_ppl.evaluation.figures import DRAWINGS, NothingToDrawError, draw_figures
-from phase_ppl.evaluation.figures.layout import Results
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.report.contents import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
+from tests.analysis.pages import texts_apart
 from tests.evaluation.judged import (
     BLUE_TO_GREEN,
     BLUE_TO_RED,
@@ -31,7 +31,7 @@ from tests.evaluation.judged import (
     make_event,
     shares,
 )
-from tests.evaluation.test_figures import check_texts, shown_in
+from tests.evaluation.test_figures import shown_in
 from tests.world.examples import DEV, needs_dev
 
 WRITTEN = {
@@ -259,14 +259,14 @@ def test_figures_say_of_how_many_events_who_predicts_fewer() -> None:
         for first in (0, 2)
     )
     models = evaluation("every", predictions=every), evaluation("part", predictions=part)
-    results = Results(compare(*models, resamples=50))
+    results = compare(*models, resamples=50)
     for name in ("accuracy", "confusion", "equivalence"):
         figure = DRAWINGS[name].draw(results)
         shown = shown_in(figure)
         for numbers in ("3 to 4", "7 to 8"):
             assert any(f"n = {numbers}" in text for text in shown), (name, numbers)
-        check_texts(figure)
-    assert "part predicts 10 of 12 events; its scores are about those" in str(results.comparison)
+        texts_apart(figure)
+    assert "part predicts 10 of 12 events; its scores are about those" in str(results)
 
 
 def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> None:
@@ -289,8 +289,8 @@ def test_a_cost_that_has_no_place_on_the_axis_is_left_out(seconds: float) -> Non
     }
     free = evaluation("free", predictions=costed)
     with pytest.raises(NothingToDrawError, match="CPU seconds"):
-        DRAWINGS["costs"].draw(Results(compare(free, resamples=50)))
-    figure = DRAWINGS["costs"].draw(Results(compare(free, evaluation(), resamples=50)))
+        DRAWINGS["costs"].draw(compare(free, resamples=50))
+    figure = DRAWINGS["costs"].draw(compare(free, evaluation(), resamples=50))
     assert "free" not in shown_in(figure)
 
 
@@ -302,7 +302,7 @@ def test_without_truth_and_people_there_are_no_figures_but_costs() -> None:
     assert "right answers" in str(bare)  # the costs are there
     for name in ("accuracy", "costs", "equivalence", "correlation"):
         with pytest.raises(NothingToDrawError):
-            DRAWINGS[name].draw(Results(bare))
+            DRAWINGS[name].draw(bare)
 
 
 # --- who is compared ---------------------------------------------------------------------------
@@ -476,27 +476,26 @@ def test_a_damaged_file_is_refused(field: str, value: Any, message: str, tmp_pat
 def test_no_text_of_a_figure_leaves_the_page_or_covers_another(
     name: str, crowd: ppl.ModelComparison
 ) -> None:
-    check_texts(DRAWINGS[name].draw(Results(crowd)))
+    texts_apart(DRAWINGS[name].draw(crowd))
 
 
 def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelComparison) -> None:
     one = dataclasses.replace(crowd, settings={**crowd.settings, "against": "vlm"})
-    pairs, column = (DRAWINGS["differences"].draw(Results(c)) for c in (crowd, one))
-    check_texts(column)
+    pairs, column = (DRAWINGS["differences"].draw(c) for c in (crowd, one))
+    texts_apart(column)
     assert column.get_figheight() < pairs.get_figheight() - 0.5
 
 
 def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
-    results = Results(crowd)
-    shown = event_page(crowd.events[0], results.source.answers)
+    shown = event_page(crowd.events[0], crowd.answers)
     for words in ("people", "SIMPLE", "planning", "physics", "$y$"):
         assert words in shown
 
 
 def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:
-    colours = {o.name: o.colour for o in Results(crowd).source.answers}
+    colours = {o.name: o.colour for o in crowd.answers}
     assert len(set(colours.values())) == len(colours) == len(NAMES) + 2
-    few = {o.name: o.colour for o in Results(compare(evaluation("vlm"))).source.answers}
+    few = {o.name: o.colour for o in compare(evaluation("vlm")).answers}
     assert few["vlm"] == colours["vlm"]
 
 

@@ -9,14 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from scipy import stats
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.experiments import LABELS, Likeness
 from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of
-from phase_ppl.evaluation.figures.layout import Results
+from phase_ppl.evaluation.figures.layout import opened
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -24,6 +23,7 @@ from phase_ppl.world.errors import (
     OutputError,
     PhasePPLError,
 )
+from tests.analysis.pages import texts_apart, texts_of
 
 from .small import COMPETING, events, make_folder
 
@@ -33,19 +33,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> ResultsFolder:
     return make_folder(tmp_path_factory.mktemp("a folder") / "results")
 
 
-def texts_of(figure: Figure) -> list[Text]:
-    """Return all texts that are seen once the figure is drawn."""
-    figure.canvas.draw()
-    found = [*figure.texts]
-    for axes in figure.axes:
-        if axes.get_visible():
-            ticks = [] if axes.axison else [*axes.get_xticklabels(), *axes.get_yticklabels()]
-            parts = [part for part in axes.findobj() if isinstance(part, Text)]
-            found += [text for text in parts if text not in ticks]
-    return [text for text in found if text.get_visible() and text.get_text().strip()]
-
-
 def shown_in(figure: Figure) -> list[str]:
+    """Return all texts that are seen once the figure is drawn."""
     return [text.get_text() for text in texts_of(figure)]
 
 
@@ -53,7 +42,7 @@ def left_out(folder: ResultsFolder, capsys: pytest.CaptureFixture[str]) -> set[s
     """Draw all; return the names of those that were not drawn, of which each was said."""
     drawn = {path.stem for path in draw_figures(folder.path, folder.path)}
     said = capsys.readouterr().err
-    missing = set(drawings_of(Results.of(folder.path))) - drawn
+    missing = set(drawings_of(opened(folder.path))) - drawn
     assert said.count("\n") == len(missing)
     assert all(f"no figure {name}: " in said for name in missing)
     assert {p.name for p in (folder.path / "figures").iterdir()} == {f"{n}.png" for n in drawn}
@@ -86,7 +75,7 @@ def test_a_folder_without_predictions_has_people_and_references_only(
 ) -> None:
     folder = make_folder(tmp_path / "results", predicted=lambda _: False)
     # of an evaluation that has not begun nothing is compared
-    every = set(drawings_of(Results.of(folder.path)))
+    every = set(drawings_of(opened(folder.path)))
     assert left_out(folder, capsys) == every - {"film_strips"}
 
 
@@ -161,27 +150,9 @@ def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
     answers["relation_probs"] = {"adversarial": 0.7, "friendly": 0.3}
     names = ["x", "a model with a name that is long", "another"]
     folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, answers)))
-    results = Results.of(folder.path)
+    results = opened(folder.path)
     for drawing in drawings_of(results).values():
-        check_texts(drawing.draw(results))
-
-
-def check_texts(figure: Figure) -> None:
-    texts = [text for text in texts_of(figure) if not text.get_rotation() % 90]
-    boxes = [(text.get_text(), text.get_window_extent()) for text in texts]
-    page = figure.bbox
-    for text, box in boxes:
-        inside = page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
-        assert inside, f"{text!r} leaves the page"
-    for i, (text, box) in enumerate(boxes):
-        for other, place in boxes[i + 1 :]:
-            apart = (
-                box.x1 <= place.x0 + 1
-                or place.x1 <= box.x0 + 1
-                or box.y1 <= place.y0 + 2
-                or place.y1 <= box.y0 + 2
-            )
-            assert apart, f"{text!r} and {other!r} overlap"
+        texts_apart(drawing.draw(results))
 
 
 # --- what people said -----------------------------------------------------------------------------
@@ -336,9 +307,7 @@ def test_the_figure_of_ratings_says_whether_equivalence_is_shown(tmp_path: Path)
     shares, means, difference = figure.axes
     heights = [bar.get_height() for bar in shares.patches]
     assert sum(heights) == pytest.approx(2)
-    assert "equivalence is\nshown" in figure._supxlabel.get_text() or "equivalence is shown" in (
-        figure._supxlabel.get_text().replace("\n", " ")
-    )
+    assert "equivalence is shown" in figure.get_supxlabel().replace("\n", " ")
     assert [t.get_text().split("\n")[0] for t in means.get_xticklabels()] == ["played", "generated"]
     assert difference.lines[-1].get_markerfacecolor() != "white"
 

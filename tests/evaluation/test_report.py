@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html.parser
 import itertools
 import re
@@ -14,15 +15,25 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
-from phase_ppl.evaluation.folder import POSTERIOR
+from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.report import write_page
-from phase_ppl.evaluation.report.contents import page, page_of
-from phase_ppl.world.errors import InvalidEventError, OutputError
+from phase_ppl.evaluation.report.contents import MAX_ROWS, page, page_of, rows_of
+from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.files import write_json
+from phase_ppl.world.goals import GOALS
 from tests.analysis.readings import reading
 from tests.browser import browser_path, needs_browser
 
-from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
+from .small import (
+    GREEN,
+    HOSTILE,
+    RED,
+    events,
+    make_folder,
+    make_posterior,
+    prediction,
+    with_posterior,
+)
 
 PAGES = ("evaluation", "run", "comparison", "event")
 """Names of fixtures, of which each is a page."""
@@ -206,6 +217,57 @@ def test_what_a_template_needs_and_is_not_given_is_an_error() -> None:
     assert "<h1>&lt;i&gt;" in page("base.html", title="<i>")
     with pytest.raises(jinja2.UndefinedError, match="title"):
         page("base.html")
+
+
+# --- the page of an event ----------------------------------------------------------------------
+
+
+def test_a_page_shows_everybodys_answers_and_marks_the_true_ones(evaluation: Path) -> None:
+    page = Page(page_of(ppl.Evaluation.load(evaluation.parent), "one"))
+    for words in ("people", "SIMPLE", "<b>other</b>", "0.90", "0.60", "0.40", "0.70"):
+        assert words in page.text
+    for answer in (RED, GREEN, "adversarial"):
+        assert f"{answer}true" in page.text
+    assert page.text.count("true") == 3
+    assert "Truth: competing, adversarial." in page.text
+    assert "Best hypothesis, simulated" in page.text
+    widths = [str(cell["style"])[:11] for cell in page.all("span") if cell.get("class") == "bar"]
+    assert widths[:2] == ["width:62.0%", "width:55.8%"], "of people's 1.00 and the model's 0.90"
+    assert len(page.all("img")) == 2
+
+
+def test_a_page_without_truth_posterior_or_judgments(evaluation: Path, tmp_path: Path) -> None:
+    page = Page(page_of(ppl.Evaluation.load(evaluation.parent), "three"))
+    assert "Truth not known." in page.text
+    assert "true" not in page.text
+    assert "Best hypothesis" not in page.text
+    bare = [dataclasses.replace(e, predictions=None) for e in events(judgments=None, truth=None)]
+    empty = make_folder(tmp_path / "results", bare, predicted=lambda _: False)
+    page = Page(page_of(ppl.Evaluation.load(empty.path), "one"))
+    assert (page.all("table"), len(page.all("img"))) == ([], 1)
+
+
+def test_goals_that_were_answered_or_are_true_always_have_a_row(tmp_path: Path) -> None:
+    event = events()[0]
+    wide = ppl.Prediction("one", {"goal_red": [0.0] * 6 + [1 / 30] * 30}, {"goal_red": GOALS[0]})
+    folder = ResultsFolder.create(tmp_path / "results", {"model": "simple", "seed": 0}, [event])
+    folder.add(wide)
+    shown = [one for one in ppl.Evaluation.load(folder.path).answers if one.kind == "model"]
+    rows = rows_of("goal_red", shown, event)
+    assert len(rows) == MAX_ROWS
+    assert {GOALS[0], RED} <= set(rows)
+    assert rows_of("relation", shown, event) == ["friendly", "neutral", "adversarial"]
+
+
+def test_an_event_that_is_not_there_and_a_damaged_posterior_are_named(
+    evaluation: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UnknownNameError, match="unknown event 'onn'; did you mean 'one'"):
+        page_of(ppl.Evaluation.load(evaluation.parent), "onn")
+    damaged = make_folder(tmp_path / "results")
+    (damaged.folder_of("one") / POSTERIOR).write_bytes(b"no NetCDF")
+    with pytest.raises(InvalidEventError, match=r"posterior\.nc"):
+        page_of(ppl.Evaluation.load(damaged.path), "one")
 
 
 # --- in a browser ------------------------------------------------------------------------------

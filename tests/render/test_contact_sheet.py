@@ -83,10 +83,9 @@ def test_by_default_a_sheet_is_about_square(tmp_path: Path) -> None:
 def test_sheets_that_cannot_be_made_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidEventError, match="no events"):
         contact_sheet([], tmp_path / "sheet.png")
-    with pytest.raises(InvalidSettingError, match="columns=0"):
-        contact_sheet(named("a"), tmp_path / "sheet.png", columns=0)
-    with pytest.raises(InvalidSettingError, match="per_page"):
-        contact_sheet(named("a"), tmp_path / "sheet.png", per_page=0)
+    for setting in ("columns", "per_page"):
+        with pytest.raises(InvalidSettingError, match=f"{setting}=0"):
+            contact_sheet(named("a"), tmp_path / "sheet.png", **{setting: 0})  # type: ignore[arg-type]
     with pytest.raises(OutputError, match=r"sheet\.gif"):
         contact_sheet(named("a"), tmp_path / "sheet.gif")
     assert not list(tmp_path.iterdir())

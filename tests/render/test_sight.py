@@ -21,7 +21,7 @@ from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 from tests.world.examples import make_event, make_scene, walls
 
-WHITE = (255, 255, 255)
+from .test_frames import WHITE, colour_at
 
 
 def inside(corners: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
@@ -116,10 +116,6 @@ def test_an_agent_whose_eye_lies_in_a_wall_or_in_another_body_sees_as_the_rule_s
 
 
 # --- drawn -----------------------------------------------------------------------------------
-
-
-def colour_at(picture: NDArray[np.uint8], x: float, y: float) -> tuple[int, ...]:
-    return tuple(int(v) for v in picture[round(240 - 20 * (y - 12)), round(320 + 20 * (x - 16))])
 
 
 def test_what_an_agent_sees_is_tinted_with_its_colour() -> None:

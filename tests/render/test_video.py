@@ -1,4 +1,4 @@
-"""Videos, stills and film strips."""
+"""Videos and animations, stills and film strips."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from phase_ppl.render.frames import Painter, between_frames
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.picture import ENTITY_COLOURS
 from tests.world.examples import make_event, make_scene, make_trajectory
 
 
@@ -107,16 +108,19 @@ def test_angles_turn_the_shorter_way_round() -> None:
     assert np.cos(middle) == pytest.approx(-1.0)
 
 
-@pytest.mark.parametrize("name", ["event.webp", "event", "event.png", "event.avi"])
-def test_only_mp4_and_gif_are_written_as_video(tmp_path: Path, name: str) -> None:
-    with pytest.raises(OutputError, match=rf"{name}: expected a name in .mp4 or .gif"):
-        video(make_event(), tmp_path / name)
-
-
-def test_only_png_is_written_as_picture(tmp_path: Path) -> None:
-    for write in (lambda p: image(make_event(), 0, p), lambda p: strip(make_event(), p, n=2)):
-        with pytest.raises(OutputError, match=r"expected a name in .png"):
-            write(tmp_path / "event.jpg")
+@pytest.mark.parametrize(
+    ("write", "name", "endings"),
+    [
+        *((video, name, ".mp4 or .gif") for name in ("event.webp", "event", "event.png")),
+        (lambda event, path: image(event, 0, path), "event.jpg", ".png"),
+        (lambda event, path: strip(event, path, n=2), "event.jpg", ".png"),
+    ],
+)
+def test_other_formats_are_refused(
+    tmp_path: Path, write: Callable[..., object], name: str, endings: str
+) -> None:
+    with pytest.raises(OutputError, match=rf"{name}: expected a name in {endings}"):
+        write(make_event(), tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["none/event.mp4", "file/event.mp4", "folder.mp4"])
@@ -188,12 +192,19 @@ def test_what_is_no_trajectory_is_refused(tmp_path: Path, trajectory: object) ->
 
 
 @pytest.mark.parametrize(
-    "setting", [{"fps": 0}, {"fps": -1}, {"fps": float("nan")}, {"frames_per_step": 1.5}]
+    ("write", "name", "setting", "message"),
+    [
+        *((video, "event.mp4", {"fps": fps}, f"fps={fps}") for fps in (0, -1, float("nan"))),
+        (video, "event.mp4", {"frames_per_step": 1.5}, "frames_per_step=1.5"),
+        (video, "event.gif", {"fps": 60}, "fps=60, but a GIF has at most 50"),
+        *((strip, "strip.png", {"n": n}, f"n={n}, expected one of 1..4") for n in (0, -1, 5)),
+    ],
 )
-def test_speeds_must_be_positive(tmp_path: Path, setting: dict[str, float]) -> None:
-    ((name, value),) = setting.items()
-    with pytest.raises(InvalidSettingError, match=f"{name}={value}"):
-        video(make_event(), tmp_path / "event.mp4", **setting)  # type: ignore[arg-type]
+def test_settings_that_cannot_be_are_refused(
+    tmp_path: Path, write: Callable[..., object], name: str, setting: dict[str, float], message: str
+) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        write(make_event(n_frames=4), tmp_path / name, **setting)
 
 
 def test_one_frame_is_written_as_picture(tmp_path: Path) -> None:
@@ -233,7 +244,50 @@ def test_a_film_strip_shows_the_way_since_the_picture_before(tmp_path: Path) -> 
     assert tuple(picture[row, column - 300]) == (255, 255, 255)
 
 
-@pytest.mark.parametrize("n", [0, -1, 5])
-def test_a_film_strip_has_at_least_one_and_at_most_all_frames(tmp_path: Path, n: int) -> None:
-    with pytest.raises(InvalidSettingError, match=rf"n={n}, expected one of 1..4"):
-        strip(make_event(n_frames=4), tmp_path / "strip.png", n=n)
+# --- as GIF -----------------------------------------------------------------------------------
+
+
+def read_gif(path: Path) -> tuple[list[NDArray[np.uint8]], list[int]]:
+    """Return the frames of a GIF (row, column, colour) and how long each is shown, ms."""
+    frames, durations = [], []
+    with Image.open(path) as picture:
+        assert picture.format == "GIF"
+        assert picture.info["loop"] == 0  # for ever
+        for index in range(picture.n_frames):
+            picture.seek(index)
+            frames.append(np.asarray(picture.convert("RGB")))
+            durations.append(picture.info["duration"])
+    return frames, durations
+
+
+@pytest.mark.parametrize("fields_of_view", [False, True])
+def test_a_gif_shows_what_is_drawn_at_20_frames_per_second(
+    tmp_path: Path, fields_of_view: bool
+) -> None:
+    event = make_event(n_frames=5)
+    video(event, tmp_path / "event.gif", fields_of_view=fields_of_view)
+    frames, durations = read_gif(tmp_path / "event.gif")
+    poses = between_frames(event.observation.trajectory, 5)
+    painter = Painter(event.scene, fields_of_view)
+    assert durations == [50] * 21
+    for frame, pose in zip(frames, poses, strict=True):
+        drawn = np.asarray(painter.draw(pose)).astype(int)
+        difference = np.abs(frame - drawn).max(axis=2)
+        assert difference.mean() < 0.1
+        assert (difference > 40).sum() < 20  # pixels on an edge
+        for colour in ENTITY_COLOURS:  # plain areas are exact
+            assert (frame[(drawn == colour).all(axis=2)] == colour).all()
+    assert [p.name for p in tmp_path.iterdir()] == ["event.gif"]
+
+
+@pytest.mark.parametrize("fps", [12, 30, 50, 7.5])
+def test_a_gif_lasts_as_long_as_its_frames(tmp_path: Path, fps: float) -> None:
+    video(make_event(n_frames=13), tmp_path / "event.GIF", fps=fps, frames_per_step=1)
+    _, durations = read_gif(tmp_path / "event.GIF")
+    assert len(durations) == 13
+    assert sum(durations) == pytest.approx(1000 * 13 / fps, abs=20)
+
+
+def test_a_single_frame_is_a_gif_too(tmp_path: Path) -> None:
+    video(make_trajectory(1), tmp_path / "still.gif", make_scene())
+    assert len(read_gif(tmp_path / "still.gif")[0]) == 1

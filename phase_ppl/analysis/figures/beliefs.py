@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.analysis.figures.posterior import draw_arena, draw_entity
-from phase_ppl.analysis.figures.style import GREY, NORMAL, SMALL, figure_of, new_figure, written
+from phase_ppl.analysis.figures.style import NORMAL, figure_of, in_style, new_figure, written
 from phase_ppl.dataset.motion import items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.checks import whole_number
@@ -118,12 +118,20 @@ def beliefs(
         if frame is None:
             raise InvalidSettingError(f"the {agent} of {event.id} sees nothing new: give a frame")
     whole_number("frame", frame, 1, len(found) - 1)
-    figure = new_figure(8.4, 6.4, "constrained")
+    new = [ENTITIES[e] for e in np.flatnonzero(found[frame].observed & ~found[frame - 1].observed)]
+    told = (
+        f"In the lower row it sees {' and '.join(f'the {name}' for name in new)}: " if new else ""
+    )
+    figure = new_figure(
+        *(8.4, 6.4),
+        note=f"{told}entities in view have their true properties in all particles; others move on "
+        "as they did, or are drawn anew where they contradict what is seen.",
+    )
     panels = figure.subplots(2, 3)
     radius, truth = event.scene.radius, event.observation.trajectory
     titles = f"true state, and what the {agent} sees", f"all {particles} particles", "one of them"
     for axes, title, letter in zip(panels[0], titles, "ABC", strict=True):
-        axes.set_title(f"{letter}  {title}", fontsize=NORMAL, loc="left")
+        axes.set_title(f"{letter}  {title}", fontsize=NORMAL)
     one = _resampled(found[frame - 1], found[frame])
     for row, now in zip(panels, (frame - 1, frame), strict=True):
         belief = found[now]
@@ -139,15 +147,6 @@ def beliefs(
         name = f"{now / FRAMES_PER_SECOND:.2f} s"
         row[0].text(0.02, 0.5, name, transform=row[0].transAxes, rotation=90, va="center",
                     ha="right", fontsize=NORMAL)  # fmt: skip
-    new = [ENTITIES[e] for e in np.flatnonzero(found[frame].observed & ~found[frame - 1].observed)]
-    told = (
-        f"In the lower row it sees {' and '.join(f'the {name}' for name in new)}: " if new else ""
-    )
-    figure.supxlabel(
-        f"{told}entities in view have their true properties in all particles; others move on as "
-        "they did, or are drawn anew where they contradict what is seen.",
-        fontsize=SMALL, color=GREY, wrap=True,
-    )  # fmt: skip
     return written(figure, path)
 
 
@@ -181,6 +180,7 @@ _STEPS: Final = 100
 _STATIONS: Final = 6
 
 
+@in_style
 def search(
     path: str | os.PathLike[str] | None = None,
     *,
@@ -200,7 +200,11 @@ def search(
 
     scene = Scene(np.array(_SEARCH["start"]), np.full(len(ENTITIES), _SIZE), _walls())
     hypothesis = Hypothesis(*_SEARCH["goals"])  # type: ignore[arg-type]
-    figure = new_figure(3.6 * len(cost_weights), 3.9, "constrained")
+    figure = new_figure(
+        *(3.6 * len(cost_weights), 3.9),
+        note="The green agent wants the blue item, which it does not see. Numbers: moments in "
+        "order; arrows: where it looks.",
+    )
     green = AGENTS.index("green agent")
     panels = figure.subplots(1, len(cost_weights), squeeze=False)[0]
     for axes, weight, letter in zip(panels, cost_weights, "ABCDEFGH", strict=False):
@@ -218,13 +222,8 @@ def search(
             ahead = np.array([x, y]) + 2 * heading(angle)
             axes.annotate("", ahead, (x, y), arrowprops={"arrowstyle": "->"}, zorder=4)
             axes.plot(x, y, "o", ms=10, mfc="white", mec="#00a000", zorder=5)
-            axes.text(x, y, str(number), ha="center", va="center", fontsize=SMALL, zorder=6)
-        axes.set_title(f"{letter}  \N{GREEK SMALL LETTER LAMDA} = {weight:g}", fontsize=NORMAL)
-    figure.supxlabel(
-        "The green agent wants the blue item, which it does not see. Numbers: moments in order; "
-        "arrows: where it looks.",
-        fontsize=SMALL, color=GREY, wrap=True,
-    )  # fmt: skip
+            axes.text(x, y, str(number), ha="center", va="center", zorder=6)
+        axes.set_title(f"{letter}  \N{GREEK SMALL LETTER LAMDA} = {weight:g}", loc="center")
     return written(figure, path)
 
 

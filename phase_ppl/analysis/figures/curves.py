@@ -13,15 +13,12 @@ from phase_ppl.analysis.comparison import DISTANCES, Comparison
 from phase_ppl.analysis.figures.style import (
     COLOURS,
     GREY,
-    INK,
-    NORMAL,
-    SMALL,
     direct_labels,
-    dressed,
-    faint_lines,
     figure_of,
     in_shares,
+    in_style,
     new_figure,
+    titled,
     written,
 )
 from phase_ppl.analysis.posterior import Posterior
@@ -72,13 +69,12 @@ def comparison(
         if name not in HEADINGS:
             raise unknown_name("measure", name, HEADINGS)
     drawn = [name for name in measures if c.curve[name].notna().any()]
-    figure = new_figure(4.6 * len(drawn), 3.6, "constrained")
-    for axes, name in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
-        _compared(axes, c, name)
     repeats = c.runs.groupby("kernel").size()
     words = f"{repeats.min()}" if repeats.min() == repeats.max() else "several"
     note = f"{c.settings['event']}: mean and standard error of {words} runs each"
-    figure.supxlabel(note, x=0.01, ha="left", fontsize=SMALL, color=GREY)
+    figure = new_figure(4.6 * len(drawn), 3.6, note=note)
+    for axes, name in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
+        _compared(axes, c, name)
     return written(figure, path)
 
 
@@ -93,22 +89,23 @@ def _compared(axes: Axes, c: Comparison, name: str) -> None:
             axes.errorbar(x, mean, error, fmt="o", ms=4, color=colour, capsize=2, lw=1.2)
         else:
             axes.fill_between(x, mean - error, mean + error, color=colour, alpha=0.16, lw=0)
-            axes.plot(x, mean, color=colour, ls=style, lw=1.8, solid_capstyle="round")
+            axes.plot(x, mean, color=colour, ls=style, lw=1.8)
         ends.append((float(mean[-1]), kernel, colour))
         furthest = max(furthest, float(x[-1]))
     own_error = c.reference_error(name) if name in DISTANCES else None
     if own_error is not None:
         axes.axhspan(0, own_error, color="#eeeeee", lw=0, zorder=0)
         note = "within the reference's own error"
-        axes.text(0.015, 0.02, note, transform=axes.transAxes, fontsize=SMALL, color=GREY)
+        axes.text(0.015, 0.02, note, transform=axes.transAxes, color=GREY)
     reference = c.settings["reference"].get("truth", {}).get(name)
     if reference is not None:
         axes.axhline(reference, color=GREY, lw=0.9, ls=(0, (4, 3)), zorder=1)
         ends.append((reference, "reference", GREY))
-    dressed(axes, *HEADINGS[name], x="simulated frames" if unit == "frames" else unit)
+    titled(axes, *HEADINGS[name])
+    axes.set_xlabel("simulated frames" if unit == "frames" else unit)
     axes.set_xlim(0, furthest * 1.02)
     axes.set_ylim(0, min(1.02, max(axes.get_ylim()[1], 0.05)))
-    faint_lines(axes)
+    axes.grid(axis="y")
     direct_labels(axes, ends)
 
 
@@ -150,7 +147,7 @@ def sensitivity(
     lines = found if found.ndim > 1 else found.expand_dims(answer=[question])
     lines = lines.stack(line=[dim for dim in lines.dims if dim != "value"])
     order = np.argsort(-np.nan_to_num(lines.max("value").values), kind="stable")[:_LINES]
-    figure = new_figure(5.6, 3.4, "constrained")
+    figure = new_figure(5.6, 3.4)
     axes = figure.subplots()
     ends: list[tuple[float, str, str]] = []
     shares = question.lstrip().startswith("P")
@@ -165,7 +162,8 @@ def sensitivity(
         name = ", ".join(str(label) for label in line["line"].item())
         if np.isfinite(y).any() and found.ndim > 1:
             ends.append((float(y[np.isfinite(y)][-1]), name, colour))
-    dressed(axes, post.event_id, question, x=f"argument of {getattr(prior, '__name__', 'prior')}")
+    titled(axes, post.event_id, question)
+    axes.set_xlabel(f"argument of {getattr(prior, '__name__', 'prior')}")
     if shares:
         in_shares(axes)
     direct_labels(axes, ends)
@@ -187,6 +185,7 @@ _CURVES: Final = {
 """Title of a panel -> curve -> its colour and name."""
 
 
+@in_style
 def training_curves(
     report: Mapping[str, Any], path: str | os.PathLike[str] | None = None
 ) -> Figure:
@@ -194,16 +193,12 @@ def training_curves(
 
     ``report`` is what :func:`phase_ppl.train_socialgnn` returns.
     """
-    figure = new_figure(7.5, 3, "constrained")
     members, events = report["members"], report["data"]["events"]
-    figure.suptitle(
+    figure = new_figure(
+        *(7.5, 3),
         f"SocialGNN, {report['settings']['variant']}: {len(members)} "
         f"network{'' if len(members) == 1 else 's'}, {events['train']} training and "
         f"{events['validation']} validation events",
-        x=0.012,
-        ha="left",
-        fontsize=NORMAL + 1,
-        color=INK,
     )
     longest = max(len(member["curves"]["training"]) for member in members)
     for axes, (title, lines) in zip(figure.subplots(1, 2), _CURVES.items(), strict=True):
@@ -217,9 +212,8 @@ def training_curves(
                 if name != "training":
                     kept = member["best_epoch"]
                     axes.plot(kept, values[kept - 1], "o", ms=4, color=colour, mec="white", mew=0.6)
-        dressed(axes, title, x="epoch")
-        axes.set_xlim(1, max(longest, 2))
+        axes.set(title=title, xlabel="epoch", xlim=(1, max(longest, 2)))
         axes.set_ylim(0, 1.02 if "relation" in lines else None)
-        faint_lines(axes)
-        axes.legend(frameon=False, fontsize=SMALL + 0.5)
+        axes.grid(axis="y")
+        axes.legend()
     return written(figure, path)

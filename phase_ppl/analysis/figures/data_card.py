@@ -18,7 +18,7 @@ from phase_ppl.analysis.data_table import (
     other_text,
     rows,
 )
-from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, SMALL, bare, new_figure, written
+from phase_ppl.analysis.figures.style import GREY, INK, SMALL, in_style, new_figure, written
 from phase_ppl.dataset.statistics import LEVELS, PHASE, SPEED_EDGES
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ _WIDTHS: Final = ((2.2, 2.2, 4), (2.1, 2, 3, 1.7), (4.4, 2.75, 2))
 """Per row, the widths of the panels beside each other."""
 
 
+@in_style
 def data_card(
     statistics: Statistics,
     path: str | os.PathLike[str] | None = None,
@@ -73,8 +74,12 @@ def data_card(
     """
     told = {"family", "layout", "reflection", "split"} & set(statistics["tables"])
     n_rows = 3 if told or statistics["draws"] else 2
-    figure = new_figure(12, n_rows * _ROW + 0.4, "constrained")
-    _heading(figure, statistics, beside)
+    figure = new_figure(
+        *(12, n_rows * _ROW + 0.4),
+        about({**statistics, "name": clipped(statistics["name"], 24)}),
+        f"in grey: {clipped(beside['name'], 24)}; * differs by more than chance explains (95 %)",
+    )
+    figure.texts[0].set(color=HERE, weight="bold")
     found = rows(statistics, beside)
     parts = figure.subfigures(n_rows, 1, squeeze=False)[:, 0]
     panels = [
@@ -103,7 +108,7 @@ def data_card(
     shares = [of_time[k]._replace(label=v) for k, v in _TIME_NAMES.items() if k in of_time]
     _paired_bars(times, "Share of time", [shares])
     if statistics["holding_from"] == "geometry" and shares:
-        times.set_xlabel("holding is estimated", fontsize=SMALL, color=GREY)
+        times.set_xlabel("holding is estimated", color=GREY)
     if n_rows == 3:
         draws, layouts, looks = panels[2]
         if statistics["draws"]:
@@ -115,35 +120,21 @@ def data_card(
     return written(figure, path)
 
 
-def _heading(figure: Figure, here: Statistics, beside: Statistics) -> None:
-    words = about({**here, "name": clipped(here["name"], 24)})
-    style: dict[str, Any] = {"x": 0.012, "ha": "left", "fontsize": 9}
-    figure.suptitle(words, color=HERE, weight="bold", **style)
-    other = clipped(beside["name"], 24)
-    note = f"in grey: {other}; * differs by more than chance explains (95 %)"
-    figure.supxlabel(note, color=GREY, **style)
-
-
-def _title(axes: Axes, text: str) -> None:
-    axes.set_title(text, fontsize=NORMAL + 1, loc="left", color=INK)
-
-
 def _unknown(axes: Axes) -> None:
     """Say in a panel that there is nothing to tell."""
-    style: dict[str, Any] = {"ha": "center", "fontsize": NORMAL, "color": GREY}
-    axes.text(0.5, 0.5, "not known", transform=axes.transAxes, **style)
+    axes.text(0.5, 0.5, "not known", transform=axes.transAxes, ha="center", color=GREY)
     axes.set_axis_off()
 
 
 def _with_star(row: Row) -> tuple[str, dict[str, Any]]:
     """Return the value as text and its style, with a star where it stands out."""
-    style = {"fontsize": SMALL, "color": INK, "weight": "bold" if row.stands_out else "normal"}
+    style = {"weight": "bold" if row.stands_out else "normal"}
     return number(row.value, row) + ("*" if row.stands_out else ""), style
 
 
 def _paired_bars(axes: Axes, title: str, groups: Sequence[Sequence[Row]]) -> None:
     """Draw shares of two sets as pairs of bars, groups apart, the set's value at the end."""
-    _title(axes, title)
+    axes.set_title(title)
     groups = [group for group in groups if group]
     shown = [row for group in groups for row in group]
     if not shown:
@@ -164,13 +155,12 @@ def _paired_bars(axes: Axes, title: str, groups: Sequence[Sequence[Row]]) -> Non
     axes.set_ylim(places[-1] + 0.6, -0.6)
     axes.set_xlim(0, 1.2 * max(*ends, 0.01))
     axes.locator_params(axis="x", nbins=4)
-    bare(axes)
     axes.tick_params(axis="y", length=0)
 
 
 def _goals(axes: Axes, here: Statistics) -> None:
     """Draw how often each goal occurs, as a grid of numbers on shades."""
-    _title(axes, "Goals of agents, numbers")
+    axes.set_title("Goals of agents, numbers")
     if "goal" not in here["tables"]:
         _unknown(axes)
         return
@@ -182,20 +172,20 @@ def _goals(axes: Axes, here: Statistics) -> None:
     axes.imshow(numbers, aspect="auto", cmap="Blues", vmin=0, vmax=1.6 * max(np.nanmax(numbers), 1))
     for (row, column), count in np.ndenumerate(numbers):
         if not np.isnan(count):
-            style: dict[str, Any] = {"fontsize": SMALL, "color": INK if count else GREY}
-            axes.text(column, row, f"{count:.0f}", ha="center", va="center", **style)
+            colour = INK if count else GREY
+            axes.text(column, row, f"{count:.0f}", ha="center", va="center", color=colour)
     names = [name.removeprefix("Get ") for name in of_landmarks]
     axes.set_yticks(range(len(numbers)), [*names, *others])
     axes.set_xticks(range(len(landmarks)), landmarks)
     axes.xaxis.tick_top()
-    bare(axes, "left", "bottom")
+    axes.spines[:].set_visible(False)
     axes.tick_params(length=0, pad=2)
     axes.axhline(len(of_landmarks) - 0.5, color="white", lw=4)
 
 
 def _durations(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Row]) -> None:
     """Draw how long events are, with the least, the median and the greatest length."""
-    _title(axes, "Duration")
+    axes.set_title("Duration")
     histogram = here["histograms"]["frames"]
     edges, counts = np.array(histogram["edges"], float), np.array(histogram["counts"], float)
     share = counts / counts.sum()
@@ -214,7 +204,7 @@ def _durations(axes: Axes, here: Statistics, beside: Statistics, found: Sequence
         axes.plot(places[1], y, "o", ms=5, color=colour)
         sides = (("right", (-3, 0)), ("center", (0, 7)), ("left", (3, 0)))
         for value, x, (side, shift) in zip(figures, places, sides, strict=True):
-            style: dict[str, Any] = {"ha": side, "va": "center", "fontsize": SMALL, "color": ink}
+            style: dict[str, Any] = {"ha": side, "va": "center", "color": ink}
             axes.annotate(f"{value:.0f}", (x, y), shift, textcoords="offset points", **style)
     untrimmed = next(row for row in found if row.key == "untrimmed")
     words = f"share that moves to the end: {_with_star(untrimmed)[0]}"
@@ -224,13 +214,12 @@ def _durations(axes: Axes, here: Statistics, beside: Statistics, found: Sequence
     axes.set_ylim(0, top * 1.6)
     axes.set_xticks([0, 25, 50, 75, 100])
     axes.set_yticks([0, top], ["0", f"{top:.2f}"])
-    axes.set_xlabel(f"frames (12 per simulated second)\n{words}", fontsize=SMALL, color=INK)
-    bare(axes)
+    axes.set_xlabel(f"frames (12 per simulated second)\n{words}", fontsize=SMALL)
 
 
 def _speeds(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Row]) -> None:
     """Draw the agents' speeds for each strength: distribution, mean, 99 % and greatest."""
-    _title(axes, "Speed of agents, by strength")
+    axes.set_title("Speed of agents, by strength")
     kinds = {"": "all", **{f"_{level}": f"{level} N" for level in LEVELS}}
     shown = [kind for kind in kinds if f"speed_mean{kind}" in here["values"]]
     of_speed = {row.key: row for row in found}
@@ -252,13 +241,12 @@ def _speeds(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Ro
     for column, (words, mark) in enumerate(_SPEED_MARKS.values()):
         x = _SPEED_TEXT + column * 12
         axes.plot(x, -0.88, mark, ms=4.5, mew=1.4, color=HERE, mfc="white" if column else HERE)
-        axes.text(x, -0.76, words, fontsize=SMALL, color=GREY, ha="center", va="top")
+        axes.text(x, -0.76, words, color=GREY, ha="center", va="top")
     axes.set_yticks(range(len(shown)), [kinds[kind] for kind in shown])
     axes.set_ylim(len(shown) - 0.6, -0.95)
     axes.set_xlim(0, _SPEED_TEXT + 30)
     axes.set_xticks(range(0, SPEED_EDGES[-1] + 1, 10))
-    axes.set_xlabel("units/s; shaded: root of the frequency", fontsize=NORMAL, color=INK)
-    bare(axes)
+    axes.set_xlabel("units/s; shaded: root of the frequency")
     axes.tick_params(axis="y", length=0)
 
 
@@ -274,24 +262,23 @@ def _speed_marks(axes: Axes, values: Mapping[str, Any], kind: str, y: float, col
 
 def _draws(axes: Axes, draws: Mapping[str, Any]) -> None:
     """Draw the share of draws kept, with the main reason against the others."""
-    _title(axes, "Draws kept, of how many, and why not")
+    axes.set_title("Draws kept, of how many, and why not")
     tried = [(cell, draw) for cell, draw in draws.items() if draw["tried"]]
     for place, (_, draw) in enumerate(tried):
         axes.barh(place, draw["share"], 0.7, color=HERE)
         why = next(iter(draw["reasons"]), "")
         words = f"{draw['kept']} of {draw['tried']}" + (f": {clipped(why, 38)}" if why else "")
-        axes.text(draw["share"] + 0.02, place, words, fontsize=SMALL, color=INK, va="center")
+        axes.text(draw["share"] + 0.02, place, words, va="center")
     axes.set_yticks(range(len(tried)), [clipped(cell, LONGEST_LABEL) for cell, _ in tried])
     axes.set_ylim(len(tried) - 0.4, -0.6)
     axes.set_xlim(0, 3.3)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
-    bare(axes)
     axes.tick_params(axis="y", length=0)
 
 
 def _layouts(axes: Axes, here: Statistics) -> None:
     """Draw how many events each layout has."""
-    _title(axes, "Layouts of walls, events")
+    axes.set_title("Layouts of walls, events")
     counts = here["tables"].get("layout", {}).get("counts")
     if not counts:
         _unknown(axes)
@@ -299,6 +286,5 @@ def _layouts(axes: Axes, here: Statistics) -> None:
     axes.bar(range(len(counts)), list(counts.values()), 0.75, color=HERE)
     axes.set_xticks(range(len(counts)), list(counts))
     axes.locator_params(axis="y", integer=True)
-    axes.set_xlabel("number of the layout", fontsize=NORMAL, color=INK)
-    bare(axes)
+    axes.set_xlabel("number of the layout")
     axes.tick_params(axis="x", length=0, labelsize=SMALL - 0.5)

@@ -14,10 +14,9 @@ from phase_ppl.analysis.figures.style import (
     INK,
     NORMAL,
     SMALL,
-    dressed,
-    faint_lines,
     figure_of,
     new_figure,
+    titled,
     written,
 )
 
@@ -41,50 +40,40 @@ def design(found: Design, path: str | os.PathLike[str] | None = None, *, n: int 
         n: events, at most.
     """
     table = found.table.head(n)
-    figure = new_figure(8.0, max(2.6, 1.1 + 0.2 * len(table)), "constrained")
+    figure = new_figure(8.0, max(2.6, 1.1 + 0.2 * len(table)))
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
     places = np.arange(len(table))[::-1]
-    left.barh(places, table["information"], color=COLOURS[5], height=0.62, lw=0)
-    left.errorbar(
-        table["information"],
-        places,
-        xerr=np.nan_to_num(table["error"]),
-        fmt="none",
-        ecolor=INK,
-        lw=1,
-    )
+    left.barh(
+        places, table["information"], 0.62, color=COLOURS[5],
+        xerr=np.nan_to_num(table["error"]), error_kw={"ecolor": INK, "lw": 1},
+    )  # fmt: skip
     people = "an answer" if found.answers == 1 else f"{found.answers} answers"
     note = f"expected information of {people} about the {found.question}"
-    dressed(left, "Events that tell models apart", note, x="nats")
+    titled(left, "Events that tell models apart", note)
+    left.set_xlabel("nats")
     left.set_yticks(places, [name[:_NAME] for name in table.index], fontsize=SMALL)
     left.set_xlim(left=0)
 
     chosen, random = found.best(n), found.at_random(n)
     counts = np.arange(1, len(chosen) + 1)
     right.axhline(found.most, color=GREY, lw=0.8, ls=":")
-    end = {"fontsize": SMALL, "color": GREY, "va": "bottom", "ha": "right"}
+    end = {"color": GREY, "va": "bottom", "ha": "right"}
     right.text(len(chosen), found.most, "all that can be known", **end)
     right.fill_between(counts, random["low"], random["high"], color=GREY, alpha=0.16, lw=0)
     right.plot(counts, random["information"], color=GREY, lw=1.6)
     right.plot(counts, chosen["information"], "o-", ms=3, color=COLOURS[0], lw=1.8)
-    for text, y, colour, at in (
-        ("chosen", chosen["information"], COLOURS[0], "bottom"),
-        ("by chance", random["information"], GREY, "top"),
+    middle = len(counts) // 2
+    for text, y, colour, side, up in (
+        ("chosen", chosen["information"], COLOURS[0], "bottom", 5),
+        ("by chance", random["information"], GREY, "top", -7),
     ):
-        middle = len(counts) // 2
         right.annotate(
-            text,
-            (counts[middle], y.iloc[middle]),
-            (0, 5 if at == "bottom" else -7),
-            textcoords="offset points",
-            ha="center",
-            va=at,
-            fontsize=NORMAL,
-            color=colour,
-        )
+            text, (counts[middle], y.iloc[middle]), (0, up), textcoords="offset points",
+            ha="center", va=side, fontsize=NORMAL, color=colour,
+        )  # fmt: skip
     note = f"between {', '.join(found.models)}"
-    dressed(right, "Several events together", note[:64], x="events", y="nats")
-    right.set_ylim(0, found.most * 1.12)
+    titled(right, "Several events together", note[:64])
+    right.set(xlabel="events", ylabel="nats", ylim=(0, found.most * 1.12))
     right.set_xticks(counts[:: max(1, len(counts) // 6)])
-    faint_lines(right)
+    right.grid(axis="y")
     return written(figure, path)

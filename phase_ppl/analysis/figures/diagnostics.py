@@ -15,14 +15,12 @@ from phase_ppl.analysis.figures.style import (
     GREY,
     INK,
     MANY_COLOURS,
-    NORMAL,
     OTHER,
     SIMULATED_TIME,
-    SMALL,
-    bare,
-    dressed,
     figure_of,
+    in_shares,
     new_figure,
+    titled,
     written,
 )
 from phase_ppl.analysis.posterior import Posterior
@@ -31,6 +29,7 @@ from phase_ppl.world.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure, SubFigure
 
 
@@ -57,10 +56,9 @@ def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> 
     total error and strengths (:func:`chains`); error per frame (:func:`errors`); acceptance.
     """
     found = post.diagnostics()
-    verdict = textwrap.wrap(found["verdict"], 140)
-    figure = new_figure(10, 10.5 + 0.155 * len(verdict), "constrained")
+    verdict = textwrap.wrap(found["verdict"], 130)
     title = "\n".join([f"{post.event_id}\n", *verdict])
-    figure.suptitle(title, x=0.012, ha="left", fontsize=NORMAL, color=INK, linespacing=1.3)
+    figure = new_figure(10, 10.5 + 0.155 * len(verdict), title)
     upper, middle, lower = figure.subfigures(3, 1, squeeze=False, height_ratios=(2.9, 4, 2.8))[:, 0]
     _goal_panels(upper, post)
     values = scalars(post.tree)
@@ -84,7 +82,7 @@ def goal_map(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fig
 
     The goals held most have colours of their own; the rest are grey.
     """
-    figure = new_figure(10, 3.2, "constrained")
+    figure = new_figure(10, 3.2)
     _goal_panels(figure, post)
     return written(figure, path)
 
@@ -98,7 +96,7 @@ def chains(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figur
     chains have mixed all cells are pale; blue cells have fewer draws than expected, orange more.
     """
     values = scalars(post.tree)
-    figure = new_figure(8, 1.75 * len(values) + 0.4, "constrained")
+    figure = new_figure(8, 1.75 * len(values) + 0.4)
     panels = figure.subplots(len(values), 2, width_ratios=(2.2, 1), squeeze=False)
     for (trace, ranks), (name, numbers) in zip(panels, values.items(), strict=True):
         _trace(trace, numbers, _best_chain(post), name)
@@ -114,7 +112,7 @@ def errors(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figur
     Orange is the best draw of all. The background is the darker, the more proposals came from a
     window with that frame; 7.5 x 3 inches.
     """
-    figure = new_figure(7.5, 3, "constrained")
+    figure = new_figure(7.5, 3)
     _step_errors(figure.subplots(), post, post.diagnostics())
     return written(figure, path)
 
@@ -136,15 +134,14 @@ def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
     panels = figure.subplots(1, len(codes), squeeze=False)[0]
     for axes, (agent, name) in zip(panels, post.goals_of.items(), strict=True):
         _goal_panel(axes, codes[name], table)
-        dressed(axes, f"Goal of the {agent}", x="draw", y="particle" if axes is panels[0] else "")
-        bare(axes, "left", "bottom")
+        axes.set(title=f"Goal of the {agent}", xlabel="draw")
+    panels[0].set_ylabel("particle")
     entries = {goals[code]: c for code, c in zip(coloured, MANY_COLOURS, strict=False)}
     if len(order) > len(coloured):
         entries[f"{len(order) - len(coloured)} other goals"] = OTHER
     figure.legend(
         [Patch(facecolor=colour) for colour in entries.values()], entries,
-        loc="outside right upper", frameon=False, fontsize=SMALL + 0.5, labelcolor=INK,
-        handlelength=1.1, handleheight=1.1, labelspacing=0.35,
+        loc="outside right upper", handlelength=1.1, handleheight=1.1, labelspacing=0.35,
     )  # fmt: skip
 
 
@@ -153,12 +150,10 @@ def _goal_panel(axes: Axes, codes: NDArray[Any], table: FloatArray) -> None:
     n_chains, n_draws = codes.shape
     extent = (0.5, n_draws + 0.5, n_chains + 0.5, 0.5)
     axes.imshow(table[codes], aspect="auto", interpolation="nearest", extent=extent)
-    for line in range(1, n_chains if n_chains <= _MOST_LINES else 0):
-        axes.axhline(line + 0.5, color="white", lw=0.8)
-    for line in range(1, n_draws if n_draws <= _MOST_LINES / 2 else 0):
-        axes.axvline(line + 0.5, color="white", lw=0.5)
-    _whole_ticks(axes, n_draws)
-    _chain_ticks(axes, n_chains)
+    if n_draws <= _MOST_LINES / 2:
+        axes.vlines(np.arange(1, n_draws) + 0.5, 0.5, n_chains + 0.5, color="white", lw=0.5)
+    _whole_ticks(axes.xaxis, n_draws)
+    _chain_rows(axes, n_chains)
 
 
 def _trace(axes: Axes, values: FloatArray, best: int, name: str) -> None:
@@ -177,11 +172,11 @@ def _trace(axes: Axes, values: FloatArray, best: int, name: str) -> None:
             alpha=0.85 if few or leads else 0.6,
         )
     axes.set_xlim(*((0.5, 1.5) if n == 1 else (1, n)))
-    _whole_ticks(axes, n)
+    _whole_ticks(axes.xaxis, n)
     axes.locator_params(axis="y", nbins=4)
     agent = name.removeprefix("strength_")
     title = NAMES.get(name, name) if agent == name else f"strength of {agent} [N]"
-    dressed(axes, title, x="draw")
+    axes.set(title=title, xlabel="draw")
 
 
 def _ranks(axes: Axes, values: FloatArray) -> None:
@@ -200,15 +195,12 @@ def _ranks(axes: Axes, values: FloatArray) -> None:
         counts * bins / n_draws, cmap=colours, vmin=0, vmax=2, aspect="auto",
         interpolation="nearest", extent=(0, 1, n_chains + 0.5, 0.5),
     )  # fmt: skip
-    for line in range(1, n_chains if n_chains <= _MOST_LINES else 0):
-        axes.axhline(line + 0.5, color="white", lw=0.5)
     axes.set_xticks([0, 1], ["lowest", "highest"])
     lowest, highest = axes.get_xticklabels()
     lowest.set_horizontalalignment("left")
     highest.set_horizontalalignment("right")
-    _chain_ticks(axes, n_chains)
-    dressed(axes, "ranks, per particle")
-    bare(axes, "left", "bottom")
+    axes.set_title("ranks, per particle")
+    _chain_rows(axes, n_chains)
     axes.tick_params(length=0)
 
 
@@ -235,7 +227,8 @@ def _step_errors(axes: Axes, post: Posterior, found: dict[str, Any]) -> None:
         )  # fmt: skip
     axes.set_ylim(0, top)
     axes.set_xlim(time[0], time[-1])
-    dressed(axes, "Error per frame [units]", note, x=SIMULATED_TIME)
+    titled(axes, "Error per frame [units]", note)
+    axes.set_xlabel(SIMULATED_TIME)
 
 
 def _coverage(windows: dict[str, Any], n_frames: int) -> FloatArray:
@@ -254,11 +247,10 @@ def _acceptance(axes: Axes, rates: list[float]) -> None:
     axes.bar(starts[:-1] + 0.5, means, np.diff(starts) * 0.86, align="edge", color=_PALE, zorder=2)
     axes.axhline(float(np.mean(rates)), color=INK, lw=0.9, ls=(0, (4, 3)), zorder=3)
     axes.set_xlim(0.4, len(rates) + 0.6)
-    _whole_ticks(axes, len(rates))
-    axes.set_ylim(0, 1)
-    axes.set_yticks([0, 0.5, 1], ["0", "0.5", "1"])
-    note = f"share of particles; dashed: mean, {np.mean(rates):.0%}"
-    dressed(axes, "Proposals accepted", note, x="iteration")
+    axes.set_xlabel("iteration")
+    _whole_ticks(axes.xaxis, len(rates))
+    in_shares(axes)
+    titled(axes, "Proposals accepted", f"share of particles; dashed: mean, {np.mean(rates):.0%}")
 
 
 def _chains_note(figure: Figure | SubFigure, post: Posterior) -> None:
@@ -266,19 +258,22 @@ def _chains_note(figure: Figure | SubFigure, post: Posterior) -> None:
     few = len(array(post.tree, "sample_stats", "log_joint")) <= _FEW
     lines = "a colour for each particle" if few else "orange line: the particle with the best draw"
     note = f"{lines}; ranks: orange where a particle has more draws than expected, blue where fewer"
-    figure.supxlabel(note, x=0.012, ha="left", fontsize=SMALL, color=GREY)
+    figure.supxlabel(note, x=0.012, ha="left", color=GREY)
 
 
 def _best_chain(post: Posterior) -> int:
     return int(np.nanargmax(array(post.tree, "sample_stats", "log_joint").max(axis=1)))
 
 
-def _whole_ticks(axes: Axes, n: int) -> None:
+def _whole_ticks(axis: Axis, n: int) -> None:
     """Mark whole numbers from 1 to ``n``, at most seven."""
     step = next(s for p in range(9) for s in (10**p, 2 * 10**p, 5 * 10**p) if n / s <= 7)
-    axes.set_xticks(sorted({1, *range(step, n + 1, step)}))
+    axis.set_ticks(sorted({1, *range(step, n + 1, step)}))
 
 
-def _chain_ticks(axes: Axes, n: int) -> None:
-    marked = range(1, n + 1) if n <= 5 else [1, *range(5, n + 1, 5 * -(-n // 25))]
-    axes.set_yticks(list(marked))
+def _chain_rows(axes: Axes, n: int) -> None:
+    """Mark the rows of ``n`` chains, with lines between them where there is room."""
+    if n <= _MOST_LINES:
+        axes.hlines(np.arange(1, n) + 0.5, *axes.get_xlim(), color="white", lw=0.7)
+    _whole_ticks(axes.yaxis, n)
+    axes.spines[:].set_visible(False)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
-import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import xarray as xr
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
+from phase_ppl.analysis.figures.posterior import RELATION_COLOUR, bars, line_colour, titles
 from phase_ppl.analysis.figures.style import (
     COLOURS,
     GREY,
@@ -20,22 +21,17 @@ from phase_ppl.analysis.figures.style import (
     NORMAL,
     OTHER,
     SIMULATED_TIME,
-    SMALL,
     direct_labels,
-    dressed,
     figure_of,
     in_shares,
     new_figure,
     written,
 )
-from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.render.frames import BACKGROUND, PANEL, Painter, between_frames, panel, side_by_side
-from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, Film, encode_mp4
-from phase_ppl.world.files import atomic_output
+from phase_ppl.render.frames import PANEL, Painter, between_frames, panel, side_by_side
+from phase_ppl.render.video import FRAMES_PER_STEP, Film, film
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.picture import Colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,10 +71,8 @@ def over_time(
     """
     found = post.over_time()
     n_panels = len(post.goals_of) + len(post.relations_of)
-    figure = new_figure(7.5, 2.2 * max(n_panels, 2), "constrained")
-    figure.suptitle(post.event_id, x=0.012, ha="left", fontsize=10, color=INK)
     note = next(words for kind, words in _NOTES.items() if kind in found.attrs)
-    figure.supxlabel(textwrap.fill(note, 120), x=0.012, ha="left", fontsize=SMALL + 0.3, color=GREY)
+    figure = new_figure(7.5, 2.2 * max(n_panels, 2), post.event_id, note)
     shown = {name: _leading(found[name]) for name in post.goals_of.values()}
     goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
     # of more goals than colours some share theirs: labels stand beside the lines
@@ -86,19 +80,11 @@ def over_time(
     shown |= {key: list(_RELATION_COLOURS) for key in post.relations_of.values()}
     heights = [5] * len(post.goals_of) + [4] * len(post.relations_of)
     rows = figure.subplots(len(heights), 1, squeeze=False, sharex=True, height_ratios=heights)
-    panels = list(rows[:, 0])
-    for axes, (name, title) in zip(panels, titles(post).items(), strict=True):
-        dressed(axes, title, x=SIMULATED_TIME if axes is panels[-1] else "")
+    for axes, (name, title) in zip(rows[:, 0], titles(post).items(), strict=True):
+        axes.set_title(title)
         _panel(axes, found[name], found.get(f"{name}_error"), shown[name], colours)
+    rows[-1, 0].set_xlabel(SIMULATED_TIME)
     return written(figure, path)
-
-
-def titles(post: Hypotheses | type[Hypotheses]) -> dict[str, str]:
-    """Return quantity -> title of what shows it."""
-    found = {name: f"Goal of the {agent}" for agent, name in post.goals_of.items()}
-    for label, name in post.relations_of.items():
-        found[name] = "Relation" if label == name else f"Relation of {label}"
-    return found
 
 
 def _leading(marginal: xr.DataArray) -> list[str]:
@@ -121,7 +107,7 @@ def _panel(
     ends = []
     for label in labels:
         values = marginal.sel({dim: label}).values
-        axes.plot(time, values, color=colours[label], lw=1.8, solid_capstyle="round", zorder=3)
+        axes.plot(time, values, color=colours[label], lw=1.8, zorder=3)
         if errors is not None:
             within = 1.96 * errors.sel({dim: label}).values
             low, high = np.clip([values - within, values + within], 0, 1)
@@ -150,20 +136,19 @@ def why(
     """
     found = post.why(event, over)
     time, change = found["time"].values, found["change"].values
-    figure = new_figure(8, 5.6, "constrained")
     title = f"{post.event_id}\n{found.attrs['event']}  over  {found.attrs['over']}"
-    figure.suptitle(title, x=0.012, ha="left", fontsize=NORMAL + 1, color=INK)
+    figure = new_figure(8, 5.6, title)
     upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(2, 1))[:, 0]
     odds, steps = upper.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     values, within = found["log_odds"].values, 1.96 * found["error"].values
     odds.fill_between(time, values - within, values + within, color="#dddddd", lw=0)
     odds.plot(time, values, color=INK, lw=1.8)
-    dressed(odds, "", y="log odds [nats]")
+    odds.set_ylabel("log odds [nats]")
     width = float(time[1] - time[0]) if len(time) > 1 else 1.0
     colours = [COLOURS[2] if step > 0 else COLOURS[1] for step in change]
     steps.bar(time, change, width=width, color=colours)
     steps.set_xlim(time[0] - width, time[-1] + width)
-    dressed(steps, "", x=SIMULATED_TIME, y="change by\neach frame")
+    steps.set(xlabel=SIMULATED_TIME, ylabel="change by\neach frame")
     for axes in (odds, steps):
         axes.axhline(0, color="#999999", lw=0.8)
     painter, poses = Painter(post.scene), post.observed()
@@ -173,7 +158,7 @@ def why(
     for still, frame in zip(stills, _deciding(change), strict=False):
         still.imshow(np.asarray(panel(painter.draw(poses[frame]))))
         words = f"{time[frame]:.1f} s: {change[frame]:+.2f}"
-        still.set_title(words, fontsize=NORMAL, color=colours[frame], pad=2)
+        still.set_title(words, loc="center", fontsize=NORMAL, color=colours[frame], pad=2)
         for axes in (odds, steps):
             axes.axvline(time[frame], color="#bbbbbb", lw=0.7, ls=":", zorder=0)
     return written(figure, path)
@@ -192,20 +177,13 @@ def _deciding(change: np.ndarray) -> list[int]:
 
 # --- as a film ------------------------------------------------------------------------------------
 
-_FILLS: Final = {"goal_red": (214, 47, 47), "goal_green": (28, 138, 60), "relation": (76, 91, 118)}
-"""Quantity -> colour of its bars in PHASE."""
-
 _GOALS: Final = 12  # of all agents, for which there is room
-_MARGIN: Final = 18
-_TITLE_SIZE: Final = 15
-_TEXT_SIZE: Final = 13
+_PER_INCH: Final = 100
 _ROW: Final = 19
-_GAP: Final = 12
-_NAME_WIDTH: Final = 220
-_INK: Final = (34, 34, 34)
-_SOFT: Final = (225, 225, 225)
+"""Pixels of an inch of a figure, and of a bar, in the film."""
 
 
+@figure_of(StepwisePosterior)
 def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     """Write the video with the posterior at each frame beside it, as MP4.
 
@@ -219,68 +197,42 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     Raises:
         OutputError: another ending, or the file cannot be written.
     """
-    found = post.over_time()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    found, named = post.over_time(), titles(post)
     n = _GOALS // max(2, len(post.goals_of))
     shown = {name: _ever_leading(found[name], n) for name in post.goals_of.values()}
     shown |= {key: list(RELATIONS) for key in post.relations_of.values()}
-    of_agents = zip(post.goals_of.values(), post.scene.world.entity_colours, strict=False)
-    colours = dict(of_agents) | _FILLS
-    titled, painter = titles(post), Painter(post.scene)
-    poses = between_frames(post.observed(), FRAMES_PER_STEP)
+    colours = {
+        name: line_colour(post.scene.world, i) for i, name in enumerate(post.goals_of.values())
+    }
+    rows = [len(labels) + 1.6 for labels in shown.values()]
+    height = max(PANEL, 2 * round(_ROW / 2 * sum(rows)))  # films have an even number of lines
+    figure = new_figure(PANEL / _PER_INCH, height / _PER_INCH)
+    figure.set_layout_engine("constrained", w_pad=0.15, h_pad=0.12)
+    canvas = FigureCanvasAgg(figure)
+    panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=rows)[:, 0]
+    painter, poses = Painter(post.scene), between_frames(post.observed(), FRAMES_PER_STEP)
+
+    @functools.lru_cache(1)
+    def believed(frame: int) -> Image.Image:
+        at = found.isel(time=frame)
+        for axes, (name, labels) in zip(panels, shown.items(), strict=True):
+            axes.clear()
+            share, error = (at[key].sel({f"{name}_is": labels}) for key in (name, f"{name}_error"))
+            bars(axes, labels, share, error, colours.get(name, RELATION_COLOUR))
+            axes.set(title=named[name], xticks=[])
+            axes.spines["bottom"].set_visible(False)
+        canvas.draw()
+        figure.set_layout_engine("none")  # the same for all frames
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
     def draw(index: int) -> Image.Image:
         # a drawn frame shows what is on the way to the next; that one is not known yet
-        at = found.isel(time=index // FRAMES_PER_STEP)
-        groups = {
-            name: [
-                (
-                    label,
-                    float(at[name].sel({f"{name}_is": label})),
-                    float(at[f"{name}_error"].sel({f"{name}_is": label})),
-                )
-                for label in labels
-            ]
-            for name, labels in shown.items()
-        }
-        return side_by_side([panel(painter.draw(poses[index])), _bars(groups, titled, colours)])
+        beside = believed(index // FRAMES_PER_STEP)
+        return side_by_side([panel(painter.draw(poses[index])), beside])
 
-    with atomic_output(path, (".mp4",)) as part:
-        encode_mp4(map(draw, range(len(poses))), part, FRAMES_PER_SECOND)
-    return Film(path)
-
-
-def _bars(
-    groups: Mapping[str, list[tuple[str, float, float]]],
-    titles: Mapping[str, str],
-    colours: Mapping[str, Colour],
-) -> Image.Image:
-    """Return probabilities (quantity -> label, share, error) as bars, at least a frame high."""
-    rows = sum(len(entries) + 1 for entries in groups.values())
-    height = 2 * _MARGIN + 2 * _GAP + rows * _ROW + len(groups) * (_GAP + 2)
-    height += height % 2  # films have an even number of lines
-    picture = Image.new("RGB", (PANEL, max(PANEL, height)), BACKGROUND)
-    draw = ImageDraw.Draw(picture)
-    title_font, font = ImageFont.load_default(_TITLE_SIZE), ImageFont.load_default(_TEXT_SIZE)
-    left, right = _MARGIN + _NAME_WIDTH, PANEL - _MARGIN - 40
-    y = _MARGIN + 2 * _GAP
-    for name, entries in groups.items():
-        colour = colours.get(name, _FILLS["relation"])
-        draw.text((_MARGIN, y), titles[name], fill=_INK, font=title_font, anchor="lm")
-        y += _ROW + 2
-        for label, share, error in entries:
-            draw.text((_MARGIN, y), label, fill=_INK, font=font, anchor="lm")
-            draw.rectangle((left, y - 6, right, y + 6), fill=_SOFT)
-            if share > 0:
-                end = left + max(1, round(share * (right - left)))
-                draw.rectangle((left, y - 6, end, y + 6), fill=colour)
-            if error > 0:
-                reach = np.clip([share - error, share + error], 0, 1)
-                ends = [left + round(float(part) * (right - left)) for part in reach]
-                draw.line((ends[0], y, ends[1], y), fill=_INK, width=2)
-            draw.text((right + 6, y), f"{share:.2f}", fill=_INK, font=font, anchor="lm")
-            y += _ROW
-        y += _GAP
-    return picture
+    return film(draw, len(poses), path)
 
 
 def _ever_leading(marginal: xr.DataArray, n: int) -> Sequence[str]:

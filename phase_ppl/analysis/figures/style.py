@@ -6,10 +6,12 @@ import functools
 import inspect
 import io
 import os
+import textwrap
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final, Literal, ParamSpec
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import atomic_output
@@ -42,27 +44,67 @@ MANY_COLOURS: Final = (
 OTHER: Final = "#d0d0d0"
 """Colour of what has none of its own."""
 
+STYLE: Final[Any] = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.labelpad": 2,
+    "axes.labelsize": NORMAL,
+    "axes.linewidth": 0.7,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlesize": NORMAL + 1,
+    "figure.labelsize": SMALL,
+    "figure.titlesize": NORMAL + 1,
+    "font.size": SMALL,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "legend.fontsize": SMALL + 0.5,
+    "legend.frameon": False,
+    "lines.solid_capstyle": "round",
+    "text.color": INK,
+    "text.parse_math": False,
+    **{f"{axis}tick.{name}": value for axis in "xy" for name, value in
+       {"color": INK, "labelsize": SMALL + 0.5, "major.size": 3, "major.width": 0.7}.items()},
+}  # fmt: skip
+"""Of all figures, in matplotlib's names."""
+
+_PER_INCH: Final = 17.5  # small characters of a line
 
 P = ParamSpec("P")
+R = TypeVar("R")
 
 
-def new_figure(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
+def new_figure(width: float, height: float, title: str = "", note: str = "") -> Figure:
     """Return an empty white figure, inches, that belongs to no global state.
 
-    A notebook that shows it draws it, whatever the backend.
+    It finds the place of its parts; the title stands above them on the left, the note below. A
+    notebook that shows it draws it, whatever the backend.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    figure = _figure_class()(figsize=(width, height), facecolor="white", layout=layout)
+    figure = _figure_class()(figsize=(width, height), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, x=0.1 / width, ha="left")
+    if note:
+        lines = textwrap.fill(note, int(_PER_INCH * width))
+        figure.supxlabel(lines, x=0.1 / width, ha="left", color=GREY)
     return figure
 
 
 @functools.cache
 def _figure_class() -> type[Figure]:
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     class ShownFigure(Figure):  # matplotlib is loaded where something is drawn
+        def draw(self, renderer: Any) -> None:
+            with rc_context(STYLE):  # some parts are only made now
+                super().draw(renderer)
+
         def _repr_png_(self) -> bytes:
             buffer = io.BytesIO()
             self.savefig(buffer, format="png")
@@ -71,19 +113,32 @@ def _figure_class() -> type[Figure]:
     return ShownFigure
 
 
-def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:
+def in_style(draw: Callable[P, R]) -> Callable[P, R]:
+    """Have a function draw in the common style."""
+
+    @functools.wraps(draw)
+    def styled(*args: P.args, **options: P.kwargs) -> R:
+        from matplotlib import rc_context
+
+        with rc_context(STYLE):
+            return draw(*args, **options)
+
+    return styled
+
+
+def figure_of(*kinds: type) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Have a function refuse, in one line, to draw anything but these kinds of objects."""
     expected = " or ".join(f"a phase_ppl.{kind.__name__}" for kind in kinds)
 
-    def checking(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    def checking(draw: Callable[P, R]) -> Callable[P, R]:
         first = next(iter(inspect.signature(draw).parameters))
 
         @functools.wraps(draw)
-        def checked(*args: P.args, **options: P.kwargs) -> Figure:
+        def checked(*args: P.args, **options: P.kwargs) -> R:
             given = args[0] if args else options.get(first)
             if not isinstance(given, kinds):
                 raise InvalidSettingError(f"{draw.__name__} of {shown(given)}, expected {expected}")
-            return draw(*args, **options)
+            return in_style(draw)(*args, **options)
 
         return checked
 
@@ -98,37 +153,20 @@ def written(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
     return figure
 
 
-def bare(axes: Axes, *more: str) -> None:
-    """Leave the left and lower axis only, or fewer, in thin lines."""
-    for side in ("top", "right", *more):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_linewidth(0.7)
-        axes.spines[side].set_color(INK)
-    axes.tick_params(labelsize=SMALL + 0.5, width=0.7, length=3, colors=INK)
-
-
-def dressed(axes: Axes, title: str, note: str = "", *, x: str = "", y: str = "") -> None:
-    """Leave the left and lower axis only; write a title, a note below it, and labels of axes."""
-    bare(axes)
-    axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK, pad=14 if note else 6)
-    if note:
-        axes.text(0, 1.02, note, transform=axes.transAxes, fontsize=SMALL, color=GREY)
-    axes.set_xlabel(x, fontsize=NORMAL, color=INK, labelpad=2)
-    axes.set_ylabel(y, fontsize=NORMAL, color=INK)
+def titled(axes: Axes, title: str, note: str = "", **style: Any) -> None:
+    """Write a title, and smaller what stands between it and the axes."""
+    axes.set_title(title, pad=15 if note else 6, **style)
+    axes.annotate(
+        note, (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points", color=GREY,
+        annotation_clip=False,
+    )  # fmt: skip
 
 
 def in_shares(axes: Axes) -> None:
     """Let the vertical axis go from 0 to 1, with faint lines."""
     axes.set_ylim(0, 1.02)
     axes.set_yticks([0, 0.5, 1], ["0", "0.5", "1"])
-    faint_lines(axes)
-
-
-def faint_lines(axes: Axes) -> None:
-    """Draw faint horizontal lines below all else."""
-    axes.grid(axis="y", color="#e6e6e6", lw=0.6)
-    axes.set_axisbelow(True)
+    axes.grid(axis="y")
 
 
 def direct_labels(
@@ -139,29 +177,18 @@ def direct_labels(
     ``ends`` are y, name and colour on axes with final limits; ``gap`` is the least distance of two
     names, as a share of the axis.
     """
+    if not ends:
+        return
     low, high = axes.get_ylim()
+    ends = sorted(ends)
     wanted = np.array([(y - low) / (high - low) for y, _, _ in ends])
-    order = np.argsort(wanted)
-    places = wanted[order].copy()
-    for _ in range(200):
-        gaps = np.diff(places)
-        for i in np.flatnonzero(gaps < gap - 1e-9):
-            push = (gap - gaps[i]) / 2
-            places[i] -= push
-            places[i + 1] += push
-        places[0] += max(0.0, 0.02 - places[0])
-    for place, i in zip(places, order, strict=True):
-        _, name, colour = ends[i]
+    steps = gap * np.arange(len(ends))
+    # of all places that are so far apart, the nearest
+    places = np.maximum(isotonic_regression(wanted - steps).x, 0.02) + steps
+    for (_, name, colour), at, place in zip(ends, wanted, places, strict=True):
         line = {"arrowstyle": "-", "color": colour, "lw": 0.7, "relpos": (0, 0.5)}
         axes.annotate(
-            name,
-            (1.0, wanted[i]),
-            xycoords="axes fraction",
-            xytext=(1.035, place),
-            textcoords="axes fraction",
-            va="center",
-            fontsize=NORMAL,
-            color=colour,
-            annotation_clip=False,
+            name, (1.0, at), (1.035, place), xycoords="axes fraction", textcoords="axes fraction",
+            va="center", fontsize=NORMAL, color=colour, annotation_clip=False,
             arrowprops={**line, "shrinkA": 0, "shrinkB": 0},
-        )
+        )  # fmt: skip

@@ -18,7 +18,7 @@ from markupsafe import Markup
 
 import phase_ppl
 from phase_ppl.analysis import plots
-from phase_ppl.analysis.figures.over_time import titles
+from phase_ppl.analysis.figures.posterior import titles
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, Hypotheses
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -27,7 +27,7 @@ from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.figures import drawings_of
-from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results
+from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, scenarios_of
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
@@ -39,9 +39,9 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.picture import trail_colour
 from phase_ppl.world.progress import counted
-from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.scene import PHASE, Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,8 +54,6 @@ _WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
 _PANELS: Final = 6
 _STRIP_WIDTH: Final = 1200
 """Pixels."""
-
-_COLOURS: Final = {"goal_red": "#d62f2f", "goal_green": "#1c8a3c"}
 
 _DIAGNOSTICS: Final = {
     "kernel": "kernel",
@@ -242,13 +240,13 @@ def _posterior(evaluation: Evaluation, event_id: str) -> Posterior | None:
 def run_page(folder: Path) -> str:
     """Return the page of the run of inference in ``folder``."""
     post = load_posterior(folder / POSTERIOR)
-    check_phase(post.scene, "a report")
     strips = [_strip("Observed", post.observed(), post.scene, post.event_id)]
     shown: dict[str, Any] = {"decided": None}
     if isinstance(post, StepwisePosterior):
         beside = "what can be believed until then on the right."
-        best, second = (name for name, _ in post.top("relation", 2))
-        figure = plots.why(post, f"relation={best}", f"relation={second}")
+        asked = next(iter((*post.relations_of.values(), *post.goals_of.values())))
+        best, second = (label for label, _ in post.top(asked, 2))
+        figure = plots.why(post, f"{asked}={best}", f"{asked}={second}")
         alt = f"Log odds of {best} over {second} by frame, and the frames that changed them most."
         shown["decided"] = figure_of(figure, alt)
     else:
@@ -262,6 +260,9 @@ def run_page(folder: Path) -> str:
             if (v := found.get(name)) is not None
         ]
         shown["rest"] = {name: value for name, value in found.items() if name != "verdict"}
+    best_record = post.map_record()
+    if post.scene.world == PHASE:
+        best_record["alpha"] = ALPHA_WORDS[ALPHAS.index(post.map().alpha)]
     alt = "Goals, relation, scenario, tracks and strengths, as listed above."
     return page(
         "run.html",
@@ -269,9 +270,9 @@ def run_page(folder: Path) -> str:
         heading=post.event_id,
         film=_film_of_run(folder / REPLAY, f"Film: the observation on the left, {beside}"),
         strips=strips,
-        bars=_bars(post),
-        strengths=[_strength(post, agent) for agent in AGENTS],
-        best={**post.map_record(), "alpha": ALPHA_WORDS[ALPHAS.index(post.map().alpha)]},
+        bars=list(_bars(post)),
+        strengths=[(agent, _strength(post, name)) for agent, name in post.strengths_of.items()],
+        best=best_record,
         verdict=post.diagnostics()["verdict"],
         posterior=figure_of(plots.posterior(post), alt),
         cost=post.cost,
@@ -291,22 +292,20 @@ def _film_of_run(source: Path, words: str) -> tuple[str, str] | None:
 
 def _bars(
     post: Posterior | StepwisePosterior,
-) -> list[tuple[str, str, Sequence[tuple[str, float]]]]:
-    """Return title, colour and the most probable answers of each quantity."""
-    found: list[tuple[str, str, Sequence[tuple[str, float]]]] = []
-    for name, colour in _COLOURS.items():
-        entries = [entry for entry in post.top(name, MAX_ROWS) if entry[1] >= LEAST]
-        found.append((titles(Hypotheses)[name], colour, entries))
-    for name in ("relation", "scenario"):
-        found.append((name.capitalize(), MODEL_COLOUR, post.top(name, len(post.marginal(name)))))
-    return found
+) -> Iterator[tuple[str, str, Sequence[tuple[str, float]]]]:
+    """Yield title, colour and the most probable answers of each quantity."""
+    named = titles(post) | {name: label.capitalize() for label, name in post.scenarios_of.items()}
+    agents = dict(zip(post.goals_of.values(), post.scene.world.entity_colours, strict=False))
+    for name, title in named.items():
+        least = LEAST if name in agents else 0.0
+        entries = [entry for entry in post.top(name, MAX_ROWS) if entry[1] >= least]
+        colour = f"rgb{trail_colour(agents[name])}" if name in agents else MODEL_COLOUR
+        yield title, colour, entries
 
 
-def _strength(post: Posterior | StepwisePosterior, agent: str) -> tuple[str, str]:
-    name = f"strength_{agent.split()[0]}"
+def _strength(post: Posterior | StepwisePosterior, name: str) -> str:
     low, high = post.hdi(name).values
-    interval = f"{HDI_PROBABILITY:.0%} interval {low:.0f} to {high:.0f} N"
-    return agent, f"{post.mean(name)} N ({interval})"
+    return f"{post.mean(name)} N ({HDI_PROBABILITY:.0%} interval {low:.0f} to {high:.0f} N)"
 
 
 # --- an evaluation ---------------------------------------------------------------------------
@@ -345,15 +344,15 @@ def evaluation_page(
     evaluation: Evaluation, *, videos: bool = False, progress: bool | None = None
 ) -> str:
     """Return the page of an evaluation."""
-    results = Results(evaluation)
+    scenarios = scenarios_of(evaluation)
     state = f"{len(evaluation.predictions)} of {len(evaluation.events)} events predicted"
     if not evaluation.finished:
         state += "; not finished: tables and figures are about these"
-    drawn, left_out = _figures(results)
-    present = {name: name for name in SCENARIOS if name in results.scenarios.values()}
+    drawn, left_out = _figures(evaluation)
+    present = {name: name for name in SCENARIOS if name in scenarios.values()}
     items = []
-    for event in counted(results.source.events, progress, "event", "showing"):
-        shown = [one for one in results.source.answers if event.id in one.predictions]
+    for event in counted(evaluation.events, progress, "event", "showing"):
+        shown = [one for one in evaluation.answers if event.id in one.predictions]
         own = next((o.predictions[event.id] for o in shown if o.kind == "model"), None)
         post = None if own is None else _posterior(evaluation, event.id)
         items.append({**_item(event, shown, post, videos), **_outcome(event, own)})
@@ -361,7 +360,7 @@ def evaluation_page(
         "evaluation.html",
         title=f"Evaluation of {label_of(evaluation.name)}",
         state=f"{state}.",
-        summary=_summary(results.source.measured),
+        summary=_summary(evaluation.measured),
         drawn=drawn,
         left_out=left_out,
         failures=[(event_id, in_words(what)) for event_id, what in evaluation.failures.items()],
@@ -421,7 +420,7 @@ def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
 def comparison_page(comparison: ModelComparison, *, progress: bool | None = None) -> str:
     """Return the page of a comparison of models."""
     shown = {answers.name: answers for answers in comparison.answers}
-    drawn, left_out = _figures(Results(comparison))
+    drawn, left_out = _figures(comparison)
     return page(
         "comparison.html",
         title="Comparison of models",
@@ -460,7 +459,7 @@ def _compared(comparison: ModelComparison, progress: bool | None) -> dict[str, A
 
 def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
     """Return the page of a reproduction."""
-    drawn, left_out = _figures(Results(made.comparison))
+    drawn, left_out = _figures(made.comparison)
     for title, alt, draw in made.drawn:
         try:
             drawn.append((title, figure_of(draw(), alt)))
