@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import json
 import random
 import secrets
@@ -26,18 +27,9 @@ from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from phase_ppl.study import plan
-from phase_ppl.study.room import (
-    KEYS,
-    Controls,
-    Message,
-    Outbox,
-    PlaySettings,
-    Room,
-    Seat,
-    settings_record,
-)
+from phase_ppl.study.room import KEYS, Controls, Message, Outbox, Room, Seat
+from phase_ppl.study.server import MOST_MESSAGE, Site, same_origin
 from phase_ppl.study.store import COMPLETE, Participant
-from phase_ppl.study.web import MOST_MESSAGE, Site, same_origin
 from phase_ppl.world.names import BLUE_ITEM, NOTHING
 from phase_ppl.world.scene import Scene
 
@@ -99,7 +91,7 @@ class Lobby:
 
     def __init__(self, site: Site) -> None:
         self.site = site
-        self.settings = PlaySettings(**site.settings.play)
+        self.settings = site.settings.play
         self._seats: dict[str, Seat] = {}
         self._attending: dict[str, asyncio.Task[None]] = {}
         self._waiting: dict[str, asyncio.Future[asyncio.Task[None]]] = {}
@@ -267,15 +259,8 @@ class Lobby:
         if outcome == "left":
             return False
         answers = {"done": len(done), "of": len(TASKS), "steps": len(room.steps)}
-        await self._answered(seat, "practice", answers)
+        await self.site.answer(str(seat.who), "practice", answers)
         return True
-
-    async def _answered(self, seat: Seat, page: str, answers: dict[str, Any]) -> None:
-        if seat.who is not None:
-            await self.site.ask(
-                self.site.store.answer, seat.who, page, 1, answers,
-                outcome=lambda participant: plan.outcome(self.site.settings, participant),
-            )  # fmt: skip
 
     async def _meet(self, seat: Seat) -> bool:
         """Wait for somebody, and play with them; whether they are still there."""
@@ -353,13 +338,9 @@ class Lobby:
         """Play one session, keep it, and return its outcome."""
         site, settings, store = self.site, self.settings, self.site.store
         pages = {person.id: str(self._page(person)) for person in people}
-        known = {s["event"] for p in people for s in await site.ask(store.sessions_of, p.id)}
         since = time.time() - 2 * settings.seconds
-        event = site.events[await site.ask(store.least_played, since, tuple(known))]
+        event = site.events[await site.ask(store.least_played, since, tuple(pages))]
         truth, scene, seed = event.truth, settings.scene(event.scene), secrets.randbits(32)
-        assert truth is not None
-        assert truth.strength_red is not None
-        assert truth.strength_green is not None
         goals = truth.goal_red, truth.goal_green
         strengths = truth.strength_red, truth.strength_green
         room = Room(scene, goals, strengths, settings, seats, computer=np.random.default_rng(seed))
@@ -379,15 +360,15 @@ class Lobby:
                     seat.show([{"t": "go"}])
             return "left"
         await self._count_down(seats, count)
+        record = {**dataclasses.asdict(settings), "turning": scene.turning, "computer_seed": seed}
         session = await site.ask(
-            store.open_session, "session", event.id, goals, strengths,
-            {**settings_record(settings, scene), "computer_seed": seed}, [s.who for s in seats],
-        )  # fmt: skip
+            store.open_session, event.id, goals, strengths, record, [s.who for s in seats]
+        )
         outcome = await self._played(room, session)
         for seat in seats:
             if seat.who is not None and outcome in COMPLETE:
                 answers = {"session": session, "outcome": outcome}
-                await self._answered(seat, pages[seat.who], answers)
+                await site.answer(seat.who, pages[seat.who], answers)
             elif seat.who is not None:
                 how = "partner_left" if seat.is_connected else "left"
                 await site.ask(store.end, seat.who, how)

@@ -28,7 +28,7 @@ import numpy as np
 from phase_ppl.evaluation import evaluate as evaluation_module
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.experiments import LABELS
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
 from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
@@ -347,8 +347,11 @@ class Person:
         return self._judged(self.beliefs[self.events[film]], page)
 
     def _judged(self, belief: Prediction, page: Mapping[str, Any]) -> dict[str, Any]:
-        goals = (plan.allowed_goals(self.settings, agent) for agent in range(2))
-        allowed = {**QUESTIONS, **dict(zip(("goal_red", "goal_green"), goals, strict=True))}
+        goals = {
+            question: plan.allowed_goals(agent, self.settings.self_goals)
+            for agent, question in GOAL_QUESTIONS.items()
+        }
+        allowed: Mapping[str, Sequence[str]] = {**QUESTIONS, **goals}
         drawn = {q: self._drawn(belief, q, options) for q, options in allowed.items()}
         asked = {question["name"] for question in page["questions"]}
         if "labels" in asked:

@@ -162,7 +162,7 @@ def rows(study: Study, query: str) -> list[dict[str, Any]]:
 
 
 def made(tmp_path: Path, clips: Path, kind: str = "judgment", **given: Any) -> Study:
-    study = make_study(tmp_path / "study", kind, n=3, **given)
+    study = make_study(tmp_path / "study", kind, **given)
     shutil.copytree(clips, study.folder / "clips", dirs_exist_ok=True)
     return study
 

@@ -15,12 +15,12 @@ import phase_ppl as ppl
 from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import OutputError, UnknownNameError
-from tests.study.studies import HOST, JUDGED, Person, make_study
+from tests.study.studies import HOST, JUDGED, Person, edit, make_study
 
 
 @pytest.fixture(autouse=True)
 def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.study.web.Site.allow", lambda *args: True)
+    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -43,7 +43,7 @@ def come(study: Study, *people: dict[str, Any]) -> list[str]:
 def judged(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """Two finished, one excluded, one withdrawn, one failed the quiz, one left, one declined."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phase_ppl.study.web.Site.allow", lambda *args: True)
+        patch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
         study = make_study(tmp_path_factory.mktemp("judged") / "study", tries=1)
         ids = come(study, JUDGED, {**JUDGED, "relation": "friendly"}, JUDGED, JUDGED)
         study.exclude(ids[2], "slept, said so")
@@ -126,10 +126,7 @@ def test_an_export_replaces_an_export_and_nothing_else(judged: Study, tmp_path: 
 
 def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
-    file = study.folder / "study.toml"
-    text = file.read_text("utf-8").replace("[checks]", '[checks]\ncompete = ["adversarial"]')
-    file.write_text(text, "utf-8")
-    study = Study(study.folder)
+    study = edit(study, "[checks]", '[checks]\ncompete = ["adversarial"]')
     come(study, {**JUDGED, "relation": "adversarial"}, {**JUDGED, "relation": "friendly"})
     out = study.export(tmp_path / "out")
     assert [p["checks_missed"] for p in table(out / "participants.csv")] == ["0", "1"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import heapq
 import json
 import random
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 
 from phase_ppl.study import store as store_module
+from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Refused, Stimulus, Store
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 
@@ -41,19 +43,24 @@ def videos(n: int) -> list[Stimulus]:
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
     found = Store.create(tmp_path / "study.db", "judgment", videos(6))
-    found.use_settings("c", "text")
     yield found
     found.close()
 
 
-def enter(store: Store, **given: Any) -> str:
-    asked = {"place_kept": 3600, "trials": 2, "raters": 5, "checks": (), "most": 1000,
-             "per_minute": 1000}  # fmt: skip
-    return store.enter("c", **{**asked, **given})[0]
+SETTINGS = dataclasses.replace(
+    Settings.parse('kind = "judgment"'), trials=2, raters=5, most_entries=1000,
+    entries_per_minute=1000,
+)  # fmt: skip
+
+
+def enter(store: Store, person: str = "", **given: Any) -> str:
+    settings = dataclasses.replace(SETTINGS, **given)
+    store.use_settings(settings)
+    return store.enter(settings, person)[0]
 
 
 def assigned(store: Store, who: str, **given: Any) -> list[int]:
-    store.assign(who, **{"trials": 2, "place_kept": 3600, **given})
+    store.assign(who, dataclasses.replace(SETTINGS, **given))
     trials = store.participant(who).trials
     assert trials is not None
     return [trial.stimulus for trial in trials]
@@ -63,7 +70,6 @@ def test_twenty_people_a_video_where_some_leave(tmp_path: Path, clock: Clock) ->
     # 100 videos, 10 a person, 15 people at a time, 15 % of whom leave, until the study is full
     store = Store.create(tmp_path / "study.db", "judgment", videos(100))
     store._db.execute("PRAGMA synchronous=OFF")
-    store.use_settings("c", "text")
     chance = random.Random(3)
     at_it: list[tuple[float, str]] = []
     entered = 0
@@ -115,7 +121,6 @@ def test_films_have_another_name_for_everybody(store: Store) -> None:
 def test_reflected_copies_are_not_shown_to_the_same_person(tmp_path: Path) -> None:
     copies = [Stimulus(f"{k}", copies=str(k // 3), file=f"{k}.mp4") for k in range(9)]
     store = Store.create(tmp_path / "study.db", "judgment", copies)
-    store.use_settings("c", "text")
     for _ in range(9):
         seen = assigned(store, enter(store), trials=3)
         assert sorted((number - 1) // 3 for number in seen) == [0, 1, 2]
@@ -126,7 +131,7 @@ def test_checks_come_among_the_others_for_everybody(store: Store) -> None:
     places = set()
     for _ in range(20):
         who = enter(store, raters=20)
-        assigned(store, who, checks=("event-0", "event-1"))
+        assigned(store, who, checks=dict.fromkeys(("event-0", "event-1"), ("neutral",)))
         roles = [trial.role for trial in store.participant(who).trials or ()]
         assert sorted(roles) == ["check", "check", "main", "main"]
         places.add(tuple(roles))
@@ -138,7 +143,6 @@ def test_checks_come_among_the_others_for_everybody(store: Store) -> None:
 def test_groups_are_equally_large_and_see_their_own_videos(tmp_path: Path) -> None:
     pairs = [Stimulus(f"{g}{k}", g, k, file="x") for g in ("played", "generated") for k in range(3)]
     store = Store.create(tmp_path / "study.db", "likeness", pairs)
-    store.use_settings("c", "text")
     groups = []
     for _ in range(20):
         who = enter(store, raters=20)
@@ -176,14 +180,14 @@ def test_an_excluded_person_is_replaced(store: Store) -> None:
 
 
 def test_entries_are_limited_by_minute_and_in_total(store: Store, clock: Clock) -> None:
-    enter(store, per_minute=2)
-    enter(store, per_minute=2)
+    enter(store, entries_per_minute=2)
+    enter(store, entries_per_minute=2)
     with pytest.raises(Refused, match="busy"):
-        enter(store, per_minute=2)
+        enter(store, entries_per_minute=2)
     clock.now += 61
-    enter(store, per_minute=2)
+    enter(store, entries_per_minute=2)
     with pytest.raises(Refused, match="full"):
-        enter(store, most=3)
+        enter(store, most_entries=3)
 
 
 def test_who_comes_again_is_known_but_not_by_name(store: Store) -> None:
@@ -298,7 +302,7 @@ def test_played_scenes_are_shared_out(tmp_path: Path) -> None:
     goals, strengths = ("get to green agent", "get to red agent"), (300.0, 300.0)
     for _ in range(4):
         event = store.least_played(0.0)
-        session = store.open_session("session", event, goals, strengths, {}, [None, None])
+        session = store.open_session(event, goals, strengths, {}, [None, None])
         store.end_session(session, "goals")
     assert Counter(row["event"] for row in store.sessions()) == {"a": 2, "b": 2}
     store.close()
