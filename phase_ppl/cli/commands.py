@@ -213,8 +213,8 @@ SHARED: Final[Mapping[str, Mapping[str, Any]]] = {
     "planner": {"name": "--planner", "default": "fast", "choices": ("fast", "paper")},
     "workers": {"name": "--workers N", "says": "processes; default one per usable core",
                 "type": whole(1)},
-    "dask": {"name": "--dask ADDRESS", "says": "a dask scheduler, as in machine:8786, whose workers "
-             "do the work; --workers then says how much they are given at a time"},
+    "dask": {"name": "--dask ADDRESS", "says": "a dask scheduler, as in machine:8786, whose "
+             "workers do the work; --workers then says how much they are given at a time"},
     "shard": {"name": "--shard I/N", "says": "do only share I of N, in a folder of its own; then "
               f"{MERGES}"},
     "other_versions": {"name": "--other-versions", "says": "go on although it was begun by other "

@@ -92,8 +92,8 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
         "strength_green": "newtons",
         "red": "participant, or computer",
         "green": "participant, or computer",
-        "outcome": "goals: both were reached; time: it was up; left: a player was gone; stopped: the "
-        "server was ended",
+        "outcome": "goals: both were reached; time: it was up; left: a player was gone; stopped: "
+        "the server was ended",
         "steps": "planner steps, one frame each",
         "seconds": "that they took to play",
         "steps_per_second": "as played",
@@ -228,10 +228,10 @@ def write(
             save_events([event for _, event in found], out / "sessions.json")
             files["sessions.json"] = "the sessions as events with their truth, for load_events"
         said = ", ".join(f"{name} {n}" for name, n in counts.items())
-        files["sessions.csv"] = f"a row for each session in sessions.json; of all there were: {said}"
-        files["steps.csv"] = (
-            "what was done and pressed, from which the trajectories follow bit for bit"
-        )
+        files |= {
+            "sessions.csv": f"a row for each session in sessions.json; of all there were: {said}",
+            "steps.csv": "what was done and pressed, from which the trajectories follow bit for bit",
+        }
     for name, rows in tables.items():
         columns = list(_COLUMNS[name])
         cells = ([row[column] for column in columns] for row in rows)

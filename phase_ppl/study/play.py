@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import functools
 import json
 import random
 import secrets
@@ -351,7 +352,7 @@ class Lobby:
             number = int(pages.get(str(seat.who), "session-0").partition("-")[2])
             described = {**room.described(agent), "session": number, "last": last,
                          "of": site.settings.trials}  # fmt: skip
-            seat.show(self._stage(room, agent, described, count))
+            seat.show(functools.partial(_stage, room, agent, described, count))
         if not await self._ready(seats, room):
             # who is there goes back to the waiting room
             for seat in seats:
@@ -386,15 +387,6 @@ class Lobby:
         for seat in seats:
             seat.controls = Controls()
             seat.tell(count[0])
-
-    def _stage(
-        self, room: Room, agent: int, described: Message, count: Sequence[Message]
-    ) -> Callable[[], list[Message]]:
-        def now() -> list[Message]:
-            ready = {"t": "ready", "players": [seat.is_ready for seat in room.seats]}
-            return [described, ready, *count, room.shown(agent)]
-
-        return now
 
     async def _ready(self, seats: Sequence[Seat], room: Room) -> bool:
         """Wait until both are ready; whether they have become so in time."""
@@ -432,26 +424,32 @@ class Lobby:
                 await self.site.ask(self.site.store.add_steps, session, steps)
                 saved += len(steps)
 
-    async def _end(self, room: Room, session: str, outcome: str, tries: int = 10) -> None:
+    async def _end(self, room: Room, session: str, outcome: str) -> None:
         store = self.site.store
         trips = [
             float(np.median(seat.round_trips)) if seat.round_trips else None for seat in room.seats
         ]
-        while True:
+        for last in [False] * 9 + [True]:
             try:
                 await self.site.ask(store.add_steps, session, room.steps)
                 await self.site.ask(
                     store.end_session, session, outcome,
                     slip_ms=1000 * room.slip, rtt_ms=trips, sha256=room.trajectory_sha256(),
                 )  # fmt: skip
+                return
             except HTTPException:
-                tries -= 1
-                if tries == 0:
+                if last:
                     print(f"phase-ppl: session {session} was not saved", file=sys.stderr)
                     raise
                 await asyncio.sleep(1)
-            else:
-                return
+
+
+def _stage(
+    room: Room, agent: int, described: Message, count: Sequence[Message]
+) -> list[Message]:
+    """Return what a player is told who comes back into a session."""
+    ready = {"t": "ready", "players": [seat.is_ready for seat in room.seats]}
+    return [described, ready, *count, room.shown(agent)]
 
 
 async def _pump(socket: WebSocket, outbox: Outbox) -> None:

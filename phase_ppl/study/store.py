@@ -73,7 +73,8 @@ CREATE TABLE step(
   keys TEXT NOT NULL,              -- JSON: what each player held
   lag_ms REAL NOT NULL, PRIMARY KEY(session, number)) WITHOUT ROWID;
 """
-_COUNTS: Final = "p.excluded IS NULL AND (p.outcome='finished' OR p.outcome IS NULL AND p.assigned>?)"
+_COUNTS: Final = """p.excluded IS NULL
+  AND (p.outcome='finished' OR p.outcome IS NULL AND p.assigned>?)"""
 """Of participants p, those whose videos count as seen: who finished, or began after a time."""
 
 COMPLETE: Final = ("goals", "time")

@@ -417,9 +417,10 @@ def _counterpart(event: Event, left: list[Event]) -> Event:
 def _setting(event: Event) -> list[Any]:
     """Return scene, goals and strengths of an event, in numbers."""
     scene, truth = event.scene, event.truth
-    numbers = goal_index(truth.goal_red), goal_index(truth.goal_green), truth.strength_red, truth.strength_green
-    return [scene.start, scene.radius, scene.walls, scene.landmark_centres, scene.arena,
-            np.array(numbers, float)]  # fmt: skip
+    goals = goal_index(truth.goal_red), goal_index(truth.goal_green)
+    strengths = np.array([truth.strength_red, truth.strength_green], float)
+    return [scene.start, scene.radius, scene.walls, scene.landmark_centres, scene.arena, goals,
+            strengths]  # fmt: skip
 
 
 def _are_alike(one: Sequence[Any], other: Sequence[Any]) -> bool:

@@ -13,6 +13,8 @@ from starlette.testclient import TestClient
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.experiments import LABELS
+from phase_ppl.study import plan
+from phase_ppl.study.settings import Settings
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import OutputError, UnknownNameError
 from tests.study.studies import HOST, JUDGED, Person, edit, make_study
@@ -100,6 +102,8 @@ def test_participants_are_told_with_their_fate(judged: Study, tmp_path: Path) ->
     outcomes = [person["outcome"] for person in people]
     assert outcomes == ["finished"] * 3 + ["quiz_failed", "at it", "declined"]
     assert [p["included"] for p in people] == ["true", "true", "false", "false", "false", "false"]
+    assert [p["answers"] for p in people] == ["3", "3", "3", "0", "1", "0"]
+    assert [p["quiz_attempts"] for p in people] == ["1", "1", "1", "1", "1", "0"]
     assert people[2]["reason"] == "slept, said so"
     assert people[0]["settings"] == judged.settings.sha256[:12]
     kept = out / f"study-{people[0]['settings']}.toml"
@@ -181,11 +185,9 @@ def test_likeness_has_groups_and_pairs(tmp_path: Path) -> None:
     assert len(pairs) == 3, "a played event and its counterpart have the same number"
 
 
-@pytest.mark.parametrize("rating", [0, 6, "4", True, None, 3.5])
-def test_ratings_are_one_to_five(tmp_path: Path, rating: object) -> None:
-    from phase_ppl.study import plan
-    from phase_ppl.study.settings import Settings, template
-
-    settings = Settings.parse(template("likeness", "x"))
-    with pytest.raises(plan.Unfit, match="likeness"):
-        plan.checked(settings, "trial-1", {**JUDGED, "likeness": rating})
+def test_ratings_are_one_to_five() -> None:
+    settings = Settings.parse('kind = "likeness"')
+    assert plan.checked(settings, "trial-1", {**JUDGED, "likeness": 5}) is not None
+    for rating in (0, 6, "4", True, None, 3.5):
+        with pytest.raises(plan.Unfit, match="likeness"):
+            plan.checked(settings, "trial-1", {**JUDGED, "likeness": rating})

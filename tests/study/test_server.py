@@ -178,8 +178,9 @@ def test_a_platforms_id_lets_in_once(study: Study) -> None:
     changed = change(study, refuse_repeats="PROLIFIC_PID")
     with TestClient(changed.app(), base_url=HOST) as client:
         assert Person(client, enter=False).state()["repeats"] == "PROLIFIC_PID"
-        found = [Person(client, enter=False).enter(person="5f0c-secret").json() for _ in range(2)]
-    assert found[0] == {"entered": True}
+        ids = ("5f0c-secret", "5f0c-secret", "5f0c-other")
+        found = [Person(client, enter=False).enter(person=id).json() for id in ids]
+    assert found[0] == found[2] == {"entered": True}
     assert found[1]["outcome"] == "repeated"
     everything = b"".join(file.read_bytes() for file in study.folder.glob("study.db*"))
     assert b"5f0c-secret" not in everything

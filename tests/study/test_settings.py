@@ -100,25 +100,21 @@ def test_copies_in_a_generated_set_are_known(
 
 def test_the_kind_of_a_study_stays(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
-    file = study.folder / "study.toml"
-    file.write_text(template("tagging", "x"), "utf-8")
     with pytest.raises(InvalidSettingError, match="is one of judgment"):
-        Study(study.folder)
+        edit(study, study.settings.text, template("tagging", "x"))
 
 
-@pytest.mark.parametrize("damage", ["change", "delete"])
+@pytest.mark.parametrize("damage", ["changed", "missing"])
 def test_missing_and_changed_films_are_found_before_people_come(
     tmp_path: Path, damage: str
 ) -> None:
     study = make_study(tmp_path / "study")
     assert any("who is responsible" in note for note in study.check())
     film = next((study.folder / "videos").iterdir())
-    if damage == "delete":
+    film.write_bytes(b"another film")
+    if damage == "missing":
         film.unlink()
-    else:
-        film.write_bytes(b"another film")
-    what = {"delete": "missing", "change": "changed"}[damage]
-    with pytest.raises(PhasePPLError, match=f"{film.name}.*{what}"):
+    with pytest.raises(PhasePPLError, match=f"{film.name}.*{damage}"):
         study.run(0)
 
 
