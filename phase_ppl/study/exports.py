@@ -230,7 +230,7 @@ def write(
         said = ", ".join(f"{name} {n}" for name, n in counts.items())
         files |= {
             "sessions.csv": f"a row for each session in sessions.json; of all there were: {said}",
-            "steps.csv": "what was done and pressed, from which the trajectories follow bit for bit",
+            "steps.csv": "what was done and pressed, from which trajectories follow bit for bit",
         }
     for name, rows in tables.items():
         columns = list(_COLUMNS[name])
