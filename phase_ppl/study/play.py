@@ -429,7 +429,7 @@ class Lobby:
         trips = [
             float(np.median(seat.round_trips)) if seat.round_trips else None for seat in room.seats
         ]
-        for last in [False] * 9 + [True]:
+        for more in range(9, -1, -1):  # times to try again
             try:
                 await self.site.ask(store.add_steps, session, room.steps)
                 await self.site.ask(
@@ -438,7 +438,7 @@ class Lobby:
                 )  # fmt: skip
                 return
             except HTTPException:
-                if last:
+                if not more:
                     print(f"phase-ppl: session {session} was not saved", file=sys.stderr)
                     raise
                 await asyncio.sleep(1)
