@@ -152,9 +152,7 @@ def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
     assert main(["resume", str(out / "run.ckpt"), "--iterations", "1", *tiny]) == 0
 
 
-def test_compare_writes_table_and_figure(
-    walk: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_compare_writes_table_and_figure(walk: Path, tmp_path: Path, capsys: Capture) -> None:
     tiny = ["--budget", "8", "--repeats", "1", "--chains", "4", "--workers", "1", "--quiet"]
     kernels = ["--kernels", "prior_mh", "--reference", "prior_mh"]
     again = ["compare", str(walk), *kernels, *tiny, "--out", str(tmp_path)]
@@ -298,9 +296,7 @@ class TestQuery:
         post.save(folder / "posterior.nc")
         return folder
 
-    def test_answers_are_printed_with_their_errors(
-        self, folder: Path, capsys: Capture
-    ) -> None:
+    def test_answers_are_printed_with_their_errors(self, folder: Path, capsys: Capture) -> None:
         questions = [
             *("P(relation = friendly)", "P(goal_red)", "mode relation", "H(goal_red, goal_green)"),
             *("hdi strength_red", "top 1 relation|goal_red=get to green agent"),
@@ -318,9 +314,7 @@ class TestQuery:
             "  1 ± ?  neutral",
         ]
 
-    def test_json_is_the_same_as_plain_data(
-        self, folder: Path, capsys: Capture
-    ) -> None:
+    def test_json_is_the_same_as_plain_data(self, folder: Path, capsys: Capture) -> None:
         questions = ["E strength_red", "P(relation, sign_red)", "mode relation", "hdi strength_red"]
         file = str(folder / "posterior.nc")
         assert main(["query", file, *questions, "--json", "--weights", "likelihood"]) == 0
@@ -341,9 +335,7 @@ class TestQuery:
         assert one["error"] is None
         assert top["values"] == [{"value": "neutral", "probability": 1.0, "error": None}]
 
-    def test_a_wrong_question_is_shown_with_its_place(
-        self, folder: Path, capsys: Capture
-    ) -> None:
+    def test_a_wrong_question_is_shown_with_its_place(self, folder: Path, capsys: Capture) -> None:
         assert main(["query", str(folder), "P(goal_red)", "P(relation=freindly)"]) == 2
         written = capsys.readouterr()
         assert written.out == ""
@@ -520,9 +512,7 @@ class TestOwnParts:
         assert "asked" in fails(capsys, "infer", "collaborate", "--likelihood", "radial:beta=0.3")
         assert asked["model"].likelihood == phase_ppl.RadialLikelihood(0.3)
 
-    def test_settings_of_the_closed_loop(
-        self, asked: dict[str, Any], capsys: Capture
-    ) -> None:
+    def test_settings_of_the_closed_loop(self, asked: dict[str, Any], capsys: Capture) -> None:
         given = ["--option", "weight=1", "--option", "planner_seeds=2", "--option", "tail=5"]
         assert "asked" in fails(capsys, "infer", "collaborate", "--model", "stepwise", *given)
         expected = phase_ppl.StepwiseLikelihood(

@@ -24,9 +24,7 @@ def folder(tmp_path: Path) -> Path:
     return out
 
 
-def test_a_file_and_its_folder_print_the_same_table(
-    folder: Path, capsys: Capture
-) -> None:
+def test_a_file_and_its_folder_print_the_same_table(folder: Path, capsys: Capture) -> None:
     assert main(["diagnose", str(folder)]) == 0
     printed = capsys.readouterr().out
     assert main(["diagnose", str(folder / "posterior.nc")]) == 0
@@ -55,17 +53,13 @@ def test_numbers_of_the_table_are_those_of_the_diagnostics() -> None:
     np.testing.assert_allclose([float(x) for x in row.split()[-5:]], numbers, atol=0.5)
 
 
-def test_json_is_the_diagnostics_under_the_weights_asked_for(
-    folder: Path, capsys: Capture
-) -> None:
+def test_json_is_the_diagnostics_under_the_weights_asked_for(folder: Path, capsys: Capture) -> None:
     assert main(["diagnose", str(folder), "--json", "--weights", "visited"]) == 0
     post = Posterior.load(folder / "posterior.nc", "visited")
     assert json.loads(capsys.readouterr().out) == post.diagnostics()
 
 
-def test_figures_are_written_to_a_new_folder(
-    folder: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_figures_are_written_to_a_new_folder(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     old = Posterior(random_tree()).save(tmp_path / "old.nc")
     names = {folder: ["diagnostics.png", "over_time.png"], old: ["diagnostics.png"]}
     for source, figures in names.items():  # a file without frames has none over time

@@ -78,9 +78,7 @@ def test_a_file_a_folder_of_files_and_a_bundled_event_are_sets_too(
 @pytest.mark.parametrize(
     ("manifest", "word"), [("{", "manifest.json"), ('{"entries": 1}', "schema")]
 )
-def test_a_damaged_set_is_named(
-    folder: Path, capsys: Capture, manifest: str, word: str
-) -> None:
+def test_a_damaged_set_is_named(folder: Path, capsys: Capture, manifest: str, word: str) -> None:
     (folder / "manifest.json").write_text(manifest)
     assert word in fails(capsys, "describe", str(folder))
 
@@ -102,9 +100,7 @@ def test_events_of_several_files_go_into_one(tmp_path: Path, to: str, name: str)
     assert [event.id for event in phase_ppl.load_events(out)] == ["collaborate", "compete"]
 
 
-def test_a_pickle_of_the_authors_is_converted(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_pickle_of_the_authors_is_converted(tmp_path: Path, capsys: Capture) -> None:
     path, out = tmp_path / "Videos", tmp_path / "videos.json"
     path.write_bytes(pickle.dumps([processed(None), processed(3)]))
     arguments = ["export", str(path), "--to", "json", "--out", str(out)]

@@ -444,9 +444,7 @@ class Lobby:
                 await asyncio.sleep(1)
 
 
-def _stage(
-    room: Room, agent: int, described: Message, count: Sequence[Message]
-) -> list[Message]:
+def _stage(room: Room, agent: int, described: Message, count: Sequence[Message]) -> list[Message]:
     """Return what a player is told who comes back into a session."""
     ready = {"t": "ready", "players": [seat.is_ready for seat in room.seats]}
     return [described, ready, *count, room.shown(agent)]
