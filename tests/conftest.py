@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-LONGEST = ("test_examples.py", "test_readme.py", "test_cli.py")
+LONGEST = ("test_readme.py", "test_cli.py")
 """Files of tests of which one alone can take most of a minute."""
 
 COMPILED = Path(__file__).parents[1] / ".pytest_cache" / "xla"

@@ -28,10 +28,12 @@ from tests.analysis.readings import reading
 from tests.inference.toy import walkers, walking_event
 from tests.world.examples import make_event
 
+Capture = pytest.CaptureFixture[str]
+
 TINY = ["--chains", "2", "--iterations", "1", "--workers", "1", "--quiet"]
 
 
-def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def fails(capsys: Capture, *arguments: str) -> str:
     """Return the only line of an error with exit code 2."""
     try:
         code = main(list(arguments))
@@ -77,7 +79,7 @@ def test_infer_writes_posterior_summary_figure_and_film(results: Path) -> None:
 
 
 def test_results_of_another_run_are_not_overwritten_unless_told_to(
-    results: Path, walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    results: Path, walk: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     before = {path.name: path.read_bytes() for path in results.iterdir()}
     command = ["infer", "collaborate", *TINY, "--out"]
@@ -109,7 +111,7 @@ def test_summary_has_all_its_parts(results: Path) -> None:
 
 
 def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
-    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    walk: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     event, out = str(walk), tmp_path / "out"
     tiny = ["--workers", "1", "--quiet"]
@@ -128,7 +130,7 @@ def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
 
 
 def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
-    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    walk: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
 
@@ -150,9 +152,7 @@ def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
     assert main(["resume", str(out / "run.ckpt"), "--iterations", "1", *tiny]) == 0
 
 
-def test_compare_writes_table_and_figure(
-    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_compare_writes_table_and_figure(walk: Path, tmp_path: Path, capsys: Capture) -> None:
     tiny = ["--budget", "8", "--repeats", "1", "--chains", "4", "--workers", "1", "--quiet"]
     kernels = ["--kernels", "prior_mh", "--reference", "prior_mh"]
     again = ["compare", str(walk), *kernels, *tiny, "--out", str(tmp_path)]
@@ -185,7 +185,7 @@ def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path) -> None
     [([], (1800, 336)), (["--strip", "2"], (600, 336)), (["--frame", "-1"], (640, 480))],
 )
 def test_render_draws_a_strip_or_a_frame_with_or_without_fields_of_view(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], size: tuple[int, int]
+    tmp_path: Path, capsys: Capture, options: list[str], size: tuple[int, int]
 ) -> None:
     plain, tinted = tmp_path / "plain.png", tmp_path / "a folder" / "tinted.png"
     assert main(["render", "oppose", *options, "--out", str(plain)]) == 0
@@ -205,7 +205,7 @@ def test_a_strip_of_a_short_event_has_all_its_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)], ids=str)
-def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_gives_an_example(command: list[str], capsys: Capture) -> None:
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
     assert stop.value.code == 0
@@ -274,7 +274,7 @@ def test_bad_input_is_one_line(
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    capsys: Capture,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_bytes(b"PK\x03\x04 and no more")
@@ -296,9 +296,7 @@ class TestQuery:
         post.save(folder / "posterior.nc")
         return folder
 
-    def test_answers_are_printed_with_their_errors(
-        self, folder: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_answers_are_printed_with_their_errors(self, folder: Path, capsys: Capture) -> None:
         questions = [
             *("P(relation = friendly)", "P(goal_red)", "mode relation", "H(goal_red, goal_green)"),
             *("hdi strength_red", "top 1 relation|goal_red=get to green agent"),
@@ -316,9 +314,7 @@ class TestQuery:
             "  1 ± ?  neutral",
         ]
 
-    def test_json_is_the_same_as_plain_data(
-        self, folder: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_json_is_the_same_as_plain_data(self, folder: Path, capsys: Capture) -> None:
         questions = ["E strength_red", "P(relation, sign_red)", "mode relation", "hdi strength_red"]
         file = str(folder / "posterior.nc")
         assert main(["query", file, *questions, "--json", "--weights", "likelihood"]) == 0
@@ -339,9 +335,7 @@ class TestQuery:
         assert one["error"] is None
         assert top["values"] == [{"value": "neutral", "probability": 1.0, "error": None}]
 
-    def test_a_wrong_question_is_shown_with_its_place(
-        self, folder: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_a_wrong_question_is_shown_with_its_place(self, folder: Path, capsys: Capture) -> None:
         assert main(["query", str(folder), "P(goal_red)", "P(relation=freindly)"]) == 2
         written = capsys.readouterr()
         assert written.out == ""
@@ -352,7 +346,7 @@ class TestQuery:
         ]
 
     def test_quantities_that_a_file_defines(
-        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, folder: Path, tmp_path: Path, capsys: Capture
     ) -> None:
         own = tmp_path / "own.txt"
         own.write_text("# pairs\nsame: goal_red = goal_green\n")
@@ -364,7 +358,7 @@ class TestQuery:
         assert "goal_red = goal_gren\n             ^" in capsys.readouterr().err
 
     def test_files_and_weights_that_do_not_exist(
-        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, folder: Path, tmp_path: Path, capsys: Capture
     ) -> None:
         assert "no such file" in fails(capsys, "query", str(tmp_path / "x.nc"), "P(goal_red)")
         assert "holds no posterior.nc" in fails(capsys, "query", str(tmp_path), "P(goal_red)")
@@ -436,12 +430,12 @@ def test_a_reference_has_options_as_kernels_have() -> None:
         _reference("enumeration:per_pair")
 
 
-def test_goals_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_goals_are_listed(capsys: Capture) -> None:
     assert main(["goals"]) == 0
     assert capsys.readouterr().out.splitlines() == list(phase_ppl.GOALS)
 
 
-def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: Capture) -> None:
     kept = str(StepwisePosterior(reading()).save(tmp_path / "post.nc"))
     source = tmp_path / "mine.py"
     source.write_text(
@@ -500,7 +494,7 @@ class TestOwnParts:
         return found
 
     def test_they_are_what_inference_gets(
-        self, tmp_path: Path, asked: dict[str, Any], capsys: pytest.CaptureFixture[str]
+        self, tmp_path: Path, asked: dict[str, Any], capsys: Capture
     ) -> None:
         file = tmp_path / "mine.py"
         file.write_text(MINE)
@@ -518,9 +512,7 @@ class TestOwnParts:
         assert "asked" in fails(capsys, "infer", "collaborate", "--likelihood", "radial:beta=0.3")
         assert asked["model"].likelihood == phase_ppl.RadialLikelihood(0.3)
 
-    def test_settings_of_the_closed_loop(
-        self, asked: dict[str, Any], capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_settings_of_the_closed_loop(self, asked: dict[str, Any], capsys: Capture) -> None:
         given = ["--option", "weight=1", "--option", "planner_seeds=2", "--option", "tail=5"]
         assert "asked" in fails(capsys, "infer", "collaborate", "--model", "stepwise", *given)
         expected = phase_ppl.StepwiseLikelihood(
@@ -547,7 +539,7 @@ class TestOwnParts:
         ],
     )
     def test_what_cannot_be_is_refused(
-        self, given: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, given: str, said: str, tmp_path: Path, capsys: Capture
     ) -> None:
         (tmp_path / "mine.py").write_text(MINE)
         words = given.replace("FILE", str(tmp_path / "mine.py")).split()

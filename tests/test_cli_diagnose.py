@@ -13,6 +13,7 @@ from phase_ppl.cli import main
 from phase_ppl.cli.results import table
 from tests.analysis.factory import random_tree
 from tests.analysis.test_over_time import tree_by_frame
+from tests.test_cli import Capture, fails
 
 
 @pytest.fixture
@@ -23,9 +24,7 @@ def folder(tmp_path: Path) -> Path:
     return out
 
 
-def test_a_file_and_its_folder_print_the_same_table(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_and_its_folder_print_the_same_table(folder: Path, capsys: Capture) -> None:
     assert main(["diagnose", str(folder)]) == 0
     printed = capsys.readouterr().out
     assert main(["diagnose", str(folder / "posterior.nc")]) == 0
@@ -44,65 +43,43 @@ def test_the_table_has_at_most_88_columns(shape: tuple[int, int]) -> None:
 def test_numbers_of_the_table_are_those_of_the_diagnostics() -> None:
     found = Posterior(random_tree(7, n_chains=8, n_draws=30)).diagnostics()
     rows = table("event", found).splitlines()
-    scalar = found["scalars"]["log_joint"]
+    one = found["scalars"]["log_joint"]
     row = next(row for row in rows if row.startswith("log joint")).split()[2:]
-    assert row == [
-        f"{scalar['r_hat']:.2f}",
-        f"{scalar['ess_bulk']:.0f}",
-        f"{scalar['ess_tail']:.0f}",
-    ]
+    assert row == [f"{one['r_hat']:.2f}", f"{one['ess_bulk']:.0f}", f"{one['ess_tail']:.0f}"]
     label, entry = next(iter(found["categories"]["goal_red"].items()))
     row = next(row for row in rows if row.startswith("goal red"))
     assert label in row
-    numbers = [entry["probability"], entry["share"], entry["mcse"], entry["ess"], entry["r_hat"]]
+    numbers = [entry[name] for name in ("probability", "share", "mcse", "ess", "r_hat")]
     np.testing.assert_allclose([float(x) for x in row.split()[-5:]], numbers, atol=0.5)
 
 
-def test_json_is_the_diagnostics_under_the_weights_asked_for(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_the_diagnostics_under_the_weights_asked_for(folder: Path, capsys: Capture) -> None:
     assert main(["diagnose", str(folder), "--json", "--weights", "visited"]) == 0
     post = Posterior.load(folder / "posterior.nc", "visited")
     assert json.loads(capsys.readouterr().out) == post.diagnostics()
 
 
-def test_figures_are_written_to_a_new_folder(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "new folder"
-    assert main(["diagnose", str(folder), "--out", str(out)]) == 0
-    assert sorted(p.name for p in out.iterdir()) == ["diagnostics.png", "over_time.png"]
-    assert "diagnostics.png, over_time.png" in capsys.readouterr().out
+def test_figures_are_written_to_a_new_folder(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    old = Posterior(random_tree()).save(tmp_path / "old.nc")
+    names = {folder: ["diagnostics.png", "over_time.png"], old: ["diagnostics.png"]}
+    for source, figures in names.items():  # a file without frames has none over time
+        out = tmp_path / f"new folder of {source.name}"
+        assert main(["diagnose", str(source), "--out", str(out)]) == 0
+        assert sorted(p.name for p in out.iterdir()) == figures
+        assert ", ".join(figures) in capsys.readouterr().out
 
 
-def test_a_file_without_frames_has_no_figure_over_time(tmp_path: Path) -> None:
-    file = Posterior(random_tree()).save(tmp_path / "old.nc")
-    assert main(["diagnose", str(file), "--out", str(tmp_path / "out")]) == 0
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["diagnostics.png"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["missing.nc"], "missing.nc: no such file"),
-        (["."], ". holds no posterior.nc"),
-        (["run.nc", "--weights", "counts"], "did you mean 'count'"),
-        (["bad.nc"], "is no NetCDF 4 file"),
-        (["run.nc", "--out", "run.nc/x"], "cannot write into folder"),
-    ],
-)
 def test_bad_input_is_one_line_and_exit_code_2(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Posterior(random_tree()).save("run.nc")
     Path("bad.nc").write_bytes(b"nothing")
-    assert main(["diagnose", *arguments]) == 2
-    written = capsys.readouterr()
-    assert message in written.err
-    assert written.err.count("\n") == 1
-    assert not written.out
+    for arguments, message in {
+        "missing.nc": "missing.nc: no such file",
+        ".": ". holds no posterior.nc",
+        "run.nc --weights counts": "did you mean 'count'",
+        "bad.nc": "is no NetCDF 4 file",
+        "run.nc --out run.nc/x": "cannot write into folder",
+    }.items():
+        assert message in fails(capsys, "diagnose", *arguments.split())

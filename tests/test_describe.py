@@ -1,4 +1,4 @@
-"""The command describe."""
+"""The commands ``describe`` and ``export``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import phase_ppl
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import MANIFEST_SCHEMA
 from tests.dataset.authors.pickles import processed
-from tests.test_cli import fails
+from tests.test_cli import Capture, fails
 from tests.world.examples import make_event
 
 
@@ -35,7 +35,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_it_prints_a_table_and_writes_card_sheet_and_figures(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"
     assert main(["describe", str(folder), "--out", str(out), "--quiet"]) == 0
@@ -49,7 +49,7 @@ def test_it_prints_a_table_and_writes_card_sheet_and_figures(
 
 
 def test_json_is_all_that_is_printed_where_it_is_asked_for(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = ["--out", str(tmp_path / "out"), "--quiet"]
     assert main(["describe", str(folder), "--json", *out]) == 0
@@ -59,7 +59,7 @@ def test_json_is_all_that_is_printed_where_it_is_asked_for(
 
 
 def test_a_file_a_folder_of_files_and_a_bundled_event_are_sets_too(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     assert main(["describe", str(folder / "events.nc")]) == 0
     assert "events: 2 events, 2 agents of unknown strength\n" in capsys.readouterr().out
@@ -78,21 +78,14 @@ def test_a_file_a_folder_of_files_and_a_bundled_event_are_sets_too(
 @pytest.mark.parametrize(
     ("manifest", "word"), [("{", "manifest.json"), ('{"entries": 1}', "schema")]
 )
-def test_a_damaged_set_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str], manifest: str, word: str
-) -> None:
+def test_a_damaged_set_is_named(folder: Path, capsys: Capture, manifest: str, word: str) -> None:
     (folder / "manifest.json").write_text(manifest)
-    assert main(["describe", str(folder)]) == 2
-    error = capsys.readouterr().err
-    assert word in error
-    assert error.count("\n") == 1
+    assert word in fails(capsys, "describe", str(folder))
 
 
-def test_what_is_no_set_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["describe", str(tmp_path)]) == 2
-    assert "holds no event files" in capsys.readouterr().err
-    assert main(["describe", str(tmp_path / "missing.json")]) == 2
-    assert "missing.json" in capsys.readouterr().err
+def test_what_is_no_set_is_named(tmp_path: Path, capsys: Capture) -> None:
+    assert "holds no event files" in fails(capsys, "describe", str(tmp_path))
+    assert "missing.json" in fails(capsys, "describe", str(tmp_path / "missing.json"))
 
 
 # --- export ---------------------------------------------------------------------------------------
@@ -107,9 +100,7 @@ def test_events_of_several_files_go_into_one(tmp_path: Path, to: str, name: str)
     assert [event.id for event in phase_ppl.load_events(out)] == ["collaborate", "compete"]
 
 
-def test_a_pickle_of_the_authors_is_converted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pickle_of_the_authors_is_converted(tmp_path: Path, capsys: Capture) -> None:
     path, out = tmp_path / "Videos", tmp_path / "videos.json"
     path.write_bytes(pickle.dumps([processed(None), processed(3)]))
     arguments = ["export", str(path), "--to", "json", "--out", str(out)]
@@ -140,7 +131,7 @@ def test_what_is_exported_for_the_authors_programs_can_be_read_again(tmp_path: P
 )
 def test_bad_input_is_answered_in_one_line(
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    capsys: Capture,
     monkeypatch: pytest.MonkeyPatch,
     arguments: list[str],
     message: str,

@@ -1,4 +1,4 @@
-"""The examples of the README and of docs/ run as they stand, as plain scripts.
+"""The examples of the README, of docs/ and of examples/ run as they stand, as plain scripts.
 
 Pages that are notebooks are run by ``make docs``, and as scripts by a slow test.
 """
@@ -18,6 +18,7 @@ import phase_ppl as ppl
 
 README = Path(__file__).parent.parent / "README.md"
 DOCS = README.parent / "docs"
+EXAMPLES_FOLDER = README.parent / "examples"
 PAGES = sorted(DOCS.glob("*.md"))
 
 
@@ -141,3 +142,21 @@ def test_citation_and_changelog_are_of_this_version() -> None:
     changes = (README.parent / "CHANGELOG.md").read_text(encoding="utf-8")
     assert released["version"] == ppl.__version__
     assert f"\n## [{ppl.__version__}] - {released['date-released']}\n" in changes
+
+
+def test_an_observer_of_ones_own_is_fitted_beside_others(run_script: Callable[..., str]) -> None:
+    said = run_script(EXAMPLES_FOLDER / "own_observer.py", "--quick")
+    for text in ("timid: r = ", "saturating: r = ", "nats more than"):
+        assert text in said
+
+
+def test_every_example_is_listed_and_says_how_to_run_it() -> None:
+    listed = (EXAMPLES_FOLDER / "README.md").read_text(encoding="utf-8")
+    for script in EXAMPLES_FOLDER.glob("*.py"):
+        assert f"[{script.name}]({script.name})" in listed
+        assert f"python examples/{script.name}" in script.read_text(encoding="utf-8")
+
+
+def test_an_observer_is_as_short_as_it_says() -> None:
+    text = (EXAMPLES_FOLDER / "own_observer.py").read_text(encoding="utf-8")
+    assert text[text.index("def timid") : text.index("def judged_events")].count("\n") <= 10

@@ -8,7 +8,7 @@ import importlib
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -38,7 +38,7 @@ COMMANDS: Final = {
     "goals": ("events", "list the 36 goals that an agent can have"),
     "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
-    "read-video": ("read_video", "read an event back from a film of it"),
+    "read-video": ("events", "read an event back from a film of it"),
     "compare": (
         "compare",
         "compare kernels on an event: same budget, several seeds, against a reference",
@@ -60,7 +60,7 @@ COMMANDS: Final = {
     ),
     "diagnose": ("results", "say whether the chains of a posterior can be trusted"),
     "generate": ("generate", "make a data set of simulated social events"),
-    "merge": ("merge", "put the shards of a data set, an evaluation or a comparison together"),
+    "merge": ("generate", "put the shards of a data set, an evaluation or a comparison together"),
     "verify": ("generate", "compare a generated data set with its checksums"),
     "describe": (
         "events",
@@ -180,7 +180,7 @@ def event_command(commands: Any, name: str, run: Any, example: str) -> argparse.
     parser = command(commands, name, run, example)
     add(parser, "event EVENT", "an event file, or a bundled event's name")
     add(parser, "--video ID", "one event of a file with many")
-    add_seed(parser)
+    share(parser, "seed")
     add(parser, "--turning", "which way agents can turn; default: as observed", choices=TURNINGS)
     return parser
 
@@ -206,28 +206,37 @@ def add(
     to.add_argument(name, help=says, **more)
 
 
-def add_seed(parser: argparse.ArgumentParser) -> None:
-    """Add the seed."""
-    add(parser, "--seed N", "default 0", whole(0), 0)
+MERGES: Final = "phase-ppl merge FOLDERS... --out OUT"
+
+SHARED: Final[Mapping[str, Mapping[str, Any]]] = {
+    "seed": {"name": "--seed N", "says": "default 0", "type": whole(0), "default": 0},
+    "planner": {"name": "--planner", "default": "fast", "choices": ("fast", "paper")},
+    "workers": {"name": "--workers N", "says": "processes; default one per usable core",
+                "type": whole(1)},
+    "dask": {"name": "--dask ADDRESS", "says": "a dask scheduler, as in machine:8786, whose "
+             "workers do the work; --workers then says how much they are given at a time"},
+    "shard": {"name": "--shard I/N", "says": "do only share I of N, in a folder of its own; then "
+              f"{MERGES}"},
+    "other_versions": {"name": "--other-versions", "says": "go on although it was begun by other "
+                       "versions; both are recorded"},
+    "overwrite": {"name": "--overwrite", "says": "replace the results that are in DIR"},
+}  # fmt: skip
+"""Options that several commands have."""
 
 
-def add_planner(parser: argparse.ArgumentParser) -> None:
-    """Add the option of whoever plans the agents' actions."""
-    add(parser, "--planner", default="fast", choices=("fast", "paper"))
+def share(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Add some of :data:`SHARED`, and with "progress" the two that :func:`shows_progress` reads.
 
-
-def add_workers(parser: argparse.ArgumentParser) -> None:
-    """Add the option of the number of processes."""
-    add(parser, "--workers N", "processes; default one per usable core", whole(1))
-
-
-def add_dask(parser: argparse.ArgumentParser) -> None:
-    """Add the option of a cluster; ``options.executor`` is then that to work in, or None."""
-    says = (
-        "a dask scheduler, as in machine:8786, whose workers do the work; --workers then says how "
-        "much they are given at a time"
-    )
-    add(parser, "--dask ADDRESS", says)
+    With "dask", ``options.executor`` is the executor to work in, or None.
+    """
+    for name in names:
+        if name != "progress":
+            add(parser, **SHARED[name])
+            continue
+        either = parser.add_mutually_exclusive_group()
+        add(either, "--quiet", "no progress bar")
+        says = "a progress bar also where the errors go to a file; default: only in a terminal"
+        add(either, "--progress", says)
 
 
 @contextlib.contextmanager
@@ -248,15 +257,6 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
         ) from None
     with client:
         yield client.get_executor()
-
-
-MERGES: Final = "phase-ppl merge FOLDERS... --out OUT"
-
-
-def add_shard(parser: argparse.ArgumentParser) -> None:
-    """Add the option of a share of the work."""
-    says = f"do only share I of N, in a folder of its own; then {MERGES}"
-    add(parser, "--shard I/N", says)
 
 
 def add_options(parser: argparse._ActionsContainer, says: str, type: Any = None) -> None:
@@ -301,25 +301,6 @@ def budget(text: str) -> Any:
         return phase_ppl.simulations(int(text))
     except ValueError:  # of ours too
         raise argparse.ArgumentTypeError(f"{shown(text)} is no budget; expected {BUDGET}") from None
-
-
-def add_progress(parser: argparse.ArgumentParser) -> None:
-    """Add the options that :func:`shows_progress` reads."""
-    either = parser.add_mutually_exclusive_group()
-    add(either, "--quiet", "no progress bar")
-    says = "a progress bar also where the errors go to a file; default: only in a terminal"
-    add(either, "--progress", says)
-
-
-def add_other_versions(parser: argparse.ArgumentParser) -> None:
-    """Add the option of commands that go on with what was begun."""
-    says = "go on although it was begun by other versions; both are recorded"
-    add(parser, "--other-versions", says)
-
-
-def add_overwrite(parser: argparse.ArgumentParser) -> None:
-    """Add the option that :func:`results_folder` reads."""
-    add(parser, "--overwrite", "replace the results that are in DIR")
 
 
 @contextlib.contextmanager

@@ -44,13 +44,10 @@ def add_to(commands: Any) -> None:
     )
     cli.add(parser, "--reference R", says)
     cli.add(parser, "--weights NAME", "default count", default="count")
-    cli.add_workers(parser)
-    cli.add_dask(parser)
-    cli.add_shard(parser)
+    cli.share(parser, "workers", "dask", "shard")
     cli.add(parser, "--checkpoint FILE", ".json; keeps and takes up finished runs", Path)
     cli.add(parser, "--out DIR", "for the runs and a figure", Path)
-    cli.add_overwrite(parser)
-    cli.add_progress(parser)
+    cli.share(parser, "overwrite", "progress")
 
 
 def _compare(options: argparse.Namespace) -> int:

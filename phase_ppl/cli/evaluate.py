@@ -71,9 +71,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--observer NAME", says)
     cli.add(parser, "--split NAME", "of a generated set, such as test")
     cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
-    cli.add_workers(parser)
-    cli.add_dask(parser)
-    cli.add_shard(parser)
+    cli.share(parser, "workers", "dask", "shard")
     cli.add(parser, "--seed N", "default 0", cli.whole(0))
     cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
     says = (
@@ -99,7 +97,7 @@ def add_to(commands: Any) -> None:
     )
     cli.add_options(model, says, _option)
     cli.add(parser, "--no-figures", "draw no figures and pages")
-    cli.add_progress(parser)
+    cli.share(parser, "progress")
 
 
 def _option(text: str) -> tuple[str, Any]:
@@ -376,7 +374,7 @@ def _add_compare_models(commands: Any) -> None:
     cli.add(parser, "--resamples N", "of the events, default 10000", cli.whole(1))
     cli.add(parser, "--out DIR", "for tables, figures and pages", Path)
     cli.add(parser, "--no-figures", "draw no figures and pages")
-    cli.add_progress(parser)
+    cli.share(parser, "progress")
 
 
 def add_references(parser: argparse.ArgumentParser) -> None:

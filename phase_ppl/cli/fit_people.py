@@ -29,9 +29,7 @@ def add_to(commands: Any) -> None:
     )
     cli.add(parser, "--source MODEL|DIR", says, default="stepwise")
     cli.add(parser, "--out FILE", "a .json file", Path, required=True)
-    cli.add_workers(parser)
-    cli.add_seed(parser)
-    cli.add_progress(parser)
+    cli.share(parser, "workers", "seed", "progress")
 
 
 def _fit(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""The commands ``generate`` and ``verify``."""
+"""The commands ``generate``, ``verify`` and ``merge``."""
 
 from __future__ import annotations
 
@@ -51,8 +51,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--world NAME", says)
     says = f"over who wants what in another world than PHASE, default uniform; {own.FILE}"
     cli.add(parser, "--prior NAME", says)
-    cli.add_planner(parser)
-    cli.add_seed(parser)
+    cli.share(parser, "planner", "seed")
     says = "of each event, with other reflections and colours; default 0"
     cli.add(parser, "--copies K", says, cli.whole(0), 0)
     says = (
@@ -62,18 +61,26 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--replans K", says, cli.whole(0), 0)
     says = "which way agents can turn, before any reflection; default both"
     cli.add(parser, "--turning", says, choices=TURNINGS, default="both")
-    cli.add_workers(parser)
-    cli.add_dask(parser)
-    cli.add_shard(parser)
+    cli.share(parser, "workers", "dask", "shard")
     cli.add(parser, "--keep-rejected", "keep the draws that were not good enough")
     says = "film every event, rejected draws too if they are kept, and draw all on one picture"
     cli.add(parser, "--videos", says)
     cli.add(parser, "--resume", "go on with what DIR holds")
-    cli.add_progress(parser)
-    cli.add_other_versions(parser)
+    cli.share(parser, "progress", "other_versions")
 
     check = cli.command(commands, "verify", _verify, "phase-ppl verify events")
     cli.add(check, "folder DIR", type=Path)
+
+    merge = cli.command(
+        commands,
+        "merge",
+        _merge,
+        "phase-ppl merge shards/* --out events",
+        "Put the shards of a data set, an evaluation or a comparison together, to what one call "
+        "without --shard makes.",
+    )
+    cli.add(merge, "folders DIR", "of each shard, in any order", Path, nargs="+")
+    cli.add(merge, "--out DIR", "for the whole", Path, required=True)
 
 
 def _generate(options: argparse.Namespace) -> int:
@@ -159,6 +166,13 @@ def _verify(options: argparse.Namespace) -> int:
         return cli.FAILED
     print(f"{options.folder}: all events are as they were made")
     return 0
+
+
+def _merge(options: argparse.Namespace) -> int:
+    merged = phase_ppl.merge(options.folders, options.out)
+    print(merged)
+    failed = isinstance(merged, phase_ppl.Evaluation) and merged.failures
+    return cli.FAILED if failed else 0
 
 
 def _cell(text: str) -> tuple[str, int]:

@@ -42,7 +42,7 @@ def add_to(commands: Any) -> None:
     infer = cli.event_command(
         commands, "infer", _infer, "phase-ppl infer collaborate --planner fast --seed 0 --out out"
     )
-    cli.add_planner(infer)
+    cli.share(infer, "planner")
     infer.set_defaults(planner=None)  # the preset's
     cli.add(infer, "--preset NAME", cli.PRESET, default="default")
     says = (
@@ -62,7 +62,7 @@ def add_to(commands: Any) -> None:
         "stepwise model, such as weight=1 or planner_seeds=8; may be given several times",
     )
     cli.add(infer, "--out DIR", "for the posterior, a figure and a film", Path)
-    cli.add_overwrite(infer)
+    cli.share(infer, "overwrite")
     _add_run_options(infer)
 
     resume = cli.command(
@@ -76,8 +76,7 @@ def add_to(commands: Any) -> None:
     own.add_model(resume)
     cli.add(resume, "--kernel NAME", "as before, if it was one of your own")
     cli.add(resume, "--out DIR", "default: where FILE is", Path)
-    cli.add_overwrite(resume)
-    cli.add_other_versions(resume)
+    cli.share(resume, "overwrite", "other_versions")
     _add_run_options(resume)
 
 
@@ -86,8 +85,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     length = parser.add_mutually_exclusive_group()
     cli.add(length, "--iterations L", "default 6, or as before", cli.whole(1))
     cli.add(length, "--budget B", cli.BUDGET, cli.budget)
-    cli.add_workers(parser)
-    cli.add_dask(parser)
+    cli.share(parser, "workers", "dask")
     says = "what becomes of a failed simulation; default reject, or as before"
     cli.add(parser, "--on-failure", says, choices=("reject", "raise", "retry"))
     cli.add(parser, "--retries N", "of retry; default 3", cli.whole(1))
@@ -103,7 +101,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     cli.add(
         parser, "--keep-checkpoint", f"keep {CHECKPOINT} when the run is complete, to extend it"
     )
-    cli.add_progress(parser)
+    cli.share(parser, "progress")
 
 
 def _infer(options: argparse.Namespace) -> int:

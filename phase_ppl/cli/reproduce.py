@@ -33,10 +33,9 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--vlm-store DIR", "stored answers of a vision-language model", Path)
     cli.add(parser, "--tags FILE", "people's labels, a .csv file", Path)
     cli.add(parser, "--likeness FILE", "people's ratings of likeness, a .csv file", Path)
-    cli.add_seed(parser)
+    cli.share(parser, "seed")
     cli.add(parser, "--resume", "go on with what is in DIR")
-    cli.add_workers(parser)
-    cli.add_progress(parser)
+    cli.share(parser, "workers", "progress")
 
 
 def _reproduce(options: argparse.Namespace) -> int:

@@ -336,7 +336,7 @@ def _add_report(commands: Any) -> None:
     )
     cli.add(parser, "--out FILE", ".html; default report.html in DIR", Path)
     cli.add(parser, "--videos", "film every event of an evaluation as well")
-    cli.add_progress(parser)
+    cli.share(parser, "progress")
 
 
 def _report(options: argparse.Namespace) -> int:

@@ -85,8 +85,7 @@ def _add_new(parts: Any) -> None:
     number = cli.whole(1)
     cli.add(parser, "--trials N", "videos per person, default 10; sessions per pair, 3", number)
     cli.add(parser, "--raters N", "people per video, default 20; sessions of a scene, 5", number)
-    cli.add_workers(parser)
-    cli.add_progress(parser)
+    cli.share(parser, "workers", "progress")
 
 
 def _add_simulate(parts: Any) -> None:
@@ -106,8 +105,7 @@ def _add_simulate(parts: Any) -> None:
     cli.add_options(parser, "of the model")
     cli.add(parser, "--lapse", "share of answers at random; default 0.1", float, 0.1)
     cli.add(parser, "--drop-outs", "share who leave midway; default 0.1", float, 0.1)
-    cli.add_seed(parser)
-    cli.add_progress(parser)
+    cli.share(parser, "seed", "progress")
 
 
 def _study(options: argparse.Namespace) -> Study:

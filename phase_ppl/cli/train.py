@@ -38,7 +38,7 @@ def add_to(commands: Any) -> None:
         parser, "how to train, such as epochs=100 or looks=false; may be given several times"
     )
     cli.add(parser, "--resume", "go on with what DIR holds")
-    cli.add_progress(parser)
+    cli.share(parser, "progress")
 
 
 def _train(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""What people said, as files: tables that the package reads, and a page that explains them."""
+"""What people said and played, as files: tables that the package reads, and a page about them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,26 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
+
+import numpy as np
 
 from phase_ppl import __version__
 from phase_ppl.dataset.load import save_events
 from phase_ppl.evaluation.csv_file import csv_bytes
+from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.study.settings import Settings
-from phase_ppl.study.store import Store
+from phase_ppl.study.store import COMPLETE, Store, trajectory_sha256
 from phase_ppl.world.errors import OutputError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.files import write_bytes
+from phase_ppl.world.observation import Observation
 
 README: Final = "README.md"
+SLIPPED: Final = 500.0
+"""Milliseconds by which a frame of a session may be late before the session is marked."""
+
 _TITLE: Final = "# Export of a study"
 INCLUDE: Final = ("unfinished", "excluded", "flagged")
 """People who may be exported beside those who finished; flagged ones are unless left out."""
@@ -74,24 +82,39 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
         "age": "years",
         "gender": "as chosen",
     },
+    "sessions.csv": {
+        "session": "id of the event in sessions.json",
+        "scene": "id of the event in events.json whose scene, goals and strengths were played",
+        "goal_red": "effective goal of the red agent, told to both players",
+        "goal_green": "likewise of the green agent",
+        "relation": "which the two goals imply",
+        "strength_red": "newtons",
+        "strength_green": "newtons",
+        "red": "participant, or computer",
+        "green": "participant, or computer",
+        "outcome": "goals: both were reached; time: it was up; left: a player was gone; stopped: "
+        "the server was ended",
+        "steps": "planner steps, one frame each",
+        "seconds": "that they took to play",
+        "steps_per_second": "as played",
+        "view": "own: players saw what their agent sees; all: everything",
+        "resets_velocity": "1: agents stood still after each step",
+        "rtt_ms_red": "median round trip of a message to the player, milliseconds",
+        "rtt_ms_green": "likewise",
+        "slip_ms": "most by which a frame was late, milliseconds",
+        "slipped": f"1: by more than {SLIPPED:g} ms",
+    },
+    "steps.csv": {
+        "session": "id of the event in sessions.json",
+        "step": "planner step, from 1",
+        "red": "action of the red agent",
+        "green": "action of the green agent",
+        "keys_red": "what its player pressed, the latest last",
+        "keys_green": "likewise",
+        "lag_ms": "most by which a frame of the step was late, milliseconds",
+    },
 }  # fmt: skip
 """Table -> column -> what is in it."""
-
-
-class Person(NamedTuple):
-    """A participant as exports see them; the fields are those of ``participants.csv``."""
-
-    participant: str
-    group: str | None
-    outcome: str
-    minutes: float | None
-    quiz_attempts: int
-    answers: int
-    checks_missed: int
-    hidden: int
-    excluded: bool
-    reason: str | None
-    settings: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,8 +142,8 @@ class Status:
 def status(store: Store, settings: Settings) -> Status:
     """Return how a study stands."""
     people = _people(store, settings)
-    outcomes = Counter(person.outcome for person in people)
-    consented = store.rows("SELECT count(consented) AS n FROM participant")[0]["n"]
+    outcomes = Counter(person["outcome"] for person in people)
+    consented = sum(person["minutes"] is not None for person in people)
     counts = {"entered": len(people), "consented": consented}
     names = {
         "declined": "declined",
@@ -133,17 +156,24 @@ def status(store: Store, settings: Settings) -> Status:
         "finished": "finished",
         "withdrawn": "withdrawn",
     }
-    always = ("declined", "quiz_failed", "at it", "left", "finished", "withdrawn")
     counts |= {
-        shown: outcomes[name] for name, shown in names.items() if name in always or outcomes[name]
+        shown: outcomes[name]
+        for name, shown in names.items()
+        if outcomes[name] or name not in ("expired", "waited", "partner_left")
     }
-    counts["excluded"] = sum(person.excluded for person in people)
-    counts["flagged"] = sum(person.checks_missed > 0 for person in people)
+    counts["excluded"] = sum(person["excluded"] for person in people)
+    counts["flagged"] = sum(person["checks_missed"] > 0 for person in people)
     if settings.kind == "play":
         return Status(counts, store.played(since=math.inf))
-    whole = {p.participant for p in people if p.outcome == "finished" and not p.excluded}
+    whole = {
+        person["participant"]
+        for person in people
+        if person["outcome"] == "finished" and not person["excluded"]
+    }
     seen = Counter(
-        v["event"] for v in _viewings(store) if v["role"] == "main" and v["participant"] in whole
+        one["video"]
+        for one in _viewings(store)
+        if one["role"] == "main" and one["participant"] in whole
     )
     events = [s.event for s in store.stimuli().values() if s.event not in settings.checks]
     return Status(counts, {event: seen[event] for event in events})
@@ -162,68 +192,69 @@ def write(
     include: Sequence[str], demographics: bool,
 ) -> None:  # fmt: skip
     """Write all files of an export; arguments as of :meth:`phase_ppl.study.Study.export`."""
-    people = _people(store, settings)
-    included = {
-        p.participant
-        for p in people
-        if p.outcome in ("finished", *(("left", "at it", "expired") * ("unfinished" in include)))
-        and (not p.excluded or "excluded" in include)
-        and (not p.checks_missed or "flagged" in include)
-    }
-    tables: dict[str, list[Sequence[Any]]] = {}
-    tables["participants.csv"] = [
-        [*(p.participant, p.group, p.outcome, _number(p.minutes), p.quiz_attempts, p.answers),
-         *(p.checks_missed, p.hidden, str(p.participant in included).lower(), p.reason),
-         p.settings[:12]]
-        for p in people if p.outcome != "withdrawn"
-    ]  # fmt: skip
-    viewings = [row for row in _viewings(store) if row["participant"] in included]
-    if settings.kind != "play":
-        tables |= _answers(settings, viewings)
+    people, is_play = _people(store, settings), settings.kind == "play"
+    outcomes = ("finished", *(("left", "at it", "expired") * ("unfinished" in include)))
+    for person in people:
+        person["included"] = (
+            person["outcome"] in outcomes
+            and (not person["excluded"] or "excluded" in include)
+            and (not person["checks_missed"] or "flagged" in include)
+        )
+    included = {person["participant"] for person in people if person["included"]}
+    asked = [r for r in store.rows("SELECT * FROM person ORDER BY participant")
+             if r["participant"] in included]  # fmt: skip
+    tables: dict[str, Iterable[Mapping[str, Any]]] = {
+        "participants.csv": [
+            {**p, "minutes": _number(p["minutes"]), "included": str(p["included"]).lower()}
+            for p in people if p["outcome"] != "withdrawn"
+        ]
+    }  # fmt: skip
+    if not is_play:
+        tables |= _answers(settings, [v for v in _viewings(store) if v["participant"] in included])
     if demographics:
-        asked = store.rows("SELECT * FROM person ORDER BY participant")
-        tables["people.csv"] = [list(r.values()) for r in asked if r["participant"] in included]
-    files, columns = {name: "" for name in tables}, dict(_COLUMNS)
-    for name, rows in tables.items():
-        write_bytes(out / name, (".csv",), csv_bytes(list(_COLUMNS[name]), rows))
+        tables["people.csv"] = asked
+    files = dict.fromkeys(tables, "")
     save_events(list(events.values()), out / "events.json")
-    files["events.json"] = "the events that were shown" + " or played" * (settings.kind == "play")
+    files["events.json"] = "the events that were shown" + " or played" * is_play
     for config in store.rows("SELECT sha256, text FROM config ORDER BY first_used"):
         name = f"study-{config['sha256'][:12]}.toml"
         write_bytes(out / name, (".toml",), config["text"].encode())
         files[name] = "settings and texts that participants saw; participants.csv says who"
-    if settings.kind == "play":
-        from phase_ppl.study import sessions
-
-        files |= sessions.export(store, events, out, "unfinished" in include, "excluded" in include)
-        columns |= sessions.COLUMNS
-    totals = _totals(store, included)
-    readme = _readme(store, settings, len(included), include, files, columns, totals)
+    if is_play:
+        found, counts = played(store, events, "unfinished" in include, "excluded" in include)
+        tables |= {"sessions.csv": [_row(*one) for one in found],
+                   "steps.csv": [row for one in found for row in _steps(*one)]}  # fmt: skip
+        if found:
+            save_events([event for _, event in found], out / "sessions.json")
+            files["sessions.json"] = "the sessions as events with their truth, for load_events"
+        said = ", ".join(f"{name} {n}" for name, n in counts.items())
+        files |= {
+            "sessions.csv": f"a row for each session in sessions.json; of all there were: {said}",
+            "steps.csv": "what was done and pressed, from which trajectories follow bit for bit",
+        }
+    for name, rows in tables.items():
+        columns = list(_COLUMNS[name])
+        cells = ([row[column] for column in columns] for row in rows)
+        write_bytes(out / name, (".csv",), csv_bytes(columns, cells))
+    readme = _readme(store, settings, len(included), include, files, _totals(asked))
     write_bytes(out / README, (".md",), readme.encode())
 
 
-def _answers(settings: Settings, viewings: Iterable[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    names = {"judgment": ["judgments.csv"], "tagging": ["tags.csv"],
-             "likeness": ["judgments.csv", "likeness.csv"]}[settings.kind]  # fmt: skip
-    tables: dict[str, list[Any]] = {name: [] for name in [*names, "viewings.csv"]}
-    for row in viewings:
-        who, video, given = row["participant"], row["event"], json.loads(row["answers"])
-        seconds = _number(row["rt_ms"], 1000)
-        tables["viewings.csv"].append(
-            [who, video, row["role"], row["position"] + 1, row["plays"],
-             _number(row["first_end_ms"], 1000), seconds]
-        )  # fmt: skip
-        if row["role"] != "main":
-            continue
-        if "tags.csv" in tables:
-            tables["tags.csv"] += [[who, video, label] for label in given["labels"]]
-        if "judgments.csv" in tables:
-            tables["judgments.csv"].append(
-                [who, video, given["goal_red"], given["goal_green"], given["relation"], seconds]
-            )
-        if "likeness.csv" in tables:
-            tables["likeness.csv"].append([who, video, row["grp"], given["likeness"], row["pair"]])
-    return tables
+# --- what was said --------------------------------------------------------------------------------
+
+
+def _answers(
+    settings: Settings, viewings: Sequence[Mapping[str, Any]]
+) -> dict[str, Sequence[Mapping[str, Any]]]:
+    main = [row for row in viewings if row["role"] == "main"]
+    tables: dict[str, Sequence[Mapping[str, Any]]] = {}
+    if settings.kind == "tagging":
+        tables["tags.csv"] = [{**row, "label": label} for row in main for label in row["labels"]]
+    else:
+        tables["judgments.csv"] = main
+    if settings.kind == "likeness":
+        tables["likeness.csv"] = [{**row, "rating": row["likeness"]} for row in main]
+    return {**tables, "viewings.csv": viewings}
 
 
 def _number(value: float | None, divisor: float = 1.0) -> str:
@@ -232,60 +263,144 @@ def _number(value: float | None, divisor: float = 1.0) -> str:
 
 def _viewings(store: Store) -> list[dict[str, Any]]:
     """Return a row per animation that somebody answered, in the order of people and positions."""
-    return store.rows(
-        """SELECT a.participant, a.position, a.role, s.event, s.grp, s.pair, r.answers, r.rt_ms,
-        r.plays, r.first_end_ms FROM assignment a JOIN stimulus s ON s.id=a.stimulus
+    found = store.rows(
+        """SELECT a.participant, a.position+1 AS position, a.role, s.event AS video,
+        s.grp AS "group", s.pair, r.answers, r.rt_ms, r.plays, r.first_end_ms
+        FROM assignment a JOIN stimulus s ON s.id=a.stimulus
         JOIN participant p ON p.id=a.participant
         JOIN response r ON r.participant=a.participant AND r.page='trial-'||(a.position+1)
         ORDER BY p.created, p.id, a.position"""
     )
-
-
-def _people(store: Store, settings: Settings) -> list[Person]:
-    seen: dict[str, list[dict[str, Any]]] = {}
-    for row in _viewings(store):
-        seen.setdefault(row["participant"], []).append(row)
-    counts = store.rows(
-        """SELECT p.*,
-        (SELECT count(*) FROM note n WHERE n.participant=p.id AND what='hidden') AS hidden,
-        (SELECT count(*) FROM response r WHERE r.participant=p.id AND page='quiz') AS quiz
-        FROM participant p ORDER BY created, id"""
-    )
-    now = time.time()
-    found = []
-    for row in counts:
-        mine = seen.get(row["id"], [])
-        missed = sum(
-            json.loads(one["answers"]).get("relation") not in settings.checks.get(one["event"], ())
-            for one in mine
-            if one["role"] == "check"
-        )
-        still = now - row["seen"] < 60 * settings.place_kept
-        minutes = None if row["consented"] is None else (row["seen"] - row["consented"]) / 60
-        outcome = row["outcome"] or ("at it" if still else "left")
-        found.append(
-            Person(row["id"], row["grp"], outcome, minutes, row["quiz"], len(mine), missed,
-                   row["hidden"], row["excluded"] is not None, row["reason"], row["config"])
-        )  # fmt: skip
+    for row in found:
+        row |= json.loads(row["answers"])
+        row["first_end"] = _number(row["first_end_ms"], 1000)
+        row["response_time"] = _number(row["rt_ms"], 1000)
     return found
 
 
-def _totals(store: Store, included: set[str]) -> str:
-    """Return age and gender of those whose answers are exported, in one line."""
-    people = [r for r in store.rows("SELECT * FROM person") if r["participant"] in included]
-    ages = [row["age"] for row in people if row["age"] is not None]
-    genders = Counter(row["gender"] or "not said" for row in people)
+def _people(store: Store, settings: Settings) -> list[dict[str, Any]]:
+    """Return a row per participant: the columns of ``participants.csv``, and ``excluded``."""
+    seen: dict[str, list[dict[str, Any]]] = {}
+    for row in _viewings(store):
+        seen.setdefault(row["participant"], []).append(row)
+    found = store.rows(
+        """SELECT id AS participant, grp AS "group", outcome, (seen-consented)/60 AS minutes,
+        (SELECT count(*) FROM response WHERE participant=p.id AND page='quiz') AS quiz_attempts,
+        (SELECT count(*) FROM note WHERE participant=p.id AND what='hidden') AS hidden,
+        excluded IS NOT NULL AS excluded, reason, substr(config,1,12) AS settings, seen
+        FROM participant p ORDER BY created, id"""
+    )
+    now = time.time()
+    for person in found:
+        mine = seen.get(person["participant"], [])
+        person["answers"] = len(mine)
+        person["checks_missed"] = sum(
+            one.get("relation") not in settings.checks.get(one["video"], ())
+            for one in mine
+            if one["role"] == "check"
+        )
+        still = now - person["seen"] < 60 * settings.place_kept
+        person["outcome"] = person["outcome"] or ("at it" if still else "left")
+    return found
+
+
+def _totals(people: Sequence[Mapping[str, Any]]) -> str:
+    """Return age and gender of people, in one line."""
     if not people:
         return "not asked"
+    ages = [row["age"] for row in people if row["age"] is not None]
+    genders = Counter(row["gender"] or "not said" for row in people)
     parts = [f"{n} {name}" for name, n in sorted(genders.items())]
     if len(ages) > 1:
         parts.insert(0, f"age {statistics.mean(ages):.2f} ± {statistics.stdev(ages):.2f}")
     return ", ".join(parts)
 
 
+# --- what was played ------------------------------------------------------------------------------
+
+
+def replayed(session: Mapping[str, Any], event: Event) -> Event:
+    """Return the event of a session, by doing its actions once more."""
+    settings = session["settings"]
+    scene = dataclasses.replace(
+        event.scene, turning=settings["turning"], resets_velocity=settings["resets_velocity"]
+    )
+    strengths = session["strength_red"], session["strength_green"]
+    world = PymunkWorld(scene, strengths)
+    frames = [scene.start, *(world.step((one["red"], one["green"])) for one in session["steps"])]
+    told = event.truth
+    truth = Truth(
+        session["goal_red"], session["goal_green"], told.relation, told.scenario, *strengths
+    )
+    return Event(scene, Observation(np.array(frames)), id=f"session-{session['id']}", truth=truth)
+
+
+def played(
+    store: Store, events: Mapping[str, Event], broken_off: bool = False, excluded: bool = False
+) -> tuple[list[tuple[dict[str, Any], Event]], dict[str, int]]:
+    """Return the sessions of a study, as recorded and as events, and counts.
+
+    A session whose actions do not give its trajectory again, to the last bit, is left out.
+    """
+    out = {row["id"] for row in store.rows("SELECT id FROM participant WHERE excluded IS NOT NULL")}
+    counts = dict.fromkeys(("sessions", *COMPLETE, "broken off", "excluded", "replay differs"), 0)
+    found = []
+    for session in store.sessions():
+        outcome = session["outcome"] if session["outcome"] in COMPLETE else "broken off"
+        is_out = any(player["participant"] in out for player in session["players"])
+        counts["sessions"] += 1
+        counts[outcome] += 1
+        counts["excluded"] += is_out
+        if (outcome not in COMPLETE and not broken_off) or not session["steps"]:
+            continue
+        if is_out and not excluded:
+            continue
+        event = replayed(session, events[session["event"]])
+        kept = session["sha256"]
+        if kept is not None and trajectory_sha256(event.observation.trajectory) != kept:
+            counts["replay differs"] += 1
+        else:
+            found.append((session, event))
+    return found, counts
+
+
+def _row(session: Mapping[str, Any], event: Event) -> dict[str, Any]:
+    settings, slip = session["settings"], session["slip_ms"] or 0.0
+    people = dict(zip(("red", "green"), session["players"], strict=True))
+    return {
+        **session,
+        "session": event.id,
+        "scene": session["event"],
+        "relation": event.truth.relation,
+        **{agent: one["participant"] or "computer" for agent, one in people.items()},
+        "outcome": session["outcome"] or "stopped",
+        "steps": len(session["steps"]),
+        "seconds": len(session["steps"]) / settings["steps_per_second"],
+        **{name: settings[name] for name in ("steps_per_second", "view")},
+        "resets_velocity": int(settings["resets_velocity"]),
+        **{
+            f"rtt_ms_{agent}": None if one["rtt_ms"] is None else round(one["rtt_ms"], 1)
+            for agent, one in people.items()
+        },
+        "slip_ms": round(slip, 1),
+        "slipped": int(slip > SLIPPED),
+    }
+
+
+def _steps(session: Mapping[str, Any], event: Event) -> Iterable[dict[str, Any]]:
+    for step in session["steps"]:
+        done = {name: ACTION_NAMES[step[name]] for name in ("red", "green")}
+        red, green = (" ".join(held) for held in json.loads(step["keys"]))
+        yield {"session": event.id, "step": step["number"], **done, "keys_red": red,
+               "keys_green": green, "lag_ms": round(step["lag_ms"], 1)}  # fmt: skip
+
+
+# --- the page about them --------------------------------------------------------------------------
+
+
 def _readme(
     store: Store, settings: Settings, n: int, include: Sequence[str],
-    files: Mapping[str, str], columns: Mapping[str, Mapping[str, str]], totals: str,
+    files: Mapping[str, str], totals: str,
 ) -> str:  # fmt: skip
     kind = settings.kind
     lines = [
@@ -302,9 +417,9 @@ def _readme(
     ]  # fmt: skip
     for name, what in files.items():
         lines += [f"### {name}", "", *([f"{what[0].upper()}{what[1:]}.", ""] if what else [])]
-        if name in columns:
+        if name in _COLUMNS:
             lines += ["| column | content |", "|---|---|"]
-            lines += [f"| `{column}` | {text} |" for column, text in columns[name].items()] + [""]
+            lines += [f"| `{column}` | {text} |" for column, text in _COLUMNS[name].items()] + [""]
     reads = {
         "judgment": 'ppl.load_judgments("judgments.csv")',
         "tagging": 'ppl.load_tags("tags.csv")',

@@ -73,7 +73,12 @@ def next_pages(settings: Settings, who: Participant) -> list[tuple[str, int]]:
 
 def described(settings: Settings, who: Participant, page: str, attempt: int) -> Page:
     """Return what the browser needs to show a page."""
-    found: Page = {"page": page, "attempt": attempt, "html": "", "questions": [], "button": "Next"}
+    asked = questions(settings, page)
+    for question in asked:
+        if question["kind"] == "many":  # the same order on all pages of a person
+            random.Random(who.id).shuffle(question["options"])
+    found: Page = {"page": page, "attempt": attempt, "html": "", "questions": asked,
+                   "button": "Next"}  # fmt: skip
     texts = settings.texts
     kind, _, number = page.partition("-")
     if kind == "consent":
@@ -99,20 +104,15 @@ def described(settings: Settings, who: Participant, page: str, attempt: int) -> 
         found |= {"heading": "Introduction", "steps": steps}
         found["html"] = html(texts["wrong"]) if attempt > 1 else ""
     elif kind == "quiz":
-        found |= {
-            "heading": "What the introduction said",
-            "button": "Done",
-            "questions": _quiz(settings),
-        }
+        found |= {"heading": "What the introduction said", "button": "Done"}
     elif kind == "person":
-        found |= {"heading": "About you", "html": html(texts["person"]), "questions": _PERSON}
+        found |= {"heading": "About you", "html": html(texts["person"])}
     elif kind == "trial":
         trials = who.trials or ()
         found |= {
             "heading": f"Animation {number} of {len(trials)}",
             "html": html(texts["trial"]),
             "video": f"/video/{trials[int(number) - 1].name}.mp4",
-            "questions": _trial(settings, who.id),
             "wide": True,
         }
     else:  # of play; static/play.js shows it, and the server ends it
@@ -126,31 +126,24 @@ def _one(name: str, legend: str, options: Sequence[Any], **more: Any) -> Page:
     return {"name": name, "kind": "one", "legend": legend, "options": given, **more}
 
 
-_PERSON: Final = [
-    {
-        "name": "age",
-        "kind": "number",
-        "legend": "Your age",
-        "least": 18,
-        "most": 120,
-        "optional": True,
-    },
-    _one("gender", "Your gender", [*GENDERS, ("", "I prefer not to say")], optional=True),
-]
-
-
-def _quiz(settings: Settings) -> list[Page]:
-    return [
-        _one(f"question_{number}", question, options)
-        for number, (question, options, _) in enumerate(settings.quiz, 1)
-    ]
-
-
-def _trial(settings: Settings, who: str) -> list[Page]:
+def questions(settings: Settings, page: str) -> list[Page]:
+    """Return what is asked on a page; ``static/page.js`` and :func:`checked` know the kinds."""
+    kind = page.partition("-")[0]
+    if kind == "quiz":
+        return [
+            _one(f"question_{number}", question, options)
+            for number, (question, options, _) in enumerate(settings.quiz, 1)
+        ]
+    if kind == "person":
+        return [
+            {"name": "age", "kind": "number", "legend": "Your age", "least": 18, "most": 120,
+             "optional": True},
+            _one("gender", "Your gender", [*GENDERS, ("", "I prefer not to say")], optional=True),
+        ]  # fmt: skip
+    if kind != "trial":
+        return []
     if settings.kind == "tagging":
-        labels = list(LABELS)
-        random.Random(who).shuffle(labels)  # the same order on all pages of a person
-        return [_one("labels", "What happens? Choose all that fit.", labels, kind="many")]
+        return [_one("labels", "What happens? Choose all that fit.", LABELS, kind="many")]
     found = [
         {"name": f"goal_{agent.split()[0]}", "kind": "goals", "agent": agent,
          "legend": f"What does the {agent} want?", "self_goals": settings.self_goals}
@@ -159,18 +152,14 @@ def _trial(settings: Settings, who: str) -> list[Page]:
     found.append(_one("relation", "How do they stand to each other?", RELATIONS))
     if settings.kind == "likeness":
         legend = " ".join(settings.texts["likeness"].split())
-        rating = list(enumerate(LIKENESS, 1))
-        found.append(_one("likeness", legend, rating))
+        found.append(_one("likeness", legend, list(enumerate(LIKENESS, 1))))
     return found
 
 
-def allowed_goals(settings: Settings, agent: int) -> list[str]:
+def allowed_goals(agent: str, self_goals: bool) -> list[str]:
     """Return the goals that people can choose for an agent."""
-    return [
-        goal
-        for index, goal in enumerate(GOALS)
-        if settings.self_goals or not is_self_referring(index, agent)
-    ]
+    number = AGENTS.index(agent)
+    return [g for i, g in enumerate(GOALS) if self_goals or not is_self_referring(i, number)]
 
 
 @functools.lru_cache(maxsize=256)
@@ -194,63 +183,44 @@ def checked(
     settings: Settings, page: str, answers: Mapping[str, Any]
 ) -> tuple[dict[str, Any], bool | None]:
     """Return the answers to a page, and, of quiz and consent, whether they let the study go on."""
-    kind = page.partition("-")[0]
+    kind, asked = page.partition("-")[0], questions(settings, page)
+    names = {"consent": ["agree"], "tutorial": ["views"]}.get(kind, [one["name"] for one in asked])
+    if sorted(answers) != sorted(names):
+        raise Unfit(f"expected answers to {', '.join(names) or 'nothing'}")
     if kind == "consent":
-        _only(answers, ["agree"])
         if not isinstance(answers["agree"], bool):
             raise Unfit("agree: expected true or false")
-        return {"agree": answers["agree"]}, answers["agree"]
-    if kind == "device":
-        _only(answers, [])
-        return {}, None
+        return dict(answers), answers["agree"]
     if kind == "tutorial":
-        _only(answers, ["views"])
         views = answers["views"]
         if not (isinstance(views, list) and len(views) <= 500 and all(map(_is_number, views))):
             raise Unfit("views: expected milliseconds")
-        return {"views": views}, None
-    if kind == "quiz":
-        _only(answers, [f"question_{number}" for number in range(1, len(settings.quiz) + 1)])
-        right = True
-        for number, (_, options, answer) in enumerate(settings.quiz, 1):
-            given = answers[f"question_{number}"]
-            if given not in options:
-                raise Unfit(f"question_{number}: no such answer")
-            right &= given == answer
-        return dict(answers), right
-    if kind == "person":
-        _only(answers, ["age", "gender"])
-        age, gender = answers["age"], answers["gender"] or None
-        if age is not None and not (type(age) is int and 18 <= age <= 120):
-            raise Unfit("age: expected 18 to 120, or none")
-        if gender not in (*GENDERS, None):
-            raise Unfit("gender: no such answer")
-        return {"age": age, "gender": gender}, None
-    if settings.kind == "tagging":
-        _only(answers, ["labels"])
-        labels = answers["labels"]
-        if not (isinstance(labels, list) and labels and len(labels) == len(set(map(str, labels)))):
-            raise Unfit("labels: expected one or more, each once")
-        if not all(label in LABELS for label in labels):
-            raise Unfit("labels: no such label")
-        return {"labels": [label for label in LABELS if label in labels]}, None
-    questions: dict[str, Sequence[Any]] = {
-        "goal_red": allowed_goals(settings, 0),
-        "goal_green": allowed_goals(settings, 1),
-        "relation": RELATIONS,
-    }
-    if settings.kind == "likeness":
-        questions["likeness"] = range(1, 6)
-    _only(answers, list(questions))
-    for name, allowed in questions.items():
-        if isinstance(answers[name], bool) or answers[name] not in allowed:
-            raise Unfit(f"{name}: no such answer")
-    return {name: answers[name] for name in questions}, None
+        return dict(answers), None
+    found = {question["name"]: _fitting(question, answers[question["name"]]) for question in asked}
+    if kind != "quiz":
+        return found, None
+    right = [answer for _, _, answer in settings.quiz]
+    return found, list(found.values()) == right
 
 
-def _only(answers: Mapping[str, Any], names: Sequence[str]) -> None:
-    if sorted(answers) != sorted(names):
-        raise Unfit(f"expected answers to {', '.join(names) or 'nothing'}")
+def _fitting(question: Page, answer: Any) -> Any:
+    """Return an answer to a question, in the order of the options where it may have several."""
+    if question.get("optional") and answer in ("", None):
+        return None
+    options = [option for option, _ in question.get("options", ())]
+    if question["kind"] == "number":
+        fits = type(answer) is int and question["least"] <= answer <= question["most"]
+    elif question["kind"] == "many":
+        several = answer if isinstance(answer, list) else []
+        answer = [option for option in options if option in several]
+        fits = bool(several) and len(answer) == len(several)
+    else:
+        if question["kind"] == "goals":
+            options = allowed_goals(question["agent"], question["self_goals"])
+        fits = not isinstance(answer, bool) and answer in options
+    if not fits:
+        raise Unfit(f"{question['name']}: no such answer")
+    return answer
 
 
 def _is_number(value: object) -> bool:

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
+import functools
 import json
 import random
 import secrets
@@ -26,18 +28,9 @@ from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from phase_ppl.study import plan
-from phase_ppl.study.room import (
-    KEYS,
-    Controls,
-    Message,
-    Outbox,
-    PlaySettings,
-    Room,
-    Seat,
-    settings_record,
-)
+from phase_ppl.study.room import KEYS, Controls, Message, Outbox, Room, Seat
+from phase_ppl.study.server import MOST_MESSAGE, Site, same_origin
 from phase_ppl.study.store import COMPLETE, Participant
-from phase_ppl.study.web import MOST_MESSAGE, Site, same_origin
 from phase_ppl.world.names import BLUE_ITEM, NOTHING
 from phase_ppl.world.scene import Scene
 
@@ -99,7 +92,7 @@ class Lobby:
 
     def __init__(self, site: Site) -> None:
         self.site = site
-        self.settings = PlaySettings(**site.settings.play)
+        self.settings = site.settings.play
         self._seats: dict[str, Seat] = {}
         self._attending: dict[str, asyncio.Task[None]] = {}
         self._waiting: dict[str, asyncio.Future[asyncio.Task[None]]] = {}
@@ -267,15 +260,8 @@ class Lobby:
         if outcome == "left":
             return False
         answers = {"done": len(done), "of": len(TASKS), "steps": len(room.steps)}
-        await self._answered(seat, "practice", answers)
+        await self.site.answer(str(seat.who), "practice", answers)
         return True
-
-    async def _answered(self, seat: Seat, page: str, answers: dict[str, Any]) -> None:
-        if seat.who is not None:
-            await self.site.ask(
-                self.site.store.answer, seat.who, page, 1, answers,
-                outcome=lambda participant: plan.outcome(self.site.settings, participant),
-            )  # fmt: skip
 
     async def _meet(self, seat: Seat) -> bool:
         """Wait for somebody, and play with them; whether they are still there."""
@@ -353,13 +339,9 @@ class Lobby:
         """Play one session, keep it, and return its outcome."""
         site, settings, store = self.site, self.settings, self.site.store
         pages = {person.id: str(self._page(person)) for person in people}
-        known = {s["event"] for p in people for s in await site.ask(store.sessions_of, p.id)}
         since = time.time() - 2 * settings.seconds
-        event = site.events[await site.ask(store.least_played, since, tuple(known))]
+        event = site.events[await site.ask(store.least_played, since, tuple(pages))]
         truth, scene, seed = event.truth, settings.scene(event.scene), secrets.randbits(32)
-        assert truth is not None
-        assert truth.strength_red is not None
-        assert truth.strength_green is not None
         goals = truth.goal_red, truth.goal_green
         strengths = truth.strength_red, truth.strength_green
         room = Room(scene, goals, strengths, settings, seats, computer=np.random.default_rng(seed))
@@ -370,7 +352,7 @@ class Lobby:
             number = int(pages.get(str(seat.who), "session-0").partition("-")[2])
             described = {**room.described(agent), "session": number, "last": last,
                          "of": site.settings.trials}  # fmt: skip
-            seat.show(self._stage(room, agent, described, count))
+            seat.show(functools.partial(_stage, room, agent, described, count))
         if not await self._ready(seats, room):
             # who is there goes back to the waiting room
             for seat in seats:
@@ -379,15 +361,15 @@ class Lobby:
                     seat.show([{"t": "go"}])
             return "left"
         await self._count_down(seats, count)
+        record = {**dataclasses.asdict(settings), "turning": scene.turning, "computer_seed": seed}
         session = await site.ask(
-            store.open_session, "session", event.id, goals, strengths,
-            {**settings_record(settings, scene), "computer_seed": seed}, [s.who for s in seats],
-        )  # fmt: skip
+            store.open_session, event.id, goals, strengths, record, [s.who for s in seats]
+        )
         outcome = await self._played(room, session)
         for seat in seats:
             if seat.who is not None and outcome in COMPLETE:
                 answers = {"session": session, "outcome": outcome}
-                await self._answered(seat, pages[seat.who], answers)
+                await site.answer(seat.who, pages[seat.who], answers)
             elif seat.who is not None:
                 how = "partner_left" if seat.is_connected else "left"
                 await site.ask(store.end, seat.who, how)
@@ -405,15 +387,6 @@ class Lobby:
         for seat in seats:
             seat.controls = Controls()
             seat.tell(count[0])
-
-    def _stage(
-        self, room: Room, agent: int, described: Message, count: Sequence[Message]
-    ) -> Callable[[], list[Message]]:
-        def now() -> list[Message]:
-            ready = {"t": "ready", "players": [seat.is_ready for seat in room.seats]}
-            return [described, ready, *count, room.shown(agent)]
-
-        return now
 
     async def _ready(self, seats: Sequence[Seat], room: Room) -> bool:
         """Wait until both are ready; whether they have become so in time."""
@@ -451,26 +424,30 @@ class Lobby:
                 await self.site.ask(self.site.store.add_steps, session, steps)
                 saved += len(steps)
 
-    async def _end(self, room: Room, session: str, outcome: str, tries: int = 10) -> None:
+    async def _end(self, room: Room, session: str, outcome: str) -> None:
         store = self.site.store
         trips = [
             float(np.median(seat.round_trips)) if seat.round_trips else None for seat in room.seats
         ]
-        while True:
+        for more in range(9, -1, -1):  # times to try again
             try:
                 await self.site.ask(store.add_steps, session, room.steps)
                 await self.site.ask(
                     store.end_session, session, outcome,
                     slip_ms=1000 * room.slip, rtt_ms=trips, sha256=room.trajectory_sha256(),
                 )  # fmt: skip
+                return
             except HTTPException:
-                tries -= 1
-                if tries == 0:
+                if not more:
                     print(f"phase-ppl: session {session} was not saved", file=sys.stderr)
                     raise
                 await asyncio.sleep(1)
-            else:
-                return
+
+
+def _stage(room: Room, agent: int, described: Message, count: Sequence[Message]) -> list[Message]:
+    """Return what a player is told who comes back into a session."""
+    ready = {"t": "ready", "players": [seat.is_ready for seat in room.seats]}
+    return [described, ready, *count, room.shown(agent)]
 
 
 async def _pump(socket: WebSocket, outbox: Outbox) -> None:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import dataclasses
-import hashlib
+import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -22,14 +21,17 @@ from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import Action
+from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.physics.pymunk_world import PymunkWorld, mean_pose
 from phase_ppl.render.frames import field_of_view
+from phase_ppl.study.settings import PlaySettings
+from phase_ppl.study.store import trajectory_sha256
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_index, goal_literal, is_true
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, Predicate
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 
 MOVES: Final[Mapping[str, Action]] = {
@@ -45,59 +47,6 @@ KEYS: Final = (*MOVES, GRAB)
 """What a player can press (paper, Appendix A.2)."""
 
 Message = dict[str, Any]
-
-_RANGES: Final = {"steps_per_second": (1, 12), "limit": (1, 5000), "hold": (1, 100),
-                  "wait_at_most": (1, 3600), "ready_within": (1, 600), "rejoin_within": (1, 60),
-                  "practice_at_most": (1, 3600), "rooms": (1, 50)}  # fmt: skip
-_CHOICES: Final = {"view": ("own", "all"), "partner": ("either", "person", "computer")}
-
-
-@dataclasses.dataclass(frozen=True)
-class PlaySettings:
-    """What sessions are like: the table ``[play]`` of ``study.toml``, which describes them.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: a value that cannot be used.
-    """
-
-    steps_per_second: int
-    limit: int
-    hold: int
-    view: Literal["own", "all"]
-    resets_velocity: bool
-    partner: Literal["either", "person", "computer"]
-    wait_at_most: int
-    ready_within: int
-    rejoin_within: int
-    practice_at_most: int
-    rooms: int
-
-    def __post_init__(self) -> None:
-        for name, (least, most) in _RANGES.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-                raise InvalidSettingError(
-                    f"{name} in [play] is {shown(value)}, expected a whole number in "
-                    f"[{least}, {most}]"
-                )
-        for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise unknown_name(f"{name} in [play]", getattr(self, name), choices)
-
-    @property
-    def step(self) -> float:
-        """Seconds of a planner step."""
-        return 1 / self.steps_per_second
-
-    @property
-    def seconds(self) -> float:
-        """That a session may take."""
-        return self.limit * self.step
-
-    def scene(self, scene: Scene) -> Scene:
-        """Return a scene as it is played: people turn both ways, and the rule is the study's."""
-        return dataclasses.replace(scene, turning="both", resets_velocity=self.resets_velocity)
-
 
 class Controls:
     """The keys of one player, between two steps."""
@@ -426,11 +375,101 @@ def outline(scene: Scene, poses: FloatArray, agent: int) -> list[list[float]]:
     return [[round(x, 2), round(y, 2)] for x, y in [eye.tolist(), *corners.tolist()]]
 
 
-def trajectory_sha256(trajectory: FloatArray) -> str:
-    """Return a hash of a trajectory's numbers, to the last bit."""
-    return hashlib.sha256(np.ascontiguousarray(trajectory, np.float64).tobytes()).hexdigest()
+# --- what is to be expected of a scene ------------------------------------------------------------
 
 
-def settings_record(settings: PlaySettings, scene: Scene) -> dict[str, Any]:
-    """Return all that a session is made under, as plain data."""
-    return {**dataclasses.asdict(settings), "turning": scene.turning}
+def warnings(events: Iterable[Event], settings: PlaySettings) -> list[str]:
+    """Return which agents cannot do in the time what they are to do, in words."""
+    found = []
+    for event in events:
+        truth, scene = event.truth, settings.scene(event.scene)
+        goals = truth.goal_red, truth.goal_green
+        literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
+        if all(one.positive and is_true(one, scene.start, scene) for one in literals):
+            found.append(f"{event.id}: both goals are reached before anybody moves")
+        for agent, strength in enumerate((truth.strength_red, truth.strength_green)):
+            name, size = ENTITIES[agent], float(scene.radius[agent])
+            who = f"{event.id}: the {name} (size {size:g}, {strength:g} N)"
+            needed = _needed(literals[agent], agent, scene, strength, settings)
+            width = scene.arena[1] - scene.arena[0]
+            crossing = driving(size, strength, width, settings.resets_velocity) * settings.step
+            if needed == np.inf:
+                item = ENTITIES[literals[agent].subject]
+                found.append(f"{who} cannot move the {item} alone, which its goal is about")
+            elif needed > settings.seconds:
+                found.append(f"{who} needs {_said(needed)} for its goal, {_of(settings)}")
+            elif crossing > settings.seconds:
+                found.append(f"{who} needs {_said(crossing)} across the arena, {_of(settings)}")
+    return found
+
+
+def _said(seconds: float) -> str:
+    return "forever" if seconds == np.inf else f"some {seconds:.0f} s"
+
+
+def _of(settings: PlaySettings) -> str:
+    return f"of the {settings.seconds:g} s that a session takes (limit in [play])"
+
+
+def _needed(
+    literal: Literal, agent: int, scene: Scene, strength: float, settings: PlaySettings
+) -> float:
+    """Return the seconds that an agent needs for its goal, alone and straight; inf: never."""
+    places, distance, resets = scene.start[:, :2], scene.rooms.path_distance, scene.resets_velocity
+    size, subject = float(scene.radius[agent]), literal.subject
+    if not literal.positive or subject == 1 - agent:
+        return 0.0
+    if literal.predicate is Predicate.TOUCH:
+        way = distance(places[agent], places[literal.target])
+        return driving(size, strength, way, resets) * settings.step
+    goal = scene.landmark_centres[literal.target]
+    carried = max(0.0, float(distance(places[subject], goal)) - scene.landmark_half_width)
+    if subject == agent:
+        return driving(size, strength, carried, resets) * settings.step
+    there = driving(size, strength, float(distance(places[agent], places[subject])), resets)
+    item = float(scene.radius[subject])
+    return (there + driving(size, strength, carried, resets, item)) * settings.step
+
+
+_STEADY: Final = 24  # steps after which the speed of an agent that is reset is taken as it stays
+_CREEPS: Final = 2e-3  # units per step that are no motion
+
+
+@functools.lru_cache(maxsize=1024)
+def driving(
+    size: float, strength: float, way: float, resets_velocity: bool, item: float | None = None
+) -> float:
+    """Return the planner steps that an agent takes straight ahead from rest; inf: it stays.
+
+    Of that size [units] and strength [N], for a way [units], carrying an item of a size in front.
+    """
+    if way <= 0:
+        return 0.0
+    room = 10 * max(way, 20.0)
+    start = np.array([[0.5, 0.1], [0.1, 0.9], [0.9, 0.9], [0.9, 0.1]]) * room
+    if item is not None:
+        start[2] = start[0] + [0.0, size + item]
+    corners = np.array([[0.1, 0.9], [0.9, 0.9], [0.9, 0.1], [0.1, 0.1]]) * room
+    scene = Scene(
+        start=np.column_stack([start, np.zeros(4)]),
+        radius=np.array([size, 0.8, item or 0.8, 0.8]),
+        arena=(0.0, room, 0.0, room),
+        landmark_centres=corners,
+        resets_velocity=resets_velocity,
+    )
+    params = compiled.make_params(scene, (strength, strength))
+    arrays = compiled.from_state(State.at_start(scene), scene.radius)
+    scratch = compiled.make_scratch()
+    if item is not None:
+        compiled.step(*arrays, np.array([Action.ATTACH, NO_ACTION]), params, scratch)
+        if arrays[1][0] == NOTHING:
+            return np.inf
+    gone = before = 0.0
+    for step in range(1, 100_000):
+        compiled.step(*arrays, np.array([Action.UP, NO_ACTION]), params, scratch)
+        before, gone = gone, arrays[0][0, 1] - start[0, 1] + size / 6
+        if gone >= way:
+            return float(step)
+        if step >= _STEADY and (resets_velocity or gone <= _CREEPS):
+            return step + (way - gone) / (gone - before) if gone - before > _CREEPS else np.inf
+    return np.inf

@@ -1,28 +1,53 @@
-"""The server of a study: starlette routes over the store and the plan."""
+"""The server of a study: who asks, what is refused, and starlette routes over store and plan."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import json
+import sqlite3
+import sys
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, ParamSpec, TypeVar
+from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from phase_ppl.study import plan
 from phase_ppl.study.clips import CLIPS
-from phase_ppl.study.store import Participant, Refused
-from phase_ppl.study.web import SafeHeaders, Site, hosts, posted
+from phase_ppl.study.settings import Settings
+from phase_ppl.study.store import Participant, Refused, Store
+from phase_ppl.world.event import Event
 
 STATIC: Final = Path(__file__).parent / "static"
+MOST_BODY: Final = 64 * 1024
+MOST_MESSAGE: Final = 4 * 1024
+"""Bytes of a request's body, and of a message of a socket."""
+
+HEADERS: Final = {
+    # jsPsych sets style attributes; preloaded videos are blobs
+    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; "
+    "media-src 'self' blob:; img-src 'self' data:; object-src 'none'; frame-ancestors 'none'; "
+    "base-uri 'none'; form-action 'self'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
 _MONTH: Final = 30 * 24 * 3600
 _NOTES: Final = frozenset(
     ("resume", "hidden", "blur", "video error", "autoplay refused", "retry", "device refused")
@@ -30,9 +55,136 @@ _NOTES: Final = frozenset(
 _TIMES: Final = ("rt_ms", "shown_ms", "plays", "first_end_ms")
 _MOST_TIME: Final = 1e13
 
+P = ParamSpec("P")
+T = TypeVar("T")
 
-def create_app(site: Site, names: tuple[str, ...] = ()) -> Starlette:
-    """Return the application of a study."""
+
+class Site:
+    """A study that is being served; ``secure``: by TLS, so that cookies are for TLS only."""
+
+    def __init__(
+        self, folder: Path, settings: Settings, events: Mapping[str, Event], secure: bool = False
+    ) -> None:
+        self.folder, self.settings, self.events, self.secure = folder, settings, events, secure
+        self._thread = ThreadPoolExecutor(1, "store")
+        self._buckets: dict[str, tuple[float, float]] = {}
+        self.opening: list[Callable[[], Awaitable[None]]] = []
+        self.closing: list[Callable[[], Awaitable[None]]] = []
+        self.store: Store
+        self.cookie = ""
+
+    async def open(self) -> None:
+        """Open the store, in the one thread that uses it."""
+
+        def begin() -> None:
+            self.store = Store(self.folder / "study.db")
+            self.store.use_settings(self.settings)
+            # cookies are shared by all ports of a machine
+            self.cookie = f"study_{self.store.fact('id')}"
+
+        await asyncio.get_running_loop().run_in_executor(self._thread, begin)
+        for what in self.opening:
+            await what()
+
+    async def close(self) -> None:
+        """Write what is to be written, and close the store."""
+        for what in self.closing:
+            await what()
+        await asyncio.get_running_loop().run_in_executor(self._thread, lambda: self.store.close())
+        self._thread.shutdown()
+
+    async def ask(self, method: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Call a method of the store in its thread, as in ``site.ask(store.end, who, "left")``."""
+        loop = asyncio.get_running_loop()
+        try:
+            return await loop.run_in_executor(self._thread, lambda: method(*args, **kwargs))
+        except sqlite3.OperationalError as error:
+            print(f"phase-ppl: the study cannot be saved: {error}", file=sys.stderr)
+            raise HTTPException(503, "answers cannot be saved at the moment") from None
+
+    async def answer(
+        self, who: str, page: str, answers: Mapping[str, Any], attempt: int = 1, **more: Any
+    ) -> bool:
+        """Keep an answer, as :meth:`Store.answer` does, with how the study ends by it."""
+        return await self.ask(
+            self.store.answer, who, page, attempt, answers,
+            outcome=lambda participant: plan.outcome(self.settings, participant), **more,
+        )  # fmt: skip
+
+    async def visitor(self, connection: HTTPConnection) -> Participant | None:
+        """Return whose cookie comes with a request or a socket; None: nobody's."""
+        token = connection.cookies.get(self.cookie, "")
+        return await self.ask(self.store.by_token, token) if token else None
+
+    async def participant(self, connection: HTTPConnection) -> Participant:
+        """Return whose cookie comes with a request or a socket (HTTPException 401: nobody's)."""
+        found = await self.visitor(connection)
+        if found is None:
+            raise HTTPException(401, "you are not known here; please open the study's address anew")
+        return found
+
+    def allow(self, what: str, rate: float, burst: float) -> bool:
+        """Return whether ``what`` may happen: ``rate`` times a second, ``burst`` at once."""
+        now = time.monotonic()
+        left, before = self._buckets.pop(what, (burst, now))
+        left = min(burst, left + (now - before) * rate)
+        allowed = left >= 1
+        self._buckets[what] = left - allowed, now
+        if len(self._buckets) > 10_000:
+            del self._buckets[next(iter(self._buckets))]
+        return allowed
+
+
+def same_origin(connection: HTTPConnection) -> bool:
+    """Whether a page of the study asks: the Origin that browsers send is that of the Host."""
+    origin = connection.headers.get("origin", "")
+    return bool(origin) and urlsplit(origin).netloc == connection.headers.get("host")
+
+
+async def posted(request: Request) -> dict[str, Any]:
+    """Return the JSON object that a page of the study sent."""
+    if not same_origin(request):
+        raise HTTPException(403, "this does not come from a page of the study")
+    if request.headers.get("content-type", "").split(";")[0] != "application/json":
+        raise HTTPException(415, "expected application/json")
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MOST_BODY:
+            raise HTTPException(413, f"larger than {MOST_BODY // 1024} kB")
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise HTTPException(400, "expected a JSON object")
+    return found
+
+
+class SafeHeaders:
+    """Puts :data:`HEADERS` onto every answer that does not say otherwise."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self.app(scope, receive, with_headers if scope["type"] == "http" else send)
+
+
+def create_app(
+    site: Site, names: Sequence[str] = (), more: Callable[[Site], Sequence[BaseRoute]] | None = None
+) -> Starlette:
+    """Return the application of a study, which answers to names beside those of this machine.
+
+    ``more`` makes routes beside those of the pages.
+    """
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -51,16 +203,13 @@ def create_app(site: Site, names: tuple[str, ...] = ()) -> Starlette:
         Route("/clip/{name}.mp4", pages.clip),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
-    if site.settings.kind == "play":
-        from phase_ppl.study import play
-
-        routes += play.routes(site)
+    hosts = ["localhost", "127.0.0.1", "[::1]", "::1", *names]
     app = Starlette(
-        routes=routes,
+        routes=[*routes, *(more(site) if more is not None else ())],
         lifespan=lifespan,
         middleware=[
             Middleware(SafeHeaders),
-            Middleware(TrustedHostMiddleware, allowed_hosts=hosts(*names), www_redirect=False),
+            Middleware(TrustedHostMiddleware, allowed_hosts=hosts, www_redirect=False),
         ],
         exception_handlers={HTTPException: _refusal},
     )
@@ -108,18 +257,12 @@ class Pages:
             return who
         # a crash may have come between an answer and what follows from it
         ended = plan.outcome(settings, who)
-        if ended is None and time.time() - who.seen > 60 * settings.resume_within:
+        if ended is None and self._is_late(who):
             ended = "expired"
         if ended is not None:
             await site.ask(site.store.end, who.id, ended)
         elif settings.kind != "play" and who.trials is None and plan.is_prepared(settings, who):
-            await site.ask(
-                site.store.assign,
-                who.id,
-                trials=settings.trials,
-                checks=tuple(settings.checks),
-                place_kept=60 * settings.place_kept,
-            )
+            await site.ask(site.store.assign, who.id, settings)
         else:
             return who
         return await site.ask(site.store.participant, who.id)
@@ -147,17 +290,8 @@ class Pages:
         if not isinstance(person, str) or len(person) > 200:
             raise HTTPException(400, "person: expected text")
         try:
-            _, token = await site.ask(
-                site.store.enter,
-                settings.sha256,
-                person=person if settings.refuse_repeats else "",
-                place_kept=60 * settings.place_kept,
-                trials=settings.trials,
-                raters=settings.raters,
-                checks=tuple(settings.checks),
-                most=settings.most_entries,
-                per_minute=settings.entries_per_minute,
-            )
+            person = person if settings.refuse_repeats else ""
+            _, token = await site.ask(site.store.enter, settings, person)
         except Refused as reason:
             if str(reason) == "busy":
                 raise HTTPException(503, "many people come at once; please wait a moment") from None
@@ -180,7 +314,8 @@ class Pages:
         page, attempt, answers = (given.get(name) for name in ("page", "attempt", "answers"))
         if not (isinstance(page, str) and type(attempt) is int and isinstance(answers, dict)):
             raise HTTPException(400, "expected page, attempt and answers")
-        who = await self._expired(who)
+        if self._is_late(who):  # what comes too late is kept, but the study does not go on
+            who = await self._now(who)
         if any((page, attempt) == (a.page, a.attempt) for a in who.answers):
             return JSONResponse({"saved": True, "new": False, "next": self._next(who)})
         allowed = plan.next_pages(settings, who)
@@ -196,23 +331,12 @@ class Pages:
             cleaned, correct = plan.checked(settings, page, answers)
         except plan.Unfit as error:
             raise HTTPException(400, str(error)) from None
-        new = await site.ask(
-            site.store.answer,
-            who.id,
-            page,
-            attempt,
-            cleaned,
-            correct=correct,
-            times=times,
-            outcome=lambda participant: plan.outcome(settings, participant),
-        )
+        new = await site.answer(who.id, page, cleaned, attempt, correct=correct, times=times)
         who = await site.ask(site.store.participant, who.id)
         return JSONResponse({"saved": True, "new": new, "next": self._next(who)})
 
-    async def _expired(self, who: Participant) -> Participant:
-        """Return a participant; what comes too late is kept, but the study does not go on."""
-        late = time.time() - who.seen > 60 * self.site.settings.resume_within
-        return await self._now(who) if late else who
+    def _is_late(self, who: Participant) -> bool:
+        return time.time() - who.seen > 60 * self.site.settings.resume_within
 
     def _next(self, who: Participant) -> str | None:
         """Return the page that comes next, by which a second tab notices that it is behind."""

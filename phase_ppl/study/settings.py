@@ -6,24 +6,67 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 import secrets
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from phase_ppl.evaluation.judgments import checked_answer
 from phase_ppl.study.clips import CLIPS
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.files import existing_file
+from phase_ppl.world.scene import Scene
 
 FILE: Final = "study.toml"
 KINDS: Final = ("judgment", "tagging", "likeness", "play")
 _CHARACTERS: Final = "ABCDEFGHJKLMNPQRSTUVWXYZ23456789"
-_LEAST: Final = {"trials": 1, "raters": 1, "tries": 1, "resume_within": 1, "place_kept": 1,
-                 "min_width": 0, "entries_per_minute": 1, "most_entries": 1}  # fmt: skip
-"""Whole numbers -> the smallest that is allowed."""
+_COUNTS: Final = ("trials", "raters", "tries", "resume_within", "place_kept",
+                  "entries_per_minute", "most_entries")  # fmt: skip
+_RANGES: Final[Mapping[str, tuple[int, float]]] = {
+    **dict.fromkeys(_COUNTS, (1, math.inf)), "min_width": (0, math.inf),
+    "steps_per_second": (1, 12), "limit": (1, 5000), "hold": (1, 100), "wait_at_most": (1, 3600),
+    "ready_within": (1, 600), "rejoin_within": (1, 60), "practice_at_most": (1, 3600),
+    "rooms": (1, 50),
+}  # fmt: skip
+"""Of whole numbers, the least and the most."""
+
+_CHOICES: Final = {"view": ("own", "all"), "partner": ("either", "person", "computer"),
+                   "clip": ("", *CLIPS)}  # fmt: skip
+"""Of texts, those of which one is allowed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PlaySettings:
+    """What sessions are like: the table ``[play]`` of ``study.toml``, which describes them."""
+
+    steps_per_second: int
+    limit: int
+    hold: int
+    view: Literal["own", "all"]
+    resets_velocity: bool
+    partner: Literal["either", "person", "computer"]
+    wait_at_most: int
+    ready_within: int
+    rejoin_within: int
+    practice_at_most: int
+    rooms: int
+
+    @property
+    def step(self) -> float:
+        """Seconds of a planner step."""
+        return 1 / self.steps_per_second
+
+    @property
+    def seconds(self) -> float:
+        """That a session may take."""
+        return self.limit * self.step
+
+    def scene(self, scene: Scene) -> Scene:
+        """Return a scene as it is played: people turn both ways, and the rule is the study's."""
+        return dataclasses.replace(scene, turning="both", resets_velocity=self.resets_velocity)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,8 +76,8 @@ class Settings:
     Attributes:
         text: of the file.
         All others: as in the file. ``quiz`` has (question, options, right answer), ``tutorial``
-        (Markdown, name of a clip or ""), ``checks`` event id -> accepted relations, ``play`` what
-        the sessions are like, as the file has it.
+        (Markdown, name of a clip or ""), ``checks`` event id -> accepted relations, ``play`` is
+        there in a study of play alone.
     """
 
     kind: str
@@ -56,7 +99,7 @@ class Settings:
     tutorial: Sequence[tuple[str, str]]
     quiz: Sequence[tuple[str, tuple[str, ...], str]]
     checks: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
-    play: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    play: PlaySettings = None  # type: ignore[assignment]
     self_goals: bool = False
     text: str = ""
 
@@ -81,37 +124,20 @@ class Settings:
     def parse(cls, text: str) -> Settings:
         """Read the text of ``study.toml``; what is left out is as in the template."""
         given = tomllib.loads(text)
-        kind = given.get("kind")
-        if kind not in KINDS:
-            raise unknown_name("kind", kind, KINDS)
-        default = tomllib.loads(template(kind, title=""))
-        merged = {**default, **given}
-        for name, value in given.items():
-            if name not in default:
-                raise unknown_name("setting", name, default)
-            if isinstance(default[name], dict) and isinstance(value, dict):
-                merged[name] = _table(name, default[name], value)
-            elif type(value) is not type(default[name]):
-                wanted = _TYPES[type(default[name])]
-                raise InvalidSettingError(f"{name} = {shown(value)}, expected {wanted}")
-        for name, least in _LEAST.items():
-            if merged[name] < least:
-                raise InvalidSettingError(f"{name} = {merged[name]}, expected at least {least}")
-        merged["tutorial"] = [
-            _step(number, entry) for number, entry in enumerate(merged["tutorial"], 1)
-        ]
-        merged["quiz"] = [
-            _question(number, entry) for number, entry in enumerate(merged["quiz"], 1)
-        ]
-        merged["checks"] = {
-            event: _relations(event, accepted)
-            for event, accepted in merged.get("checks", {}).items()
-        }
-        return cls(**merged, text=text)
+        if given.get("kind") not in KINDS:
+            raise unknown_name("kind", given.get("kind"), KINDS)
+        found = _table("", given, tomllib.loads(template(given["kind"], title="")))
+        for name, check in (("tutorial", _step), ("quiz", _question)):
+            found[name] = [check(f"[[{name}]] number {n}", e) for n, e in enumerate(found[name], 1)]
+        if "checks" in found:
+            found["checks"] = {event: _relations(event, a) for event, a in found["checks"].items()}
+        if "play" in found:
+            found["play"] = PlaySettings(**found["play"])
+        return cls(**found, text=text)
 
 
 _TYPES: Final = {str: "text", int: "a whole number", bool: "true or false", dict: "a table",
-                 float: "a number with a decimal point", list: "a list"}  # fmt: skip
+                 list: "a list"}  # fmt: skip
 
 
 def template(
@@ -144,51 +170,45 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _table(name: str, default: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    if name == "checks":
-        return dict(given)
-    for key, value in given.items():
-        if key not in default:
-            raise unknown_name(f"setting in [{name}]", key, default)
-        if type(value) is not type(default[key]):
-            wanted = _TYPES[type(default[key])]
-            raise InvalidSettingError(f"{key} in [{name}] is {shown(value)}, expected {wanted}")
-    return {**default, **given}
+def _table(
+    where: str, given: Any, default: Mapping[str, Any], required: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return a table of the file, checked; what is left out, unless required, is the default."""
+    if not isinstance(given, dict):
+        raise InvalidSettingError(f"{where} is {shown(given)}, expected a table")
+    found, inside = {**default, **dict.fromkeys(required), **given}, f" in {where}" if where else ""
+    for name, value in found.items():
+        if name not in default:
+            raise unknown_name(f"setting{inside}", name, default)
+        expected = _TYPES[type(default[name])]
+        fits = type(value) is type(default[name])
+        if name in _RANGES:
+            least, most = _RANGES[name]
+            expected += f" >= {least}" if most == math.inf else f" in [{least}, {most}]"
+            fits = fits and least <= value <= most
+        if not fits:
+            raise InvalidSettingError(f"{name}{inside} is {shown(value)}, expected {expected}")
+        if value not in _CHOICES.get(name, (value,)):
+            raise unknown_name(f"{name}{inside}", value, _CHOICES[name])
+        if isinstance(value, dict) and name != "checks":  # whose names are those of videos
+            found[name] = _table(f"[{name}]", value, default[name])
+    return found
 
 
-def _step(number: int, entry: Any) -> tuple[str, str]:
-    where = f"[[tutorial]] number {number}"
-    _check_keys(where, entry, {"text": str, "clip": str}, optional=("clip",))
-    clip = entry.get("clip", "")
-    if clip and clip not in CLIPS:
-        raise unknown_name(f"clip in {where}", clip, CLIPS)
-    return entry["text"], clip
+def _step(where: str, given: Any) -> tuple[str, str]:
+    entry = _table(where, given, {"text": "", "clip": ""}, ["text"])
+    return entry["text"], entry["clip"]
 
 
-def _question(number: int, entry: Any) -> tuple[str, tuple[str, ...], str]:
-    where = f"[[quiz]] number {number}"
-    _check_keys(where, entry, {"question": str, "options": list, "answer": str})
-    options = entry["options"]
-    if len(options) < 2 or len(set(map(str, options))) < len(options):
+def _question(where: str, given: Any) -> tuple[str, tuple[str, ...], str]:
+    kinds = {"question": "", "options": [], "answer": ""}
+    entry = _table(where, given, kinds, list(kinds))
+    options = tuple(map(str, entry["options"]))
+    if len(options) < 2 or len(set(options)) < len(options):
         raise InvalidSettingError(f"{where}: options are {shown(options)}, expected two or more")
     if entry["answer"] not in options:
-        raise unknown_name(f"answer in {where}", entry["answer"], map(str, options))
-    return entry["question"], tuple(map(str, options)), entry["answer"]
-
-
-def _check_keys(
-    where: str, entry: Any, kinds: Mapping[str, type], optional: Sequence[str] = ()
-) -> None:
-    if not isinstance(entry, dict):
-        raise InvalidSettingError(f"{where} is {shown(entry)}, expected a table")
-    for key in entry:
-        if key not in kinds:
-            raise unknown_name(f"setting in {where}", key, kinds)
-    for key, kind in kinds.items():
-        if key not in optional and not isinstance(entry.get(key), kind):
-            raise InvalidSettingError(
-                f"{where}: {key} is {shown(entry.get(key))}, expected {_TYPES[kind]}"
-            )
+        raise unknown_name(f"answer in {where}", entry["answer"], options)
+    return entry["question"], options, entry["answer"]
 
 
 def _relations(event: str, accepted: Any) -> tuple[str, ...]:

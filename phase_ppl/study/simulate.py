@@ -12,6 +12,7 @@ import hashlib
 import http.client
 import json
 import os
+import queue
 import shutil
 import socket
 import tempfile
@@ -20,7 +21,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -28,7 +29,7 @@ import numpy as np
 from phase_ppl.evaluation import evaluate as evaluation_module
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.experiments import LABELS
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
 from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
@@ -174,23 +175,18 @@ def copied(study: Study) -> Iterator[Study]:
 @contextlib.contextmanager
 def serving(study: Study) -> Iterator[str]:
     """Serve a study from a thread of this process; yield its address."""
-    ready, address = threading.Event(), ""
+    told: queue.SimpleQueue[str] = queue.SimpleQueue()
     server: list[Any] = []
-
-    def tell(where: str) -> None:
-        nonlocal address
-        address = where
-        ready.set()
 
     def work() -> None:
         try:
-            study.run(0, ready=tell, keep=server.append)
+            study.run(0, ready=told.put, keep=server.append)
         finally:
-            ready.set()
+            told.put("")
 
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
-    ready.wait()
+    address = told.get()
     if not address:
         raise SimulationError("the server did not start")
     try:
@@ -242,23 +238,17 @@ class Visitor:
         while True:
             try:
                 status, content = self._once(method, path, body)
+                reason = f"{status} {content[:200]!r}"
             except (OSError, http.client.HTTPException) as error:
                 self.close()
                 self._connection = None
-                reason: object = error
-            else:
-                if status < 400:
-                    return content
-                reason = f"{status} {content[:200]!r}"
-                if status < 500 and status != 429:
-                    self._give_up(method, path, reason)
-            if time.monotonic() > until:
-                self._give_up(method, path, reason)
+                status, reason = 503, f"{error}"
+            if status < 400:
+                return content
+            if (status < 500 and status != 429) or time.monotonic() > until:
+                raise SimulationError(f"{method} {path.partition('?')[0]}: {reason}")
             time.sleep(wait)
             wait = min(2 * wait, 2.0)
-
-    def _give_up(self, method: str, path: str, reason: object) -> NoReturn:
-        raise SimulationError(f"{method} {path.partition('?')[0]}: {reason}")
 
 
 class Person:
@@ -285,44 +275,30 @@ class Person:
         self.visitor = Visitor(address, patience)
         total = 4 + settings.trials
         self.leaves_after = int(rng.integers(1, total)) if rng.random() < drop_outs else None
+        self.answered = 0
         self.outcome: str | None = None
 
     def take_part(self) -> None:
         """Go through the study to its end, or leave midway."""
-        try:
-            self._take_part()
-        finally:
-            self.visitor.close()
+        with contextlib.closing(self.visitor):
+            state = self.visitor.post("/api/enter", {})
+            while state.get("status") != "over":
+                for page in state.get("pages", ()):
+                    if self.answered == self.leaves_after:
+                        return
+                    self._answer(state["participant"], page)
+                state = json.loads(self.visitor.get("/api/state"))
+            self.outcome = state["outcome"]
 
-    def _take_part(self) -> None:
-        answered = 0
-        entered = self.visitor.post("/api/enter", {})
-        if entered.get("status") == "over":
-            self.outcome = entered["outcome"]
-            return
-        while True:
-            state = json.loads(self.visitor.get("/api/state"))
-            if state["status"] == "over":
-                self.outcome = state["outcome"]
-                return
-            for page in state["pages"]:
-                if answered == self.leaves_after:
-                    return
-                answers = self._answers(page)
-                seconds = float(self.rng.lognormal(np.log(22.0), 0.5))
-                body = {
-                    "participant": state["participant"],
-                    "page": page["page"],
-                    "attempt": page["attempt"],
-                    "answers": answers,
-                    "rt_ms": 1000 * seconds,
-                    "shown_ms": 1000 * time.time(),
-                    "plays": 1,
-                    "first_end_ms": 600 * seconds,
-                }
-                self.visitor.post("/api/answer", body)
-                self.confirmed(state["participant"], page["page"], page["attempt"], answers)
-                answered += 1
+    def _answer(self, who: str, page: Mapping[str, Any]) -> None:
+        answers = self._answers(page)
+        seconds = float(self.rng.lognormal(np.log(22.0), 0.5))
+        asked = {"page": page["page"], "attempt": page["attempt"], "answers": answers}
+        times = {"rt_ms": 1000 * seconds, "shown_ms": 1000 * time.time(), "plays": 1,
+                 "first_end_ms": 600 * seconds}  # fmt: skip
+        self.visitor.post("/api/answer", {"participant": who, **asked, **times})
+        self.confirmed(who, *asked.values())
+        self.answered += 1
 
     def _answers(self, page: Mapping[str, Any]) -> dict[str, Any]:
         name = page["page"].partition("-")[0]
@@ -347,8 +323,11 @@ class Person:
         return self._judged(self.beliefs[self.events[film]], page)
 
     def _judged(self, belief: Prediction, page: Mapping[str, Any]) -> dict[str, Any]:
-        goals = (plan.allowed_goals(self.settings, agent) for agent in range(2))
-        allowed = {**QUESTIONS, **dict(zip(("goal_red", "goal_green"), goals, strict=True))}
+        goals = {
+            question: plan.allowed_goals(agent, self.settings.self_goals)
+            for agent, question in GOAL_QUESTIONS.items()
+        }
+        allowed: Mapping[str, Sequence[str]] = {**QUESTIONS, **goals}
         drawn = {q: self._drawn(belief, q, options) for q, options in allowed.items()}
         asked = {question["name"] for question in page["questions"]}
         if "labels" in asked:

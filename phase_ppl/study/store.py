@@ -19,7 +19,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from phase_ppl import __version__
+from phase_ppl.study.settings import Settings
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError, shown
 
 FILE: Final = "study.db"
@@ -53,7 +57,7 @@ CREATE TABLE note(
 CREATE TABLE person(
   participant TEXT PRIMARY KEY REFERENCES participant(id), age INTEGER, gender TEXT) WITHOUT ROWID;
 CREATE TABLE session(
-  id TEXT PRIMARY KEY, kind TEXT NOT NULL,  -- "session", or "practice"
+  id TEXT PRIMARY KEY, kind TEXT NOT NULL,  -- "session"
   event TEXT NOT NULL, goal_red TEXT NOT NULL, goal_green TEXT NOT NULL,
   strength_red REAL NOT NULL, strength_green REAL NOT NULL,
   settings TEXT NOT NULL,          -- JSON: rate, view, rule and what else it was made under
@@ -69,6 +73,10 @@ CREATE TABLE step(
   keys TEXT NOT NULL,              -- JSON: what each player held
   lag_ms REAL NOT NULL, PRIMARY KEY(session, number)) WITHOUT ROWID;
 """
+_COUNTS: Final = """p.excluded IS NULL
+  AND (p.outcome='finished' OR p.outcome IS NULL AND p.assigned>?)"""
+"""Of participants p, those whose videos count as seen: who finished, or began after a time."""
+
 COMPLETE: Final = ("goals", "time")
 """Outcomes of sessions that went to their end; "left" and others are kept but marked."""
 
@@ -135,7 +143,7 @@ class Store:
         self._db = sqlite3.connect(path, isolation_level=None, timeout=10)
         self._db.row_factory = sqlite3.Row
         try:
-            version = self._db.execute("PRAGMA user_version").fetchone()[0]
+            version = self._value("PRAGMA user_version")
             if not snapshot:
                 self._db.executescript(
                     "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON;"
@@ -160,12 +168,11 @@ class Store:
         store = cls(path)
         facts = {"id": secrets.token_hex(8), "kind": kind, "version": __version__,
                  "created": str(time.time()), "secret": secrets.token_hex(32)}  # fmt: skip
-        columns = "event,grp,pair,copies,file,sha256"
         with store._writing() as run:
             for name, value in facts.items():
                 run("INSERT INTO study VALUES(?,?)", (name, value))
             for stimulus in stimuli:
-                run(f"INSERT INTO stimulus({columns}) VALUES(?,?,?,?,?,?)", stimulus)
+                run("INSERT INTO stimulus VALUES(NULL,?,?,?,?,?,?)", stimulus)
         return store
 
     def close(self) -> None:
@@ -187,10 +194,14 @@ class Store:
         """Return what a SELECT finds."""
         return [dict(row) for row in self._db.execute(query, values)]
 
+    def _value(self, query: str, *values: Any) -> Any:
+        """Return the first column of the first row that a SELECT finds; None: there is no row."""
+        row = self._db.execute(query, values).fetchone()
+        return None if row is None else row[0]
+
     def fact(self, name: str) -> str:
         """Return "id", "kind", "version" or "created" of the study."""
-        found: str = self._db.execute("SELECT value FROM study WHERE name=?", (name,)).fetchone()[0]
-        return found
+        return str(self._value("SELECT value FROM study WHERE name=?", name))
 
     def snapshot(self, path: Path) -> Store:
         """Return a copy as of now, made while the study may go on."""
@@ -198,28 +209,23 @@ class Store:
         path.chmod(0o600)
         return Store(path, snapshot=True)
 
-    def use_settings(self, sha256: str, text: str) -> None:
+    def use_settings(self, settings: Settings) -> None:
         """Keep the settings that people come under from now on."""
+        values = settings.sha256, settings.text, time.time()
         with self._writing() as run:
-            run("INSERT OR IGNORE INTO config VALUES(?,?,?)", (sha256, text, time.time()))
+            run("INSERT OR IGNORE INTO config VALUES(?,?,?)", values)
 
     def stimuli(self) -> dict[int, Stimulus]:
         """Return number -> video or scene."""
-        found = self._db.execute(
-            "SELECT id,event,grp,pair,copies,file,sha256 FROM stimulus ORDER BY id"
-        )
+        found = self._db.execute("SELECT * FROM stimulus ORDER BY id")
         return {row[0]: Stimulus(*row[1:]) for row in found}
 
     # --- people -----------------------------------------------------------------------------------
 
-    def enter(
-        self, config: str, *, person: str = "", place_kept: float, trials: int, raters: int,
-        checks: Sequence[str], most: int, per_minute: int,
-    ) -> tuple[str, str]:  # fmt: skip
+    def enter(self, settings: Settings, person: str = "") -> tuple[str, str]:
         """Let somebody in; return their id and a secret token.
 
-        Of the ``person``, the id on a platform, only a keyed hash is kept. The videos of somebody
-        who began count as seen for ``place_kept`` seconds. At most ``most`` enter, ``per_minute``.
+        Of the ``person``, the id on a platform, only a keyed hash is kept.
         """
         now, repeat = time.time(), None
         if person:
@@ -227,61 +233,57 @@ class Store:
             repeat = hmac.new(key, person.encode(errors="replace"), "sha256").hexdigest()
         who, token = secrets.token_hex(8), secrets.token_urlsafe(24)
         with self._writing() as run:
-            if repeat and run("SELECT 1 FROM participant WHERE repeat=?", (repeat,)).fetchone():
+            if repeat and self._value("SELECT 1 FROM participant WHERE repeat=?", repeat):
                 raise Refused("repeated")
-            total, recent = run(
-                "SELECT count(*), coalesce(sum(created > ?), 0) FROM participant", (now - 60,)
-            ).fetchone()
-            if recent >= per_minute:
+            recent = self._value("SELECT count(*) FROM participant WHERE created>?", now - 60)
+            if recent >= settings.entries_per_minute:
                 raise Refused("busy")
-            if total >= most or self._places(now - place_kept, trials, raters, checks) <= 0:
+            total = self._value("SELECT count(*) FROM participant")
+            if total >= settings.most_entries or self._places(settings) <= 0:
                 raise Refused("full")
             run(
                 "INSERT INTO participant(id,token,config,repeat,created,seen) VALUES(?,?,?,?,?,?)",
-                (who, hashed(token), config, repeat, now, now),
+                (who, hashed(token), settings.sha256, repeat, now, now),
             )
         return who, token
 
-    def _places(self, since: float, trials: int, raters: int, checks: Sequence[str]) -> float:
-        """Return how many people can come in, beside those who are at it since ``since``."""
+    def _places(self, settings: Settings) -> float:
+        """Return how many people can come in, beside those whose places are kept."""
+        since = time.time() - 60 * settings.place_kept
         if self.fact("kind") == "play":
-            wanted = 2 * sum(max(0, raters - n) for n in self.played(since).values())
+            seen, share = self.played(since).values(), 2
         else:
-            wanted = sum(max(0, raters - n) for n in self._viewings(since, checks).values())
-        coming = self._db.execute(
+            seen, share = self._viewings(settings).values(), 1
+        coming = self._value(
             """SELECT count(*) FROM participant
             WHERE outcome IS NULL AND assigned IS NULL AND created>?""",
-            (since,),
-        ).fetchone()[0]
-        return wanted / trials - float(coming)
-
-    def _viewings(self, since: float, checks: Sequence[str]) -> dict[int, int]:
-        """Return main video -> viewings finished, or begun after ``since``."""
-        found = self._db.execute(
-            """SELECT s.id, s.event, count(p.id) FROM stimulus s
-            LEFT JOIN assignment a ON a.stimulus=s.id AND a.role='main'
-            LEFT JOIN participant p ON p.id=a.participant AND p.excluded IS NULL AND
-              (p.outcome='finished' OR p.outcome IS NULL AND p.assigned>?) GROUP BY s.id""",
-            (since,),
+            since,
         )
-        return {row[0]: row[2] for row in found if row[1] not in checks}
+        wanted = share * sum(max(0, settings.raters - n) for n in seen)
+        return wanted / settings.trials - float(coming)
 
-    def assign(
-        self, who: str, *, trials: int, checks: Sequence[str] = (), place_kept: float
-    ) -> None:
+    def _viewings(self, settings: Settings) -> dict[int, int]:
+        """Return main video -> viewings of those who finished, or whose places are kept."""
+        found = self._db.execute(
+            f"""SELECT s.id, s.event, count(p.id) FROM stimulus s
+            LEFT JOIN assignment a ON a.stimulus=s.id AND a.role='main'
+            LEFT JOIN participant p ON p.id=a.participant AND {_COUNTS} GROUP BY s.id""",
+            (time.time() - 60 * settings.place_kept,),
+        )
+        return {row[0]: row[2] for row in found if row[1] not in settings.checks}
+
+    def assign(self, who: str, settings: Settings) -> None:
         """Draw the videos of a participant, once: those with the fewest viewings, ties at random.
 
         Of a study with groups, the group with the fewest people first. Of reflected copies a
         person sees one. Checks come among the others.
         """
-        now, chance = time.time(), secrets.SystemRandom()
+        chance = secrets.SystemRandom()
         with self._writing() as run:
-            row = run("SELECT assigned FROM participant WHERE id=?", (who,)).fetchone()
-            if row is None or row[0] is not None:
+            if not self._value("SELECT assigned IS NULL FROM participant WHERE id=?", who):
                 return
-            stimuli = self.stimuli()
-            group = self._group(now - place_kept, {s.grp for s in stimuli.values()} - {None})
-            load = self._viewings(now - place_kept, checks)
+            stimuli, load = self.stimuli(), self._viewings(settings)
+            group = self._group(settings, {s.grp for s in stimuli.values()} - {None})
             order = sorted(
                 (number for number in load if stimuli[number].grp == group),
                 key=lambda number: (load[number], chance.random()),
@@ -289,25 +291,25 @@ class Store:
             chosen: list[tuple[int, str]] = []
             copies: set[str | None] = set()
             for number in order:
-                if len(chosen) < trials and stimuli[number].copies not in copies:
+                if len(chosen) < settings.trials and stimuli[number].copies not in copies:
                     chosen.append((number, "main"))
                     copies |= {stimuli[number].copies} - {None}
             chance.shuffle(chosen)
             for number, stimulus in stimuli.items():
-                if stimulus.event in checks and stimulus.grp in (None, group):
+                if stimulus.event in settings.checks and stimulus.grp in (None, group):
                     chosen.insert(chance.randint(0, len(chosen)), (number, "check"))
             for position, (number, role) in enumerate(chosen):
                 name = secrets.token_urlsafe(12)
                 run("INSERT INTO assignment VALUES(?,?,?,?,?)", (who, position, number, role, name))
+            now = time.time()
             run("UPDATE participant SET assigned=?, grp=? WHERE id=?", (now, group, who))
 
-    def _group(self, since: float, groups: set[str | None]) -> str | None:
+    def _group(self, settings: Settings, groups: set[str | None]) -> str | None:
         if not groups:
             return None
         found = self._db.execute(
-            """SELECT grp, count(*) FROM participant WHERE excluded IS NULL AND
-            (outcome='finished' OR outcome IS NULL AND assigned>?) GROUP BY grp""",
-            (since,),
+            f"SELECT grp, count(*) FROM participant p WHERE {_COUNTS} GROUP BY grp",
+            (time.time() - 60 * settings.place_kept,),
         )
         people = dict.fromkeys(groups, 0) | {row[0]: row[1] for row in found if row[0] in groups}
         fewest = min(people.values())
@@ -315,16 +317,15 @@ class Store:
 
     def by_token(self, token: str) -> Participant | None:
         """Return whose token it is; None: nobody's."""
-        row = self._db.execute(
-            "SELECT id FROM participant WHERE token=?", (hashed(token),)
-        ).fetchone()
-        return None if row is None else self.participant(row[0])
+        who = self._value("SELECT id FROM participant WHERE token=?", hashed(token))
+        return None if who is None else self.participant(who)
 
     def participant(self, who: str) -> Participant:
         """Return a participant, by id."""
-        row = self._db.execute("SELECT * FROM participant WHERE id=?", (who,)).fetchone()
-        if row is None:
+        found = self.rows("SELECT * FROM participant WHERE id=?", (who,))
+        if not found:
             raise UnknownNameError(f"there is no participant {shown(who)}")
+        (row,) = found
         answers = self._db.execute(
             "SELECT page,attempt,correct FROM response WHERE participant=? ORDER BY received",
             (who,),
@@ -391,18 +392,17 @@ class Store:
     ) -> None:
         """Keep what happened beside the answers; no more than 500 notes a participant."""
         with self._writing() as run:
-            n = run("SELECT count(*) FROM note WHERE participant=?", (who,)).fetchone()[0]
-            if n < 500:
+            if self._value("SELECT count(*) FROM note WHERE participant=?", who) < 500:
                 run("INSERT INTO note VALUES(?,?,?,?,?)", (who, time.time(), what, page, detail))
 
     def video(self, who: str, name: str) -> str | None:
         """Return the file of a video that a participant may see; None: there is none."""
-        row = self._db.execute(
+        found: str | None = self._value(
             """SELECT s.file FROM assignment a JOIN stimulus s ON s.id=a.stimulus
             WHERE a.participant=? AND a.name=?""",
-            (who, name),
-        ).fetchone()
-        return None if row is None else row[0]
+            *(who, name),
+        )
+        return found
 
     def exclude(self, who: str, reason: str) -> None:
         """Mark a participant as not to be exported; their videos are shown to others instead."""
@@ -418,14 +418,11 @@ class Store:
         Sessions that they played go too, with what the other player did in them.
         """
         self.participant(who)
-        played = [
-            row[0]
-            for row in self._db.execute("SELECT session FROM player WHERE participant=?", (who,))
-        ]
         with self._writing() as run:
+            played = self.rows("SELECT session FROM player WHERE participant=?", (who,))
             for table, column in (("step", "session"), ("player", "session"), ("session", "id")):
-                for session in played:
-                    run(f"DELETE FROM {table} WHERE {column}=?", (session,))
+                for row in played:
+                    run(f"DELETE FROM {table} WHERE {column}=?", (row["session"],))
             for table in ("response", "note", "person", "assignment"):
                 run(f"DELETE FROM {table} WHERE participant=?", (who,))
             run(
@@ -436,31 +433,37 @@ class Store:
 
     # --- played sessions --------------------------------------------------------------------------
 
-    def least_played(self, since: float, avoid: Sequence[str] = ()) -> str:
+    def least_played(self, since: float, players: Sequence[str] = ()) -> str:
         """Return the event whose scene has the fewest sessions, ties at random.
 
-        Sessions that have not ended count if they began after ``since``; what the players know
-        already (``avoid``) is taken only where there is no other.
+        Sessions that have not ended count if they began after ``since``; what one of the players
+        has played already is taken only where there is no other.
         """
-        load, chance = self.played(since), secrets.SystemRandom()
-        return min(load, key=lambda event: (event in avoid, load[event], chance.random()))
+        marks, chance = ",".join("?" * len(players)), secrets.SystemRandom()
+        found = self._db.execute(
+            f"""SELECT s.event FROM session s JOIN player p ON p.session=s.id
+            WHERE p.participant IN ({marks})""",
+            players,
+        )
+        load, known = self.played(since), {row[0] for row in found}
+        return min(load, key=lambda event: (event in known, load[event], chance.random()))
 
     def played(self, since: float) -> dict[str, int]:
         """Return event -> sessions that went to their end, or began after ``since`` and go on."""
         marks = ",".join("?" * len(COMPLETE))
         found = self._db.execute(
             f"""SELECT s.event, count(g.id) FROM stimulus s LEFT JOIN session g ON g.event=s.event
-            AND g.kind='session' AND (g.outcome IN ({marks}) OR g.outcome IS NULL AND g.started>?)
+            AND (g.outcome IN ({marks}) OR g.outcome IS NULL AND g.started>?)
             GROUP BY s.event""",
             (*COMPLETE, since),
         )
         return {row[0]: row[1] for row in found}
 
     def open_session(
-        self, kind: str, event: str, goals: tuple[str, str], strengths: tuple[float, float],
+        self, event: str, goals: tuple[str, str], strengths: tuple[float, float],
         settings: Mapping[str, Any], players: Sequence[str | None],
     ) -> str:  # fmt: skip
-        """Begin a session or practice; return its id.
+        """Begin a session; return its id.
 
         ``goals`` are effective ones, ``players`` None for the computer; ``settings`` all that it is
         made under.
@@ -468,8 +471,8 @@ class Store:
         session = secrets.token_hex(8)
         with self._writing() as run:
             run(
-                "INSERT INTO session VALUES(?,?,?,?,?,?,?,?,?,NULL,NULL,NULL,NULL)",
-                (session, kind, event, *goals, *strengths, json.dumps(settings), time.time()),
+                "INSERT INTO session VALUES(?,'session',?,?,?,?,?,?,?,NULL,NULL,NULL,NULL)",
+                (session, event, *goals, *strengths, json.dumps(settings), time.time()),
             )
             for agent, who in enumerate(players):
                 run("INSERT INTO player VALUES(?,?,?,NULL)", (session, agent, who))
@@ -479,8 +482,8 @@ class Store:
         """Keep steps: number, actions of red and green, keys (JSON), lag in milliseconds."""
         with self._writing() as run:
             for number, red, green, keys, lag in steps:
-                run("INSERT OR IGNORE INTO step VALUES(?,?,?,?,?,?)",
-                    (session, number, red, green, json.dumps(keys), lag))  # fmt: skip
+                values = session, number, red, green, json.dumps(keys), lag
+                run("INSERT OR IGNORE INTO step VALUES(?,?,?,?,?,?)", values)
 
     def end_session(
         self,
@@ -499,14 +502,6 @@ class Store:
             for agent, rtt in enumerate(rtt_ms):
                 run("UPDATE player SET rtt_ms=? WHERE session=? AND agent=?", (rtt, session, agent))
 
-    def sessions_of(self, who: str) -> list[dict[str, Any]]:
-        """Return the sessions that a participant played, with their ``agent``, oldest first."""
-        return self.rows(
-            """SELECT s.*, p.agent FROM session s JOIN player p ON p.session=s.id
-            WHERE p.participant=? ORDER BY s.started""",
-            (who,),
-        )
-
     def sessions(self) -> list[dict[str, Any]]:
         """Return all sessions, oldest first, each with its ``players`` and ``steps`` as dicts."""
         found = self.rows("SELECT * FROM session ORDER BY started")
@@ -521,3 +516,8 @@ class Store:
 def hashed(token: str) -> str:
     """Return what is kept of a token."""
     return hashlib.sha256(token.encode(errors="replace")).hexdigest()
+
+
+def trajectory_sha256(trajectory: FloatArray) -> str:
+    """Return a hash of a trajectory's numbers, to the last bit."""
+    return hashlib.sha256(np.ascontiguousarray(trajectory, np.float64).tobytes()).hexdigest()

@@ -32,14 +32,16 @@ from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.store import Stimulus, Store
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, unknown_name
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, locked, writable_folder, write_bytes
+from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.scene import check_phase
 
 EVENTS: Final = "events.json"
 VIDEOS: Final = "videos"
 CLIPS_FOLDER: Final = "clips"
+_ANY: Final = ("0.0.0.0", "::")
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 _NEEDS: Final = ("starlette", "uvicorn", "websockets", "markdown_it")
 _PLACEHOLDER: Final = "[who is responsible"
@@ -183,10 +185,9 @@ class Study:
         if _PLACEHOLDER in self.settings.texts["consent"]:
             warnings.append("the text of consent in study.toml does not yet say who is responsible")
         if self.settings.kind == "play":
-            from phase_ppl.study import room, sessions
+            from phase_ppl.study import room
 
-            settings = room.PlaySettings(**self.settings.play)
-            warnings += sessions.warnings(self.events.values(), settings)
+            warnings += room.warnings(self.events.values(), self.settings.play)
         return warnings
 
     def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
@@ -197,8 +198,7 @@ class Study:
             host: at which it listens.
         """
         check_extra()
-        from phase_ppl.study.server import create_app
-        from phase_ppl.study.web import Site
+        from phase_ppl.study.server import Site, create_app
 
         parts = urlsplit(url)
         if url and (
@@ -207,11 +207,13 @@ class Study:
             raise InvalidSettingError(
                 f"url {url!r}: expected one such as https://study.example.org"
             )
-        names = tuple(
-            filter(None, (parts.hostname, host if host not in ("0.0.0.0", "::") else None))
-        )
+        names = [name for name in (parts.hostname, host) if name and name not in _ANY]
         site = Site(self.folder, self.settings, self.events, secure=parts.scheme == "https")
-        return create_app(site, names)
+        if self.settings.kind != "play":
+            return create_app(site, names)
+        from phase_ppl.study import play
+
+        return create_app(site, names, play.routes)
 
     def run(
         self,
@@ -237,13 +239,13 @@ class Study:
             OutputError: another server is at work in the folder, or has the port.
         """
         check_extra()
-        if host in ("0.0.0.0", "::") and not url:
+        if host in _ANY and not url:
             raise InvalidSettingError(f"host {host} needs url, the address by which people come")
         warnings = self.check()
         app = self.app(url, host)
         import uvicorn
 
-        from phase_ppl.study.web import MOST_MESSAGE
+        from phase_ppl.study.server import MOST_MESSAGE
 
         if host not in _LOOPBACK and not url.startswith("https:"):
             warnings.append(f"{host} can be reached by others without TLS; put a proxy before it")
@@ -251,17 +253,10 @@ class Study:
             print(f"phase-ppl: note: {warning}", file=sys.stderr)
         with locked(self.folder), _listening(host, port) as listener:
             config = uvicorn.Config(
-                app,
-                access_log=False,
-                log_level="warning",
-                server_header=False,
-                proxy_headers=False,
-                ws_max_size=MOST_MESSAGE,
-                ws_ping_interval=2,
-                ws_ping_timeout=5,
-                lifespan="on",
-                timeout_graceful_shutdown=5,
-            )
+                app, access_log=False, log_level="warning", server_header=False,
+                proxy_headers=False, ws_max_size=MOST_MESSAGE, ws_ping_interval=2,
+                ws_ping_timeout=5, lifespan="on", timeout_graceful_shutdown=5,
+            )  # fmt: skip
             shown = f"[{host}]" if ":" in host else host
             address = url or f"http://{shown}:{listener.getsockname()[1]}/"
 
@@ -412,42 +407,37 @@ def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> 
 def _counterpart(event: Event, left: list[Event]) -> Event:
     """Take the counterpart of an event out of those that are left."""
     for place, other in enumerate(left):
-        if _same_scene(event.scene, other.scene) and _same_truth(event.truth, other.truth):
+        if other.truth is not None and _are_alike(_setting(event), _setting(other)):
             return left.pop(place)
     raise InvalidEventError(
         f"event {event.id!r} has no counterpart (any more) of the same scene, goals and strengths"
     )
 
 
-def _same_scene(one: Scene, other: Scene) -> bool:
-    arrays = (
-        (scene.start, scene.radius, scene.walls, scene.landmark_centres) for scene in (one, other)
-    )
-    return one.arena == other.arena and all(
-        first.shape == second.shape and np.allclose(first, second)
-        for first, second in zip(*arrays, strict=True)
-    )
+def _setting(event: Event) -> list[Any]:
+    """Return scene, goals and strengths of an event, in numbers."""
+    scene, truth = event.scene, event.truth
+    goals = goal_index(truth.goal_red), goal_index(truth.goal_green)
+    strengths = np.array([truth.strength_red, truth.strength_green], float)
+    return [scene.start, scene.radius, scene.walls, scene.landmark_centres, scene.arena, goals,
+            strengths]  # fmt: skip
 
 
-def _same_truth(one: Truth | None, other: Truth | None) -> bool:
-    if one is None or other is None or other.strength_red is None or other.strength_green is None:
-        return False
-    strengths = [(t.strength_red or 0, t.strength_green or 0) for t in (one, other)]
-    goals = [(t.goal_red, t.goal_green) for t in (one, other)]
-    return goals[0] == goals[1] and np.allclose(strengths[0], strengths[1])
+def _are_alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
+    return all(
+        np.shape(first) == np.shape(second) and np.allclose(first, second)
+        for first, second in zip(one, other, strict=True)
+    )
 
 
 def _simulated(event: Event, seed: int) -> Event:
     from phase_ppl.simulator.joint import simulate  # planner and physics
 
     truth = event.truth
-    assert truth is not None
-    assert truth.strength_red is not None
-    assert truth.strength_green is not None
     try:
         hypothesis = Hypothesis(
-            truth.goal_red,  # type: ignore[arg-type]
-            truth.goal_green,  # type: ignore[arg-type]
+            truth.goal_red,
+            truth.goal_green,
             strength_red=truth.strength_red,
             strength_green=truth.strength_green,
         )

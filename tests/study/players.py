@@ -16,8 +16,8 @@ from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
 from phase_ppl.study.study import Study
+from tests.study.studies import HOST, Person
 
-HOST = "http://localhost"
 ALONE = [[16.0, 12.0], [16.0, 22.0]]
 
 Message = dict[str, Any]
@@ -41,13 +41,10 @@ def near_goals(name: str = "near", **changes: Any) -> ppl.Event:
     return ppl.Event(scene, ppl.Observation(frames), id=name, truth=truth)
 
 
-def make_study(
-    folder: Path, events: Sequence[ppl.Event], films: bool = False, **play: Any
-) -> Study:
-    """A study of play without quiz and demographics, whose sessions are short."""
+def make_study(folder: Path, events: Sequence[ppl.Event], **play: Any) -> Study:
+    """A study of play without films, quiz and demographics, whose sessions are short."""
     with pytest.MonkeyPatch.context() as patch:
-        if not films:
-            patch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
+        patch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
         Study.new(folder, events, "play", raters=1000)
     file = folder / "study.toml"
     given = {"steps_per_second": 12, "limit": 18, "hold": 2, "wait_at_most": 60, **play}
@@ -59,23 +56,17 @@ def make_study(
     return Study(folder)
 
 
-class Player:
-    """Somebody who has read the introduction, with the cookie that they got.
-
-    Args:
-        client: in whose application they take part.
-        practised: whether practice is behind them.
-    """
+class Player(Person):
+    """Somebody who has read the introduction, and practised unless told otherwise."""
 
     def __init__(self, client: TestClient, practised: bool = True) -> None:
-        self.client = client
-        client.cookies.clear()
-        assert self.post("/api/enter", {}).status_code == 200
-        self.cookie = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
-        client.cookies.clear()
-        self.answer("consent", {"agree": True})
-        self.answer("device", {})
-        self.answer("tutorial", {"views": [1000]})
+        super().__init__(client)
+        for page, answers in (
+            ("consent", {"agree": True}),
+            ("device", {}),
+            ("tutorial", {"views": [1000]}),
+        ):
+            assert self.answer(page, answers).status_code == 200
         self.id = self.state()["participant"]
         if practised:
             site = client.app.state.site  # type: ignore[attr-defined]
@@ -83,18 +74,6 @@ class Player:
                 lambda: site.ask(site.store.answer, self.id, "practice", 1, {})
             )
         self.messages: list[Message] = []
-
-    def post(self, path: str, content: Message) -> Any:
-        headers = {"origin": HOST, **({"cookie": self.cookie} if hasattr(self, "cookie") else {})}
-        return self.client.post(path, json=content, headers=headers)
-
-    def answer(self, page: str, answers: Message) -> None:
-        reply = self.post("/api/answer", {"page": page, "attempt": 1, "answers": answers})
-        assert reply.status_code == 200, reply.text
-
-    def state(self) -> Message:
-        found: Message = self.client.get("/api/state", headers={"cookie": self.cookie}).json()
-        return found
 
     def connect(self, **headers: str) -> WebSocketTestSession:
         given = {"origin": HOST, "cookie": self.cookie, **headers}
@@ -142,6 +121,14 @@ def together(*tasks: Callable[[], Any]) -> list[Any]:
 
 def press(key: str, down: bool = True) -> Message:
     return {"t": "key", "key": key, "down": down}
+
+
+def both_play(
+    client: TestClient, react: Callable[[Message], Sequence[Message]], until: str = "go"
+) -> tuple[list[Player], list[list[Message]]]:
+    """Let two people play, who react alike; return them and what each was told."""
+    players = [Player(client), Player(client)]
+    return players, together(*(lambda one=one: one.play(react, until) for one in players))
 
 
 def drives(*keys: str) -> Callable[[Message], Sequence[Message]]:

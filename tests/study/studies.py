@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import dataclasses
+import functools
+import shutil
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,19 +20,13 @@ from phase_ppl.study.study import Study
 
 HOST = "http://localhost"
 EVENTS = ("collaborate", "compete", "independent")
-TEXT = ("title", "open", "tries", "trials", "raters", "resume_within", "place_kept", "demographics")
 
 
 def short_events(n: int = 3) -> list[ppl.Event]:
-    """Bundled events of a few frames, under names that say what they show."""
-    found = []
-    for number in range(n):
-        name = EVENTS[number % len(EVENTS)]
-        event = ppl.load_event(name)
-        observed = ppl.Observation(event.observation.trajectory[:4])
-        id = name if number < len(EVENTS) else f"{name}-{number}"
-        found.append(dataclasses.replace(event, observation=observed, id=id))
-    return found
+    """Bundled events of a few frames, at most three."""
+    events = [ppl.load_event(name) for name in EVENTS[:n]]
+    begins = [ppl.Observation(event.observation.trajectory[:4]) for event in events]
+    return [dataclasses.replace(e, observation=o) for e, o in zip(events, begins, strict=True)]
 
 
 def empty_clips(folder: Path) -> None:
@@ -38,12 +36,29 @@ def empty_clips(folder: Path) -> None:
         (folder / f"{name}.mp4").touch()
 
 
-def make_study(folder: Path, kind: str = "judgment", n: int = 3, **given: Any) -> Study:
-    """Make a study of short events; the films of the introduction are empty."""
+@functools.cache
+def _made(kind: str) -> Path:
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("phase_ppl.study.study.make_clips", empty_clips)
-        Study.new(folder, short_events(n), kind, workers=1, progress=False)
+        Study.new(folder / "study", short_events(), kind, workers=1, progress=False)
+    return folder / "study"
+
+
+def make_study(folder: Path, kind: str = "judgment", **given: Any) -> Study:
+    """Make a study of short events, filmed once; the films of the introduction are empty."""
+    shutil.copytree(_made(kind), folder)
     return change(Study(folder), **given)
+
+
+def edit(study: Study, old: str, new: str) -> Study:
+    """Return a study with another text in place of one of its file's."""
+    file = study.folder / "study.toml"
+    text = file.read_text("utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), "utf-8")
+    return Study(study.folder)
 
 
 def change(study: Study, **given: Any) -> Study:

@@ -14,9 +14,11 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import tests.browser
+from phase_ppl.study import play
 from phase_ppl.study.simulate import serving
 from phase_ppl.study.study import Study
 from tests.browser import needs_browser, running_browser
+from tests.study import players
 from tests.study.studies import change, make_study, quiz
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text("utf-8")
@@ -49,16 +51,21 @@ class Window:
         options: ``size`` of screen and window, ``script`` to run first, ``query`` of the address.
     """
 
+    expected: tuple[str, ...] = ("Failed to load resource", "net::ERR_INTERNET_DISCONNECTED")
+
     def __init__(self, browser: Any, study: Study, address: str, **options: Any) -> None:
         size = options.pop("size", {"width": 1280, "height": 720})
         script, self.query = options.pop("script", None), options.pop("query", "")
         self.study, self.address = study, address
         self.faults: list[str] = []
-        self.expected = ("Failed to load resource", "net::ERR_INTERNET_DISCONNECTED")
         self.context = browser.new_context(viewport=size, screen=size, **options)
         if script:
             self.context.add_init_script(script)
+        self.begin()
         self.page = self.tab()
+
+    def begin(self) -> None:
+        """Do what comes before the page is opened."""
 
     def tab(self) -> Any:
         page = self.context.new_page()
@@ -162,7 +169,7 @@ def rows(study: Study, query: str) -> list[dict[str, Any]]:
 
 
 def made(tmp_path: Path, clips: Path, kind: str = "judgment", **given: Any) -> Study:
-    study = make_study(tmp_path / "study", kind, n=3, **given)
+    study = make_study(tmp_path / "study", kind, **given)
     shutil.copytree(clips, study.folder / "clips", dirs_exist_ok=True)
     return study
 
@@ -444,3 +451,136 @@ def test_a_missing_browser_skips_with_a_reason_or_fails(monkeypatch: pytest.Monk
             fresh.browser_path()
     monkeypatch.undo()
     importlib.reload(tests.browser)
+
+
+# --- play -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_films(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The introduction is read already, so that its films need not be there."""
+    monkeypatch.setattr(Study, "check", lambda study: [])
+
+
+_REMEMBERS_SOCKETS = """
+const Real = WebSocket;
+window.sockets = [];
+window.WebSocket = class extends Real {
+  constructor(...given) { super(...given); window.sockets.push(this); }
+};
+"""
+
+
+class Beginner(Window):
+    """The window of somebody who has read the introduction; ``sockets`` are those of the page."""
+
+    expected = ()
+
+    def __init__(self, browser: Any, study: Study, address: str) -> None:
+        super().__init__(browser, study, address, script=_REMEMBERS_SOCKETS)
+
+    def begin(self) -> None:
+        self.post("enter")
+        for page, answers in (
+            ("consent", {"agree": True}),
+            ("device", {}),
+            ("tutorial", {"views": []}),
+        ):
+            self.post("answer", page=page, attempt=1, answers=answers)
+
+    def post(self, what: str, **content: Any) -> None:
+        headers = {"origin": self.address.rstrip("/")}
+        reply = self.context.request.post(
+            f"{self.address}api/{what}", data=content, headers=headers
+        )
+        assert reply.ok, reply.text()
+
+    def colours(self) -> int:
+        """How many colours the picture has."""
+        return int(
+            self.page.evaluate(
+                """() => { const c = document.querySelector("canvas");
+                const p = new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height)
+                  .data.buffer); return new Set(p).size; }"""
+            )
+        )
+
+
+class Player(Beginner):
+    """The window of somebody who has practised, too."""
+
+    def begin(self) -> None:
+        super().begin()
+        who = self.context.request.get(f"{self.address}api/state").json()["participant"]
+        with self.study.store() as store:
+            store.answer(who, "practice", 1, {})
+
+
+@needs_browser
+def test_two_windows_play_a_session_that_ends_by_its_goals(
+    tmp_path: Path, browser: Any, no_films: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(play, "COUNTDOWN", 1)
+    study = players.make_study(
+        tmp_path / "study", [players.near_goals()], steps_per_second=8, limit=200, hold=4
+    )
+    with serving(study) as address:
+        windows = [Player(browser, study, address)]
+        windows[0].says("Looking for another player")
+        windows[0].is_accessible(windows[0].page)
+        windows.append(Player(browser, study, address))
+        for window in windows:
+            window.says("Session 1 of 1")
+            window.says("get the red agent to the blue landmark")
+            assert window.page.locator("button:focus").text_content() == "I am ready"
+            window.is_accessible(window.page)
+        for window in windows:
+            window.page.keyboard.press("Enter")
+        for window in windows:
+            window.says("Time left:")
+            assert window.page.get_by_role("img").get_attribute("aria-label")
+            assert window.page.locator("canvas:focus").count() == 1
+        windows[0].page.keyboard.down("w")
+        windows[1].page.keyboard.down("ArrowUp")
+        for window in windows:
+            assert window.colours() > 5
+        for window in windows:
+            window.says("Both goals are reached!")
+        for window in windows:
+            window.says("Thank you!")
+            code = window.page.locator("#code").text_content()
+            assert code == study.settings.codes["finished"]
+            assert window.faults == []
+    with study.store() as store:
+        (session,) = store.sessions()
+    assert session["outcome"] == "goals"
+    assert all(player["rtt_ms"] is None or player["rtt_ms"] > 0 for player in session["players"])
+
+
+@needs_browser
+def test_a_window_that_loses_its_connection_finds_back(
+    tmp_path: Path, browser: Any, no_films: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(play, "COUNTDOWN", 0)
+    study = players.make_study(
+        tmp_path / "study", [players.near_goals()], partner="computer", hold=100, limit=100,
+        rejoin_within=30,
+    )  # fmt: skip
+    with serving(study) as address:
+        window = Beginner(browser, study, address)
+        window.says("Please do this")
+        window.page.keyboard.down("w")
+        window.says("1 of 5 done")
+        window.is_accessible(window.page)
+        window.page.keyboard.up("w")
+        window.page.reload()
+        window.says("1 of 5 done")  # the practice goes on where it was
+        window.page.evaluate("() => window.sockets.at(-1).close()")
+        window.says("The connection is lost")
+        window.page.get_by_text("The connection is lost").wait_for(state="detached", timeout=20_000)
+        window.page.keyboard.press("q")
+        window.says("2 of 5 done")
+        other = window.context.new_page()
+        other.goto(address)
+        window.says("goes on in another window")
+        other.get_by_text("2 of 5 done").wait_for(timeout=20_000)

@@ -13,9 +13,9 @@ from starlette.testclient import TestClient
 
 import phase_ppl as ppl
 from phase_ppl.study import play, simulate
-from phase_ppl.study.clips import CLIPS
 from phase_ppl.study.study import Study
-from tests.study.players import HOST, Player, drives, make_study, near_goals, together
+from tests.study.players import HOST, both_play, drives, make_study, near_goals
+from tests.study.studies import empty_clips
 
 QUICK = ppl.PlannerConfig(particles=6, simulations=8)
 
@@ -31,8 +31,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(play, "COUNTDOWN", 0)
         study = make_study(folder / "study", ahead, trials=2, hold=6, limit=40)
         with TestClient(study.app(), base_url=HOST) as client:
-            players = [Player(client), Player(client)]
-            together(*(lambda one=one: one.play(drives("forward")) for one in players))
+            both_play(client, drives("forward"))
     study.export(folder / "out")
     return folder / "out" / "sessions.json"
 
@@ -76,12 +75,7 @@ def test_the_rule_of_sessions_explains_them_better_than_another(sessions: Path) 
 def test_from_play_to_people_beside_models(
     sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def no_films(folder: Path) -> None:
-        folder.mkdir()
-        for name in CLIPS:
-            (folder / f"{name}.mp4").touch()
-
-    monkeypatch.setattr("phase_ppl.study.study.make_clips", no_films)  # of the introduction
+    monkeypatch.setattr("phase_ppl.study.study.make_clips", empty_clips)
     events = ppl.load_events(sessions)
     judging = Study.new(tmp_path / "judging", events, "judgment", raters=6, workers=1)
     believed = ppl.evaluate(events, "last_frame")

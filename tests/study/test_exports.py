@@ -13,14 +13,16 @@ from starlette.testclient import TestClient
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.experiments import LABELS
+from phase_ppl.study import plan
+from phase_ppl.study.settings import Settings
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import OutputError, UnknownNameError
-from tests.study.studies import HOST, JUDGED, Person, make_study
+from tests.study.studies import HOST, JUDGED, Person, edit, make_study
 
 
 @pytest.fixture(autouse=True)
 def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.study.web.Site.allow", lambda *args: True)
+    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -43,7 +45,7 @@ def come(study: Study, *people: dict[str, Any]) -> list[str]:
 def judged(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """Two finished, one excluded, one withdrawn, one failed the quiz, one left, one declined."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phase_ppl.study.web.Site.allow", lambda *args: True)
+        patch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
         study = make_study(tmp_path_factory.mktemp("judged") / "study", tries=1)
         ids = come(study, JUDGED, {**JUDGED, "relation": "friendly"}, JUDGED, JUDGED)
         study.exclude(ids[2], "slept, said so")
@@ -100,6 +102,8 @@ def test_participants_are_told_with_their_fate(judged: Study, tmp_path: Path) ->
     outcomes = [person["outcome"] for person in people]
     assert outcomes == ["finished"] * 3 + ["quiz_failed", "at it", "declined"]
     assert [p["included"] for p in people] == ["true", "true", "false", "false", "false", "false"]
+    assert [p["answers"] for p in people] == ["3", "3", "3", "0", "1", "0"]
+    assert [p["quiz_attempts"] for p in people] == ["1", "1", "1", "1", "1", "0"]
     assert people[2]["reason"] == "slept, said so"
     assert people[0]["settings"] == judged.settings.sha256[:12]
     kept = out / f"study-{people[0]['settings']}.toml"
@@ -126,10 +130,7 @@ def test_an_export_replaces_an_export_and_nothing_else(judged: Study, tmp_path: 
 
 def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
-    file = study.folder / "study.toml"
-    text = file.read_text("utf-8").replace("[checks]", '[checks]\ncompete = ["adversarial"]')
-    file.write_text(text, "utf-8")
-    study = Study(study.folder)
+    study = edit(study, "[checks]", '[checks]\ncompete = ["adversarial"]')
     come(study, {**JUDGED, "relation": "adversarial"}, {**JUDGED, "relation": "friendly"})
     out = study.export(tmp_path / "out")
     assert [p["checks_missed"] for p in table(out / "participants.csv")] == ["0", "1"]
@@ -184,11 +185,9 @@ def test_likeness_has_groups_and_pairs(tmp_path: Path) -> None:
     assert len(pairs) == 3, "a played event and its counterpart have the same number"
 
 
-@pytest.mark.parametrize("rating", [0, 6, "4", True, None, 3.5])
-def test_ratings_are_one_to_five(tmp_path: Path, rating: object) -> None:
-    from phase_ppl.study import plan
-    from phase_ppl.study.settings import Settings, template
-
-    settings = Settings.parse(template("likeness", "x"))
-    with pytest.raises(plan.Unfit, match="likeness"):
-        plan.checked(settings, "trial-1", {**JUDGED, "likeness": rating})
+def test_ratings_are_one_to_five() -> None:
+    settings = Settings.parse('kind = "likeness"')
+    assert plan.checked(settings, "trial-1", {**JUDGED, "likeness": 5}) is not None
+    for rating in (0, 6, "4", True, None, 3.5):
+        with pytest.raises(plan.Unfit, match="likeness"):
+            plan.checked(settings, "trial-1", {**JUDGED, "likeness": rating})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import time
 from typing import Any
 
@@ -15,15 +16,15 @@ import phase_ppl as ppl
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.render.frames import field_of_view
-from phase_ppl.study.room import Controls, Outbox, PlaySettings, Room, Seat, outline
-from phase_ppl.study.sessions import SLIPPED, driving, warnings
-from phase_ppl.study.settings import Settings, template
+from phase_ppl.study.exports import SLIPPED
+from phase_ppl.study.room import Controls, Outbox, Room, Seat, driving, outline, warnings
+from phase_ppl.study.settings import PlaySettings, Settings, template
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
 from tests.study.players import near_goals
 
 
 def settings(**changes: Any) -> PlaySettings:
-    return PlaySettings(**{**Settings.parse(template("play", "")).play, **changes})
+    return dataclasses.replace(Settings.parse(template("play", "")).play, **changes)
 
 
 def pressed(*events: str) -> Controls:

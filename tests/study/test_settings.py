@@ -12,7 +12,7 @@ import phase_ppl as ppl
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
-from tests.study.studies import make_study, short_events
+from tests.study.studies import edit, make_study, short_events
 
 FOLDER = Path(__file__).resolve().parents[2] / "phase_ppl" / "study"
 
@@ -43,15 +43,15 @@ def test_what_is_left_out_is_as_in_the_template() -> None:
     ("line", "message"),
     [
         ("trails = 3", "unknown setting 'trails'; did you mean 'trials'"),
-        ("trials = 0", "trials = 0, expected at least 1"),
-        ('trials = "3"', "trials = '3', expected a whole number"),
-        ("open = 1", "open = 1, expected true or false"),
+        ("trials = 0", "trials is 0, expected a whole number >= 1"),
+        ('trials = "3"', "trials is '3', expected a whole number"),
+        ("open = 1", "open is 1, expected true or false"),
         ("trials = ", "line 2"),
         ("[texts]\nconcent = 'x'", "'concent'; did you mean 'consent'"),
         ("[texts]\nconsent = 3", "consent in .texts. is 3, expected text"),
         ("[[quiz]]\nquestion = 'q'\noptions = ['a', 'b']\nanswer = 'c'", "unknown answer in"),
         ("[[quiz]]\nquestion = 'q'\noptions = ['a']\nanswer = 'a'", "two or more"),
-        ("[[quiz]]\nquestion = 'q'", "number 1: options is None, expected a list"),
+        ("[[quiz]]\nquestion = 'q'", "options in .* number 1 is None, expected a list"),
         ("quiz = [3]", "number 1 is 3, expected a table"),
         ("[[tutorial]]\ntext = 'x'\nclip = 'jumping'", "unknown clip in .* 'jumping'"),
         ("[checks]\nx = 'friendly'", "x is 'friendly', expected relations"),
@@ -72,10 +72,8 @@ def test_the_kind_is_one_that_there_is() -> None:
 
 def test_checks_are_of_videos_of_the_study(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
-    file = study.folder / "study.toml"
-    file.write_text(file.read_text("utf-8").replace("[checks]", "[checks]\nnone = ['friendly']"))
     with pytest.raises(PhasePPLError, match=r"unknown video in \[checks\] 'none'"):
-        Study(study.folder)
+        edit(study, "[checks]", "[checks]\nnone = ['friendly']")
 
 
 def test_a_study_gets_a_folder_of_its_own(tmp_path: Path) -> None:
@@ -102,25 +100,21 @@ def test_copies_in_a_generated_set_are_known(
 
 def test_the_kind_of_a_study_stays(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
-    file = study.folder / "study.toml"
-    file.write_text(template("tagging", "x"), "utf-8")
     with pytest.raises(InvalidSettingError, match="is one of judgment"):
-        Study(study.folder)
+        edit(study, study.settings.text, template("tagging", "x"))
 
 
-@pytest.mark.parametrize("damage", ["change", "delete"])
+@pytest.mark.parametrize("damage", ["changed", "missing"])
 def test_missing_and_changed_films_are_found_before_people_come(
     tmp_path: Path, damage: str
 ) -> None:
     study = make_study(tmp_path / "study")
     assert any("who is responsible" in note for note in study.check())
     film = next((study.folder / "videos").iterdir())
-    if damage == "delete":
+    film.write_bytes(b"another film")
+    if damage == "missing":
         film.unlink()
-    else:
-        film.write_bytes(b"another film")
-    what = {"delete": "missing", "change": "changed"}[damage]
-    with pytest.raises(PhasePPLError, match=f"{film.name}.*{what}"):
+    with pytest.raises(PhasePPLError, match=f"{film.name}.*{damage}"):
         study.run(0)
 
 

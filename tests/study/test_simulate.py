@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,19 +19,17 @@ pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.study import study as study_module
-from phase_ppl.study.simulate import simulate
+from phase_ppl.study.simulate import serving, simulate
 from phase_ppl.study.study import Study, counterparts
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    UnknownNameError,
+)
 from tests.study.studies import make_study, short_events
-
-
-def certain(event: ppl.Event) -> Prediction:
-    truth = event.truth
-    assert truth is not None
-    given = {"goal_red": truth.goal_red, "goal_green": truth.goal_green, "relation": truth.relation}
-    return Prediction(event.id, answers=given)
 
 
 @pytest.fixture(scope="module")
@@ -37,11 +37,19 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return make_study(tmp_path_factory.mktemp("made") / "study")
 
 
+@pytest.fixture(scope="module")
+def sure(study: Study) -> dict[str, Prediction]:
+    """What somebody believes who knows the truth."""
+    return {
+        name: Prediction(name, answers={q: getattr(event.truth, q) for q in QUESTIONS})
+        for name, event in study.events.items()
+    }
+
+
 def test_scripted_people_answer_as_the_model_believes(
-    study: Study, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    study: Study, sure: dict[str, Prediction], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    sure = {event.id: certain(event) for event in study.events.values()}
     text = simulate(study, out, 8, predictions=sure, lapse=0, drop_outs=0, progress=False)
     assert "goal_accuracy: 1.00" in text
     events = ppl.load_events(out / "events.json")
@@ -53,12 +61,12 @@ def test_scripted_people_answer_as_the_model_believes(
     assert "who is responsible" in note, "nothing of anybody is in a log"
 
 
-def test_some_lapse_and_some_leave(study: Study, tmp_path: Path) -> None:
+def test_some_lapse_and_some_leave(
+    study: Study, sure: dict[str, Prediction], tmp_path: Path
+) -> None:
     out = tmp_path / "out"
-    sure = {event.id: certain(event) for event in study.events.values()}
     simulate(study, out, 12, predictions=sure, lapse=0.4, drop_outs=0.5, seed=1, progress=False)
-    text = (out / "README.md").read_text("utf-8")
-    assert "| finished | 12 |" not in text
+    assert "| finished | 12 |" not in (out / "README.md").read_text("utf-8")
     found = ppl.load_judgments(out / "judgments.csv")
     assert found.table["goal_red"].nunique() > 3
 
@@ -154,33 +162,22 @@ def test_commands_make_look_at_and_export_a_study(
 def test_a_port_that_is_taken_and_a_host_without_name_are_told(
     study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import socket
-
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert main(["study", "run", str(study.folder), "--port", str(port)]) == 2
-    assert f"cannot listen at 127.0.0.1, port {port}" in capsys.readouterr().err
-    assert main(["study", "run", str(study.folder), "--host", "0.0.0.0"]) == 2
-    assert "needs url" in capsys.readouterr().err
-    assert main(["study", "run", str(study.folder), "--url", "study.example"]) == 2
-    assert "expected one such as https://" in capsys.readouterr().err
+        for options, said in (
+            (f"--port {port}", f"cannot listen at 127.0.0.1, port {port}"),
+            ("--host 0.0.0.0", "needs url"),
+            ("--url study.example", "expected one such as https://"),
+        ):
+            assert main(["study", "run", str(study.folder), *options.split()]) == 2
+            assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_the_server_ends_when_it_is_told_to(study: Study, how: signal.Signals) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "phase_ppl.cli",
-        "study",
-        "run",
-        str(study.folder),
-        "--port",
-        "0",
-    ]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as run:
+    command = f"-m phase_ppl.cli study run {study.folder} --port 0".split()
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, *command], **pipes) as run:
         assert run.stdout is not None
         address = run.stdout.readline().split()[0]
         with urllib.request.urlopen(address) as page:
@@ -193,9 +190,6 @@ def test_the_server_ends_when_it_is_told_to(study: Study, how: signal.Signals) -
 
 
 def test_one_server_at_a_time(study: Study, tmp_path: Path) -> None:
-    from phase_ppl.study.simulate import serving
-    from phase_ppl.world.errors import OutputError
-
     copy = tmp_path / "copy"
     shutil.copytree(study.folder, copy)
     with serving(Study(copy)), pytest.raises(OutputError, match="another process is at work"):

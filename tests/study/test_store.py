@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import heapq
-import json
 import random
-import sqlite3
 import stat
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from phase_ppl.study import store as store_module
+from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Refused, Stimulus, Store
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 
@@ -38,32 +38,49 @@ def videos(n: int) -> list[Stimulus]:
     return [Stimulus(f"event-{k}", file=f"{k}.mp4", sha256=str(k)) for k in range(n)]
 
 
+Create = Callable[[str, list[Stimulus]], Store]
+
+
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    found = Store.create(tmp_path / "study.db", "judgment", videos(6))
-    found.use_settings("c", "text")
-    yield found
-    found.close()
+def create(tmp_path: Path) -> Iterator[Create]:
+    """Make a database that is closed in the end."""
+    with contextlib.ExitStack() as open_ones:
+
+        def make(kind: str, stimuli: list[Stimulus]) -> Store:
+            found = Store.create(tmp_path / "study.db", kind, stimuli)
+            return open_ones.enter_context(contextlib.closing(found))
+
+        yield make
 
 
-def enter(store: Store, **given: Any) -> str:
-    asked = {"place_kept": 3600, "trials": 2, "raters": 5, "checks": (), "most": 1000,
-             "per_minute": 1000}  # fmt: skip
-    return store.enter("c", **{**asked, **given})[0]
+@pytest.fixture
+def store(create: Create) -> Store:
+    return create("judgment", videos(6))
+
+
+SETTINGS = dataclasses.replace(
+    Settings.parse('kind = "judgment"'), trials=2, raters=5, most_entries=1000,
+    entries_per_minute=1000,
+)  # fmt: skip
+
+
+def enter(store: Store, person: str = "", **given: Any) -> str:
+    settings = dataclasses.replace(SETTINGS, **given)
+    store.use_settings(settings)
+    return store.enter(settings, person)[0]
 
 
 def assigned(store: Store, who: str, **given: Any) -> list[int]:
-    store.assign(who, **{"trials": 2, "place_kept": 3600, **given})
+    store.assign(who, dataclasses.replace(SETTINGS, **given))
     trials = store.participant(who).trials
     assert trials is not None
     return [trial.stimulus for trial in trials]
 
 
-def test_twenty_people_a_video_where_some_leave(tmp_path: Path, clock: Clock) -> None:
+def test_twenty_people_a_video_where_some_leave(create: Create, clock: Clock) -> None:
     # 100 videos, 10 a person, 15 people at a time, 15 % of whom leave, until the study is full
-    store = Store.create(tmp_path / "study.db", "judgment", videos(100))
+    store = create("judgment", videos(100))
     store._db.execute("PRAGMA synchronous=OFF")
-    store.use_settings("c", "text")
     chance = random.Random(3)
     at_it: list[tuple[float, str]] = []
     entered = 0
@@ -93,7 +110,6 @@ def test_twenty_people_a_video_where_some_leave(tmp_path: Path, clock: Clock) ->
     assert entered > 210
     assert set(seen.values()) <= {18, 19, 20, 21}
     assert seen.total() >= 1990
-    store.close()
 
 
 def test_a_person_sees_every_video_once_and_always_the_same(store: Store) -> None:
@@ -112,21 +128,19 @@ def test_films_have_another_name_for_everybody(store: Store) -> None:
     assert len(names) == 18
 
 
-def test_reflected_copies_are_not_shown_to_the_same_person(tmp_path: Path) -> None:
+def test_reflected_copies_are_not_shown_to_the_same_person(create: Create) -> None:
     copies = [Stimulus(f"{k}", copies=str(k // 3), file=f"{k}.mp4") for k in range(9)]
-    store = Store.create(tmp_path / "study.db", "judgment", copies)
-    store.use_settings("c", "text")
+    store = create("judgment", copies)
     for _ in range(9):
         seen = assigned(store, enter(store), trials=3)
         assert sorted((number - 1) // 3 for number in seen) == [0, 1, 2]
-    store.close()
 
 
 def test_checks_come_among_the_others_for_everybody(store: Store) -> None:
     places = set()
     for _ in range(20):
         who = enter(store, raters=20)
-        assigned(store, who, checks=("event-0", "event-1"))
+        assigned(store, who, checks=dict.fromkeys(("event-0", "event-1"), ("neutral",)))
         roles = [trial.role for trial in store.participant(who).trials or ()]
         assert sorted(roles) == ["check", "check", "main", "main"]
         places.add(tuple(roles))
@@ -135,10 +149,9 @@ def test_checks_come_among_the_others_for_everybody(store: Store) -> None:
     assert {row["stimulus"] for row in main} == {3, 4, 5, 6}
 
 
-def test_groups_are_equally_large_and_see_their_own_videos(tmp_path: Path) -> None:
+def test_groups_are_equally_large_and_see_their_own_videos(create: Create) -> None:
     pairs = [Stimulus(f"{g}{k}", g, k, file="x") for g in ("played", "generated") for k in range(3)]
-    store = Store.create(tmp_path / "study.db", "likeness", pairs)
-    store.use_settings("c", "text")
+    store = create("likeness", pairs)
     groups = []
     for _ in range(20):
         who = enter(store, raters=20)
@@ -148,7 +161,6 @@ def test_groups_are_equally_large_and_see_their_own_videos(tmp_path: Path) -> No
         groups.append(group)
     assert Counter(groups) == {"played": 10, "generated": 10}
     assert any(groups[i] != groups[0] for i in range(2, 20, 2)), "the order is drawn"
-    store.close()
 
 
 def test_the_study_is_full_once_enough_people_are_at_it(store: Store, clock: Clock) -> None:
@@ -176,33 +188,14 @@ def test_an_excluded_person_is_replaced(store: Store) -> None:
 
 
 def test_entries_are_limited_by_minute_and_in_total(store: Store, clock: Clock) -> None:
-    enter(store, per_minute=2)
-    enter(store, per_minute=2)
+    enter(store, entries_per_minute=2)
+    enter(store, entries_per_minute=2)
     with pytest.raises(Refused, match="busy"):
-        enter(store, per_minute=2)
+        enter(store, entries_per_minute=2)
     clock.now += 61
-    enter(store, per_minute=2)
+    enter(store, entries_per_minute=2)
     with pytest.raises(Refused, match="full"):
-        enter(store, most=3)
-
-
-def test_who_comes_again_is_known_but_not_by_name(store: Store) -> None:
-    enter(store, person="platform-id-77")
-    with pytest.raises(Refused, match="repeated"):
-        enter(store, person="platform-id-77")
-    enter(store, person="platform-id-78")
-    store.close()
-    everything = b"".join(file.read_bytes() for file in store.path.parent.iterdir())
-    assert b"platform-id" not in everything
-
-
-def test_the_first_answer_to_a_page_counts(store: Store) -> None:
-    who = enter(store)
-    assert store.answer(who, "trial-1", 1, {"relation": "friendly"})
-    assert not store.answer(who, "trial-1", 1, {"relation": "neutral"})
-    assert store.answer(who, "trial-1", 2, {"relation": "neutral"})
-    kept = [json.loads(row["answers"]) for row in store.rows("SELECT answers FROM response")]
-    assert kept == [{"relation": "friendly"}, {"relation": "neutral"}]
+        enter(store, most_entries=3)
 
 
 def test_answer_and_end_are_one_transaction(store: Store) -> None:
@@ -249,13 +242,10 @@ def test_nobody_unknown_is_withdrawn_or_excluded(store: Store) -> None:
         store.exclude("nobody", "why")
 
 
-def test_only_the_owner_can_read_the_file(store: Store) -> None:
+def test_every_commit_is_on_the_disk_for_the_owner_alone(store: Store) -> None:
     enter(store)
     for file in store.path.parent.iterdir():
         assert stat.S_IMODE(file.stat().st_mode) == 0o600, file.name
-
-
-def test_every_commit_is_on_the_disk(store: Store) -> None:
     assert store.rows("PRAGMA synchronous") == [{"synchronous": 2}]
     assert store.rows("PRAGMA journal_mode") == [{"journal_mode": "wal"}]
 
@@ -285,20 +275,16 @@ def test_what_is_no_study_is_refused(tmp_path: Path, content: bytes | None) -> N
 
 
 def test_another_version_is_refused(store: Store) -> None:
-    store.close()
-    db = sqlite3.connect(store.path)
-    db.execute("PRAGMA user_version=99")
-    db.close()
+    store._db.execute("PRAGMA user_version=99")
     with pytest.raises(InvalidEventError, match="version 99"):
         Store(store.path)
 
 
-def test_played_scenes_are_shared_out(tmp_path: Path) -> None:
-    store = Store.create(tmp_path / "study.db", "play", [Stimulus("a"), Stimulus("b")])
+def test_played_scenes_are_shared_out(create: Create) -> None:
+    store = create("play", [Stimulus("a"), Stimulus("b")])
     goals, strengths = ("get to green agent", "get to red agent"), (300.0, 300.0)
     for _ in range(4):
         event = store.least_played(0.0)
-        session = store.open_session("session", event, goals, strengths, {}, [None, None])
+        session = store.open_session(event, goals, strengths, {}, [None, None])
         store.end_session(session, "goals")
     assert Counter(row["event"] for row in store.sessions()) == {"a": 2, "b": 2}
-    store.close()
