@@ -48,6 +48,7 @@ KEYS: Final = (*MOVES, GRAB)
 
 Message = dict[str, Any]
 
+
 class Controls:
     """The keys of one player, between two steps."""
 
