@@ -40,7 +40,6 @@ STRENGTHS: Final = ("strength_red", "strength_green")
 MOST_HYPOTHESES: Final = 500_000
 """Hypotheses that are summed over; of more, so many are drawn."""
 
-_MOST_ROWS: Final = 400_000  # of a table, each a hypothesis with a combination of strengths
 _FROM_PRIOR: Final = 0.1  # share of goals that are drawn from the prior
 _GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
 
@@ -89,6 +88,9 @@ class Table:
     schema: ClassVar[str]
     dimensions: ClassVar[Mapping[str, tuple[str, ...]]]
     attrs: ClassVar[tuple[str, ...]] = ("event_id", "settings", "cost", "weight", "schema")
+    most_rows: ClassVar[float]
+    """Of a table, each a hypothesis with a combination of strengths."""
+
     least: ClassVar[tuple[float, float]]
     """Hypotheses with less than a share of the mass of the best, and rows with less than a share of
     all, are left out of tables."""
@@ -203,7 +205,7 @@ class Table:
     @property
     def _with_strengths(self) -> bool:
         """Whether all hypotheses with all strengths are few enough to be in one table."""
-        return len(self.hypotheses.way) * len(self.combinations) <= _MOST_ROWS
+        return len(self.hypotheses.way) * len(self.combinations) <= self.most_rows
 
     def all_log_masses(self, frame: int) -> FloatArray:
         """Return (table, row of :meth:`all_columns`) log masses."""
@@ -247,7 +249,7 @@ class Table:
         kept = np.flatnonzero(weights[0] > self.least[0] * weights[0].max())
         weights, strengths = weights[:, kept], self.strengths(frame)
         n = strengths.shape[1]
-        if len(kept) * n <= _MOST_ROWS:
+        if len(kept) * n <= self.most_rows:
             of_kept = strengths[kept] if len(strengths) > 1 else strengths
             weights = (weights[:, :, None] * of_kept).reshape(len(weights), -1)
             kept, combination = np.repeat(kept, n), np.tile(np.arange(n), len(kept))
@@ -283,7 +285,7 @@ class PairTable(Table):
         "log_prior": (*STATED, *STRENGTHS),
         **_OF_ANY,
     }
-    least = 1e-12, 1e-12
+    most_rows, least = math.inf, (1e-12, 1e-12)
 
     def __init__(self, found: xr.Dataset) -> None:
         super().__init__(found)
@@ -356,7 +358,7 @@ class PolicyTable(Table):
         **_OF_ANY,
     }
     attrs = (*Table.attrs, "world")
-    least = 1e-9, 0.0
+    most_rows, least = 400_000, (1e-9, 0.0)
 
     def __init__(self, found: xr.Dataset) -> None:
         super().__init__(found)
