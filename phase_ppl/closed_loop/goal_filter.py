@@ -209,8 +209,14 @@ def frame_log_likelihood(
     """
     n = len(looked)
     # (set, agent, goal_red, goal_green, action), 0 where there is no intent
-    policies = np.array([[conduct.policies(one, 0.0) for one in both] for both in looked])
-    policies = policies.reshape(n, len(AGENTS), N_GOALS, N_GOALS, N_ACTIONS)
+    policies = np.empty((n, len(AGENTS), N_GOALS, N_GOALS, N_ACTIONS))
+    for place, both in enumerate(looked):
+        for agent, one in enumerate(both):
+            table = np.zeros((len(one.roots) + 1, N_ACTIONS))
+            for row, root in enumerate(one.roots):
+                table[row] = conduct.policy(root)
+            # the last row for NO_INTENT, which is -1
+            policies[place, agent] = table[one.intent_of.reshape(N_GOALS, N_GOALS)]
     possible = (policies[0].sum(axis=-1) > 0).all(axis=0)
     alone = np.where(possible, _density(policies[0], relative), 0.0)
     with np.errstate(divide="ignore"):
@@ -297,8 +303,12 @@ class PolicyFilter(GoalFilter):
         policies, policy_of = [], []
         for sets in zip(*looked, strict=True):
             intents = np.stack([one.intent_of for one in sets], axis=1)
-            _, first, number = np.unique(intents, axis=0, return_index=True, return_inverse=True)
-            of_sets = [self._conduct.policies(one, 1 / N_ACTIONS)[first] for one in sets]
+            kinds, number = np.unique(intents, axis=0, return_inverse=True)
+            of_sets = []
+            for place, one in enumerate(sets):
+                found = [self._conduct.policy(root) for root in one.roots]
+                found.append(np.full(N_ACTIONS, 1 / N_ACTIONS))  # of NO_INTENT, which is -1
+                of_sets.append(np.array(found)[kinds[:, place]])
             policies.append(np.stack(of_sets, axis=1))
             policy_of.append(number.reshape(-1))
         return policies, policy_of

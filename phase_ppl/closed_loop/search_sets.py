@@ -42,11 +42,6 @@ class Conduct(NamedTuple):
         found[root.actions] += (1.0 - self.lapse) * share / share.sum()
         return found
 
-    def policies(self, looked: Looked, of_none: float) -> FloatArray:
-        """Return (standpoint, action) probabilities; ``of_none`` where there is no intent."""
-        nothing = np.full(N_ACTIONS, of_none)  # the last, for NO_INTENT, which is -1
-        return np.array([*map(self.policy, looked.roots), nothing])[looked.intent_of]
-
 
 class SearchSets:
     """Every agent's policies, in several independent sets, at what was seen.

@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
-from phase_ppl.models.density import remembered, trace_log_density
+from phase_ppl.models.density import (
+    remembered,
+    trace_log_density,
+)
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
@@ -83,8 +86,7 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
     def given(key: jax.Array, z: dict[str, jax.Array]) -> jax.Array:
         # own sites are drawn given the hypothesis sites before them and weighted by those after
         # them, which averages to the marginal density wherever they stand in a hierarchy
-        program = handlers.seed(handlers.substitute(prior, z), key)
-        trace = handlers.trace(program).get_trace()
+        trace = _trace(prior, key, z)
         return trace_log_density({name: trace[name] for name in names})
 
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
@@ -154,3 +156,9 @@ def prior_of_pairs(prior: Prior) -> FloatArray:
     mass /= mass.sum()
     mass.setflags(write=False)
     return mass
+
+
+def _trace(prior: Prior, key: jax.Array, given: Mapping[str, Any]) -> dict[str, Any]:
+    program = handlers.seed(handlers.substitute(prior, dict(given)), key)
+    trace: dict[str, Any] = handlers.trace(program).get_trace()
+    return trace
