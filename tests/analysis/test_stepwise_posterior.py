@@ -184,11 +184,6 @@ def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
         StepwisePosterior.load(file)
 
 
-def test_a_posterior_that_lacks_something_is_refused() -> None:
-    with pytest.raises(InvalidEventError, match="lacks unexplained"):
-        StepwisePosterior(FOUND.drop_vars("unexplained"))
-
-
 def test_the_verdict_leads_with_the_worst_sign() -> None:
     fine = StepwisePosterior(FOUND).diagnostics()
     assert fine["unexplained_frames"] == fine["overlapping_frames"] == []
@@ -251,7 +246,7 @@ def test_medians_and_mutual_information() -> None:
         expected = np.nansum(joint * np.log(joint / apart))
     found = post.query("I(goal_red; goal_green)")
     assert found == pytest.approx(expected, abs=1e-6)
-    assert found == post.mutual_information("goal_green", "goal_red")
+    assert found == pytest.approx(post.mutual_information("goal_green", "goal_red"))
     assert found.error > 0
     assert post.query("I(goal_red; relation | goal_red=get to green agent)") == pytest.approx(0)
     strong = sum(mass for (*_, fr, _), mass in masses.items() if fr == 1)
