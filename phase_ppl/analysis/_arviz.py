@@ -12,9 +12,8 @@ import xarray as xr
 
 from phase_ppl.analysis.convergence import MIN_DRAWS, arviz_module, chain_halves
 from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
-from phase_ppl.analysis.quantities import ScenarioFunction
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws, space_of_tree
-from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 
@@ -112,7 +111,7 @@ def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Datas
         {name: draws[name] for name in _PAIR},
     )
     left_out: dict[str, list[str]] = {}
-    known = vocabulary(space_of_tree(tree)).quantities
+    known = Vocabulary(space_of_tree(tree)).quantities
     for name, codes in categorical_draws(tree, scenario).items():
         indicators = {
             label: (codes == code).astype(np.int64)

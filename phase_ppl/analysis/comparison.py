@@ -11,8 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.convergence import ess
 from phase_ppl.analysis.event_posterior import EventPosterior
@@ -185,21 +183,15 @@ class Comparison:
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
         named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
-        blocks = [words]
-        width = max(len(name) for name in table.index)
-        for start in range(0, len(named), _PRINTED_COLUMNS):
-            chosen = named[start : start + _PRINTED_COLUMNS]
-            rows = [["", *(MEASURES[name] for name in chosen)]]
-            for label in table.index:
-                cells = [_cell(*table.loc[label, name].to_numpy(float)) for name in chosen]
-                rows.append([label, *cells])
-            sizes = [max(len(row[i]) for row in rows) for i in range(1, len(chosen) + 1)]
-            blocks.append(
-                "\n".join(
-                    "  ".join([f"{row[0]:<{width}}", *map(str.rjust, row[1:], sizes)]).rstrip()
-                    for row in rows
-                )
-            )
+        cells = pd.DataFrame(
+            {
+                MEASURES[name]: [_cell(*row) for row in table[name].to_numpy(float)]
+                for name in named
+            },
+            index=list(table.index),
+        )
+        starts = range(0, len(named), _PRINTED_COLUMNS)
+        blocks = [words, *(cells.iloc[:, i : i + _PRINTED_COLUMNS].to_string() for i in starts)]
         known = [name for name in DISTANCES if self.runs[name].notna().any()]
         blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in known))
         return "\n\n".join(blocks)
@@ -403,23 +395,10 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | Roles | None) ->
         done, part = np.ones(len(iteration), bool), post
         if length < n_draws:
             done = iteration < first + length
-            part = Posterior(_prefix(tree, length, done), post.weights)
+            prefix = tree.isel(draw=slice(length), simulation=np.flatnonzero(done))
+            burn_in = int(tree.attrs.get("burn_in", 0) * (length / n_draws))
+            prefix.attrs = {**tree.attrs, "burn_in": burn_in}
+            part = Posterior(prefix, post.weights)
         paid = {"simulations": float(done.sum()), "frames": float(frames[done].sum())}
         rows.append({**paid, **accuracy(part, reference, truth)})
     return pd.DataFrame(rows)
-
-
-def _prefix(tree: xr.DataTree, n_draws: int, done: NDArray[np.bool_]) -> xr.DataTree:
-    """Return a tree of the first draws, and of the simulations that were done by then."""
-    groups = {}
-    for name, group in tree.children.items():
-        dataset = group.to_dataset()
-        if "draw" in dataset.dims:
-            dataset = dataset.isel(draw=slice(n_draws))
-        if "simulation" in dataset.dims:
-            dataset = dataset.isel(simulation=np.flatnonzero(done))
-        groups[name] = dataset
-    prefix = xr.DataTree.from_dict(groups)
-    share = n_draws / tree["posterior"].sizes["draw"]
-    prefix.attrs = {**tree.attrs, "burn_in": int(tree.attrs.get("burn_in", 0) * share)}
-    return prefix

@@ -94,6 +94,11 @@ def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> t
     return float(starts[best]), float(ends[best])
 
 
+def worth(weights: FloatArray) -> float:
+    """Return how many equal draws weighted ones of sum 1 are worth, at most (Kish)."""
+    return float(1 / (weights**2).sum())
+
+
 N_SETS: Final = 30  # random sets of chains that are left out
 _MOST_DECIMALS: Final = 4
 

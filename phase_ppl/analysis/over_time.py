@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.quantities import ScenarioFunction, by_label
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label
 from phase_ppl.analysis.tree import array, space_of_tree
-from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.analysis.weights import (
     evaluations,
     has_proposals,
@@ -60,8 +59,8 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
         name, (rows, weights) = "stratified", _by_proposals(tree, log_shares(tree))
     else:
         name, (rows, weights) = "importance", _by_proposals(tree, log_mass(tree))
-    words = vocabulary(space_of_tree(tree), scenario)
-    codes = {goal: simulations[goal].values[rows] for goal in words.goals.values()}
+    words = Vocabulary(space_of_tree(tree), scenario)
+    codes = {goal: simulations[goal].values[rows] for goal in words.space.goal_sites}
     codes |= words.relation_codes(codes)
     time = array(tree, "observed_data", "time")
     known = words.quantities

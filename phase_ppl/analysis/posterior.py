@@ -13,6 +13,7 @@ import xarray as xr
 
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
+from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
 from phase_ppl.analysis.over_time import over_time
@@ -21,9 +22,8 @@ from phase_ppl.analysis.prior_change import (
     check_overlap,
     reweighted,
     settings_under,
-    worth,
 )
-from phase_ppl.analysis.quantities import ScenarioFunction, own_quantity
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.roles_posterior import RolesPosterior, is_of_roles
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
@@ -36,10 +36,8 @@ from phase_ppl.analysis.tree import (
     simulation_of_draw,
     space_of_tree,
     untried,
-    without_burn_in,
     write_tree,
 )
-from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
@@ -101,14 +99,12 @@ class Posterior(EventPosterior):
             )
         self._tree = tree
         self._attrs, self._constant = tree.attrs, tree["constant_data"].to_dataset()
-        self._kept = without_burn_in(tree, self._burn_in)
+        self._kept = tree = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         self._weights = name
-        tree = self._kept
         rows = WEIGHTINGS[name](tree)
-        words = vocabulary(space_of_tree(tree), scenario)
+        words = Vocabulary(space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), words.quantities
-        self.goals_of, self.strengths_of = words.goals, words.strengths
-        self.relations_of, self.scenarios_of = words.relations, words.scenarios
+        self._tell_of(words.space)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
         groups = chain_groups(tree)[rows.index["chain"]]
@@ -181,7 +177,7 @@ class Posterior(EventPosterior):
         with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``. In other worlds than
         PHASE the plain form of roles, with ``log_joint`` and each ``relation_<one>_<other>``.
         """
-        best, words = self.map(), vocabulary(space_of_tree(self._tree), self._scenario)
+        best, words = self.map(), Vocabulary(space_of_tree(self._tree), self._scenario)
         goals = zip(words.space.goal_sites, best.effective_goals, strict=True)
         codes = words.relation_codes({name: np.array([goal]) for name, goal in goals})
         return {

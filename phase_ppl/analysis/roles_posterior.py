@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.prior_change import settings_under
-from phase_ppl.analysis.quantities import quantities_of, relations_of
+from phase_ppl.analysis.quantities import quantities, relations_of
 from phase_ppl.analysis.roles_table import (
     DIMENSIONS,
     MOST_HYPOTHESES,
@@ -33,7 +33,7 @@ class RolesPosterior(StepwisePosterior):
     """Posterior over all agents' goals, whom they help or hinder, and strengths, in any world.
 
     As :class:`~phase_ppl.analysis.stepwise_posterior.StepwisePosterior`, with the quantities
-    :func:`quantities_of`. Goals, company and strengths are independent of each other a priori.
+    :func:`quantities`. Goals, company and strengths are independent of each other a priori.
     Where more than :data:`~phase_ppl.analysis.roles_table.MOST_HYPOTHESES` are possible, sums are
     over so many that were drawn.
 
@@ -67,7 +67,7 @@ class RolesPosterior(StepwisePosterior):
         self.relations_of = relations_of(world)
         self.scenarios_of = MappingProxyType({})
         self._attrs, self._constant = found.attrs, found
-        EventPosterior.__init__(self, quantities_of(world), rows)
+        EventPosterior.__init__(self, quantities(world), rows)
         self._define_kept(found.attrs)
 
     def _weights_without(self) -> FloatArray:
@@ -123,7 +123,7 @@ class RolesPosterior(StepwisePosterior):
             ``filtering`` says what it is.
         """
         codes = self._table.codes(self._table.hypotheses.goals)
-        known, n = quantities_of(self.world), self._frame + 1
+        known, n = quantities(self.world), self._frame + 1
         sizes = {name: len(known[name].categories()) for name in codes}
         masses = {name: np.empty((self._table.n_tables, n, size)) for name, size in sizes.items()}
         for t in range(n):

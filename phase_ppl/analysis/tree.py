@@ -172,17 +172,6 @@ def untried(tree: xr.DataTree) -> float:
     return max(0.0, 1.0 - float(found.sum()) / space_of_tree(tree).possible_share(own, company))
 
 
-def without_burn_in(tree: xr.DataTree, burn_in: int) -> xr.DataTree:
-    """Return the tree without the first ``burn_in`` draws of every chain; simulations all stay."""
-    if not burn_in:
-        return tree
-    result = tree.copy()
-    for name, node in tree.children.items():
-        if "draw" in node.dims:
-            result[name] = xr.DataTree(node.to_dataset().isel(draw=slice(burn_in, None)))
-    return result
-
-
 def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
     """Return (chain, draw) the log weights of the draws; 0 where the tree has none."""
     stats = tree["sample_stats"].dataset
