@@ -15,7 +15,15 @@ import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import InvalidSettingError
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    Simulation,
+    hypothesis,
+    make_tree,
+    random_tree,
+    with_log_weight,
+)
 
 matplotlib.use("Agg")
 
@@ -105,9 +113,8 @@ def test_draws_of_unequal_weight_are_refused() -> None:
     tree = random_tree()
     log_weight = np.zeros(tree["posterior"]["goal_red"].shape)
     log_weight[0, 0] = 1
-    tree["sample_stats"]["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
     with pytest.raises(InvalidSettingError, match="unequal weights"):
-        _ = Posterior(tree).arviz
+        _ = Posterior(with_log_weight(tree, log_weight)).arviz
 
 
 # --- posterior predictive ----------------------------------------------------------------------
