@@ -264,13 +264,14 @@ def marginals(post: EventPosterior) -> dict[str, FloatArray]:
     return {name: np.asarray(post.marginal(name).values, float) for name in names}
 
 
-def _means(values: Mapping[str, float]) -> tuple[float, float]:
-    """Return the means over goals and over relations; NaN where there are none."""
-    goals: list[float] = []
-    relations: list[float] = []
-    for name, value in values.items():
-        (goals if name.startswith("goal_") else relations).append(value)
-    return float(np.mean(goals)), float(np.mean(relations)) if relations else np.nan
+def _means(measure: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the means of a measure over goals and over relations; NaN where there are none."""
+    goals = [value for name, value in values.items() if name.startswith("goal_")]
+    relations = [value for name, value in values.items() if not name.startswith("goal_")]
+    return {
+        f"{measure}_goals": float(np.mean(goals)),
+        f"{measure}_relation": float(np.mean(relations)) if relations else np.nan,
+    }
 
 
 def total_variation(one: FloatArray, other: FloatArray) -> float:
@@ -280,8 +281,7 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
 
 def distances(found: Marginals, reference: Marginals) -> dict[str, float]:
     """Return ``tv_goals`` and ``tv_relation`` of marginals; see :func:`accuracy`."""
-    goals, relation = _means({n: total_variation(p, reference[n]) for n, p in found.items()})
-    return {"tv_goals": goals, "tv_relation": relation}
+    return _means("tv", {n: total_variation(p, reference[n]) for n, p in found.items()})
 
 
 def accuracy(
@@ -298,14 +298,11 @@ def accuracy(
     * ``map_goals``: share of the agents whose most probable goal is the true one;
       ``map_relation``: of the pairs whose most probable relation is.
     """
-    found = marginals(post)
-    result = distances(found, reference)
-    if truth is None:
-        return result | {"p_pair": np.nan} | of_truth(found, truth)
-    goals = post.scene.world.goals
-    codes = _true_codes(truth).items()
-    pair = post.probability(**{n: goals[code] for n, code in codes if n.startswith("goal_")})
-    return result | {"p_pair": pair} | of_truth(found, truth)
+    found, pair = marginals(post), np.nan
+    if truth is not None:
+        goals, codes = post.world.goals, _true_codes(truth).items()
+        pair = post.probability(**{n: goals[code] for n, code in codes if n.startswith("goal_")})
+    return distances(found, reference) | {"p_pair": pair} | of_truth(found, truth)
 
 
 def _true_codes(truth: Truth | Roles) -> dict[str, int]:
@@ -326,14 +323,9 @@ def of_truth(found: Marginals, truth: Truth | Roles | None) -> dict[str, float]:
     if truth is None:
         return dict.fromkeys(("p_goals", "p_relation", "map_goals", "map_relation"), np.nan)
     codes = _true_codes(truth)
-    p = _means({name: float(found[name][code]) for name, code in codes.items()})
-    best = _means({name: float(found[name].argmax() == code) for name, code in codes.items()})
-    return {
-        "p_goals": p[0],
-        "p_relation": p[1],
-        "map_goals": best[0],
-        "map_relation": best[1],
-    }
+    p = {name: float(found[name][code]) for name, code in codes.items()}
+    best = {name: float(found[name].argmax() == code) for name, code in codes.items()}
+    return _means("p", p) | _means("map", best)
 
 
 def efficiency(post: Posterior) -> dict[str, float]:

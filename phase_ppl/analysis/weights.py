@@ -162,18 +162,12 @@ def visited(tree: xr.DataTree) -> Rows:
 
 def stratified(tree: xr.DataTree) -> Rows:
     """Return every completed simulation, by P(pair) times its part of the pair's mean L."""
-    if not has_proposals(tree):
-        raise _no_proposals("stratified", tree)
+    _check_proposals(tree, "stratified")
     if prior_of_goals(tree, effective_goals(tree, "simulations")[:0]) is None:
         raise InvalidSettingError(
             "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
         )
-    simulations = tree["simulations"].dataset
-    with np.errstate(invalid="ignore"):  # of what failed
-        log_weight = log_shares(tree) + simulations["log_likelihood"].values
-        log_weight = log_weight + log_reciprocal_proposal(tree)
-    rows = _weighted_simulations(tree, "stratified", log_weight)
-    return dataclasses.replace(rows, weights=truncated(rows.weights))
+    return _by_proposals(tree, "stratified", log_shares(tree))
 
 
 def log_shares(tree: xr.DataTree) -> FloatArray:
@@ -202,40 +196,38 @@ def log_shares(tree: xr.DataTree) -> FloatArray:
     return found + log_proposal
 
 
-def _weighted_simulations(tree: xr.DataTree, weights: str, log_weight: FloatArray) -> Rows:
-    """Return the completed simulations among those with a weight."""
+def _by_proposals(tree: xr.DataTree, weights: str, log_base: FloatArray) -> Rows:
+    """Return the completed simulations, weighted by L / Q and what is given, truncated."""
     simulations = tree["simulations"].dataset
+    with np.errstate(invalid="ignore"):  # of what failed
+        log_weight = log_base + simulations["log_likelihood"].values
+        log_weight = log_weight + log_reciprocal_proposal(tree)
     usable = simulations["completed"].values & ~simulations["failed"].values
     row = np.flatnonzero(usable & np.isfinite(log_weight))
     if not row.size:
         raise InvalidSettingError(f"weights {weights!r} need at least one completed simulation")
     values = {name: simulations[name].values[row] for name in _sites(tree)}
     index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
-    return Rows(values, normalised(log_weight[row]), index)
+    return Rows(values, truncated(normalised(log_weight[row])), index)
 
 
-def _no_proposals(weights: str, tree: xr.DataTree) -> InvalidSettingError:
-    return InvalidSettingError(
-        f"weights {weights!r} need the density of each proposal, which kernel "
-        f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
-    )
+def _check_proposals(tree: xr.DataTree, weights: str) -> None:
+    if not has_proposals(tree):
+        raise InvalidSettingError(
+            f"weights {weights!r} need the density of each proposal, which kernel "
+            f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
+        )
 
 
 def importance(tree: xr.DataTree) -> Rows:
     """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated."""
-    if not has_proposals(tree):
-        raise _no_proposals("importance", tree)
+    _check_proposals(tree, "importance")
     if "only_weights" in tree.attrs:
         raise InvalidSettingError(
             f"what kernel {tree.attrs['kernel']!r} simulates goes by earlier results: weights "
             f"'importance' would be wrong; those for it are {tree.attrs['only_weights']!r}"
         )
-    simulations = tree["simulations"].dataset
-    with np.errstate(invalid="ignore"):  # of what failed
-        log_weight = log_mass(tree) + simulations["log_likelihood"].values
-        log_weight = log_weight + log_reciprocal_proposal(tree)
-    rows = _weighted_simulations(tree, "importance", log_weight)
-    return dataclasses.replace(rows, weights=truncated(rows.weights))
+    return _by_proposals(tree, "importance", log_mass(tree))
 
 
 def log_mass(tree: xr.DataTree) -> FloatArray:
