@@ -15,7 +15,6 @@ from phase_ppl.analysis.tree import (
     simulation_of_draw,
     space_of_tree,
 )
-from phase_ppl.models.world_prior import as_given
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash
 
@@ -34,6 +33,8 @@ def settings_under(settings: str, program: Any, **found: float) -> str:
 
     The numbers ``found`` are kept beside it, in ``reweighted``.
     """
+    from phase_ppl.models.world_prior import as_given
+
     record = json.loads(settings)
     model = dict(record.get("model", {}))
     first = record.get("reweighted", {}).get("from", model.get("prior", "unknown"))
@@ -69,7 +70,7 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     """
     from phase_ppl.models.density import NO_DENSITY
     from phase_ppl.models.effective import log_prior_of_hypotheses, upstream
-    from phase_ppl.models.space_prior import drawn_stated, kept_prior, log_prior_of_effective
+    from phase_ppl.models.world_prior import drawn_stated, kept_prior, log_prior_of_effective
 
     rows = simulation_of_draw(tree)
     if (rows < 0).any():

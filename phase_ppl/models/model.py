@@ -27,9 +27,9 @@ from phase_ppl.models.density import (
     site_shapes,
 )
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
-from phase_ppl.models.roles import in_world, is_of_any_world, masses
+from phase_ppl.models.roles import in_world, is_of_any_world
 from phase_ppl.models.sites import HYPOTHESIS_SITES
-from phase_ppl.models.world_prior import WorldPrior, as_given, space_of_prior
+from phase_ppl.models.world_prior import WorldPrior, as_given, masses, space_of_prior
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import PHASE, World
@@ -290,7 +290,7 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     if priors.is_ready_made(given):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     if isinstance(prior, WorldPrior):
-        masses(given, prior.world)
+        masses(prior)
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
     except Exception as error:  # whatever a user's program does
