@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.world.goals import GOALS, goal_index, is_self_referring
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
@@ -158,6 +159,21 @@ def make_tree(
         "schema": SCHEMA,
     }
     return tree
+
+
+def posterior_of(
+    hypotheses: Sequence[Hypothesis | str | int],
+    draws: Sequence[Sequence[int]],
+    weights: str | None = None,
+    **options: Any,
+) -> Posterior:
+    """Return a posterior of draws (chain, draw) of hypotheses, or of such with goals of red.
+
+    Each was simulated once, all alike likely.
+    """
+    given = [one if isinstance(one, Hypothesis) else hypothesis(one) for one in hypotheses]
+    simulations = [Simulation(one, seed, iteration=1) for seed, one in enumerate(given)]
+    return Posterior(make_tree(simulations, draws, **options), weights)
 
 
 def _simulation_table(

@@ -22,6 +22,7 @@ from .factory import (
     Simulation,
     hypothesis,
     make_tree,
+    posterior_of,
     random_tree,
     with_log_weight,
     with_prior,
@@ -79,14 +80,8 @@ def test_best_error_per_frame_is_that_of_the_best_draw() -> None:
     assert Posterior(tree).diagnostics()["best_error_per_frame"] == pytest.approx(2)
 
 
-def test_effective_rows_fall_with_uneven_weights() -> None:
-    simulations = [proposed(A, 0, log_likelihood=0.0), proposed(B, 1, log_likelihood=-50.0)]
-    post = Posterior(make_tree(simulations, [[0, 1]]), "likelihood")
-    assert post.diagnostics()["effective_rows"] == pytest.approx(1)
-
-
 def test_weighted_draws_are_judged_by_their_weights() -> None:
-    tree = make_tree([proposed(A, 0), proposed(B, 1)], [[0] * 5, [1] * 5, [1] * 5, [0] * 5])
+    tree = posterior_of((A, B), [[0] * 5, [1] * 5, [1] * 5, [0] * 5]).tree
     log_weight = np.repeat(np.log([[3.0], [1.0], [1.0], [1.0]]), 5, axis=1)
     post = Posterior(with_log_weight(tree, log_weight), "count")
     found = post.diagnostics()
@@ -143,8 +138,7 @@ def test_verdict_begins_with_bodies_that_lie_on_each_other() -> None:
 
 
 def test_verdict_of_a_single_particle_asks_for_more() -> None:
-    post = Posterior(make_tree([proposed(A, 0)], [[0]]))
-    found = post.diagnostics()
+    found = posterior_of([A], [[0]]).diagnostics()
     assert found["between_chain_tv"] == {"goal_red": None, "goal_green": None}
     assert found["move_rate"] is None
     assert "use more" in found["verdict"]
@@ -176,8 +170,7 @@ def test_scalars_have_their_convergence_but_not_with_fewer_than_four_draws() -> 
 
 
 def test_a_users_real_site_is_a_scalar_and_its_categories_are_not() -> None:
-    simulations = [proposed(A, i) for i in range(4)]
-    tree = make_tree(simulations, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2])
+    tree = posterior_of([A] * 4, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2]).tree
     assert "mood" not in Posterior(tree).diagnostics()["scalars"]
     for group in ("posterior", "simulations"):
         tree[group]["mood"] = tree[group]["mood"].astype(float)
@@ -186,9 +179,8 @@ def test_a_users_real_site_is_a_scalar_and_its_categories_are_not() -> None:
 
 def test_categories_worked_out_by_hand() -> None:
     # A in three of the four particles, and in half of the other's draws
-    simulations = [proposed(A, 0), proposed(B, 1)]
     draws = [[0] * 4] * 3 + [[0, 0, 1, 1]]
-    found = Posterior(make_tree(simulations, draws)).diagnostics()["categories"]
+    found = posterior_of((A, B), draws).diagnostics()["categories"]
     red = found["goal_red"]
     assert list(red) == [BLUE_TO_RED, PINK_TO_BLUE]
     indicator = (np.array(draws) == 0).astype(float)
@@ -213,10 +205,11 @@ def test_categories_are_those_of_the_weighting_and_of_the_draws() -> None:
     ]
     post = Posterior(make_tree(simulations, [[0] * 4] * 2), "visited")
     found = post.diagnostics()
-    assert found["categories"]["goal_red"][PINK_TO_BLUE]["share"] == 0
-    assert found["categories"]["goal_red"][PINK_TO_BLUE]["probability"] == pytest.approx(1)
-    assert found["categories"]["goal_red"][BLUE_TO_RED]["share"] == 1
-    assert list(found["categories"]["goal_red"]) == [PINK_TO_BLUE, BLUE_TO_RED]
+    assert found["effective_rows"] == pytest.approx(1)
+    red = found["categories"]["goal_red"]
+    assert list(red) == [PINK_TO_BLUE, BLUE_TO_RED]
+    assert (red[PINK_TO_BLUE]["share"], red[BLUE_TO_RED]["share"]) == (0, 1)
+    assert red[PINK_TO_BLUE]["probability"] == pytest.approx(1)
     assert f"another goal of red first, '{PINK_TO_BLUE}'" in found["verdict"]
 
 
@@ -228,8 +221,7 @@ def test_categories_follow_a_users_scenario() -> None:
 
 
 def test_windows_are_counted_and_those_without_are_not_windows() -> None:
-    simulations = [proposed(A, 0)]
-    tree = make_tree(simulations, [[0, 0, 0], [0, 0, 0]], window=[[2, 0, 2], [-1, 2, -1]])
+    tree = posterior_of([A], [[0] * 3] * 2, window=[[2, 0, 2], [-1, 2, -1]]).tree
     assert Posterior(tree).diagnostics()["windows"] == {
         "proposals": 4,
         "without": 2,
@@ -304,16 +296,14 @@ def test_an_answer_is_decided_only_where_all_its_rivals_were_simulated() -> None
 
 
 def test_leaders_say_by_how_much_they_lead() -> None:
-    simulations = [proposed(A, seed) for seed in range(9)] + [proposed(B, 9)]
-    post = Posterior(make_tree(simulations, [[place] for place in range(10)]), "count")
-    found = post.leaders()["goal_red"]
+    each = [[place] for place in range(10)]
+    found = posterior_of([A] * 9 + [B], each).leaders()["goal_red"]
     assert (found["label"], found["next"]) == (GOALS[A.goal_red], GOALS[B.goal_red])
     assert (found["probability"], found["next_probability"]) == pytest.approx((0.9, 0.1))
     assert found["sure"]
-    split = [proposed(h, seed) for seed, h in enumerate([A] * 6 + [B] * 4)]
-    post = Posterior(make_tree(split, [[place] for place in range(10)]), "count")
-    assert not post.leaders()["goal_red"]["sure"], "0.6 of ten draws is not yet a majority"
-    alone = Posterior(make_tree(simulations[:1], [[0]]), "count")
+    split = posterior_of([A] * 6 + [B] * 4, each)
+    assert not split.leaders()["goal_red"]["sure"], "0.6 of ten draws is not yet a majority"
+    alone = posterior_of([A], [[0]])
     assert not alone.leaders()["goal_red"]["sure"], "one draw knows no error"
 
 

@@ -21,6 +21,7 @@ from .factory import (
     Simulation,
     hypothesis,
     make_tree,
+    posterior_of,
     random_tree,
     with_densities,
 )
@@ -66,8 +67,9 @@ def test_an_estimate_is_a_float_in_all_else() -> None:
 
 def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> None:
     strengths = [200.0, 260.0, 320.0, 500.0]
-    simulations = [Simulation(hypothesis(strengths=(s, 300)), i) for i, s in enumerate(strengths)]
-    post = Posterior(make_tree(simulations, [[i] for i in range(4)]))
+    post = posterior_of(
+        [hypothesis(strengths=(s, 300)) for s in strengths], [[i] for i in range(4)]
+    )
     assert post.mean("strength_red").error == pytest.approx(
         np.std(strengths, ddof=1) / 2 * widened(4)
     )
@@ -90,8 +92,7 @@ def test_one_chain_knows_no_error() -> None:
 
 
 def test_no_error_is_known_where_a_single_chain_meets_the_condition() -> None:
-    simulations = [Simulation(hypothesis(BLUE_TO_RED)), Simulation(hypothesis(PINK_TO_BLUE), 1)]
-    post = Posterior(make_tree(simulations, [[0, 0], [0, 0], [0, 1]]))
+    post = posterior_of((BLUE_TO_RED, PINK_TO_BLUE), [[0, 0], [0, 0], [0, 1]])
     alone = post.probability({"goal_red": PINK_TO_BLUE}, relation="friendly")
     assert math.isnan(alone.error)
     assert np.isnan(post.marginal("relation", given={"goal_red": PINK_TO_BLUE}).error).all()
@@ -111,21 +112,19 @@ def test_all_questions_about_a_label_have_the_same_error() -> None:
 
 
 def test_the_mode_doubts_itself_by_half_in_a_tie_and_not_at_all_where_all_agree() -> None:
-    tied = two([[0], [0], [1], [1]]).mode("goal_red")
+    tied = posterior_of((2, 5), [[0], [0], [1], [1]]).mode("goal_red")
     assert (tied, tied.error) == (GOALS[2], 0.5)
-    agreed = two([[1], [1], [1]]).mode("goal_red")
+    agreed = posterior_of((2, 5), [[1], [1], [1]]).mode("goal_red")
     assert (agreed, agreed.error) == (GOALS[5], 0)
     # of 8 chains 6 lead: the difference 0.5 has the error 2 sd / sqrt(8), sd^2 = 6 / 28
-    leads = two([[0]] * 6 + [[1]] * 2).mode("goal_red")
+    leads = posterior_of((2, 5), [[0]] * 6 + [[1]] * 2).mode("goal_red")
     z = 0.5 / (2 * math.sqrt(6 / 28) / math.sqrt(8))
     assert leads.error == pytest.approx(0.5 * math.erfc(z / math.sqrt(2)))
 
 
 def test_more_chains_than_can_be_left_out_singly_are_left_out_in_groups() -> None:
-    simulations = [Simulation(hypothesis(strengths=(200.0 + i, 300)), i) for i in range(320)]
-    post = Posterior(
-        make_tree(simulations, [[i] for i in np.random.default_rng(0).permutation(320)])
-    )
+    hypotheses = [hypothesis(strengths=(200.0 + i, 300)) for i in range(320)]
+    post = posterior_of(hypotheses, [[i] for i in np.random.default_rng(0).permutation(320)])
     expected = np.std(np.arange(320), ddof=1) / math.sqrt(320)
     assert post.mean("strength_red").error == pytest.approx(expected, rel=0.3)
 
@@ -190,14 +189,8 @@ def error_over_spread(results: Sequence[Any]) -> float:
     return float(math.sqrt((errors**2).mean()) / values.std())
 
 
-def two(draws: list[list[int]]) -> Posterior:
-    """A posterior of two hypotheses, with other goals of red."""
-    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((2, 5))]
-    return Posterior(make_tree(simulations, draws))
-
-
 def test_few_particles_that_agree_leave_room_for_what_they_did_not_show() -> None:
-    post = two([[0]] * 15)
+    post = posterior_of((2, 5), [[0]] * 15)
     # Jeffreys: mean 0.5 / 16 after 15 draws without it, variance p (1 - p) / 17
     mean = 0.5 / 16
     expected = math.sqrt(mean * (1 - mean) / 17 + mean**2)
@@ -207,8 +200,8 @@ def test_few_particles_that_agree_leave_room_for_what_they_did_not_show() -> Non
 
 
 def test_chains_that_still_move_have_larger_errors() -> None:
-    moved = two([[0, 0, 1, 1]] * 6 + [[1, 0, 1, 0]] * 2)
-    mixed = two([[0, 1, 0, 1]] * 6 + [[1, 0, 1, 0]] * 2)
+    moved = posterior_of((2, 5), [[0, 0, 1, 1]] * 6 + [[1, 0, 1, 0]] * 2)
+    mixed = posterior_of((2, 5), [[0, 1, 0, 1]] * 6 + [[1, 0, 1, 0]] * 2)
     still, steady = (post.probability(goal_red=GOALS[2]) for post in (moved, mixed))
     assert still == steady == 0.5
     assert still.error > 2 * steady.error

@@ -26,6 +26,7 @@ from .factory import (
     Simulation,
     hypothesis,
     make_tree,
+    posterior_of,
     random_tree,
 )
 
@@ -44,13 +45,13 @@ def post(request: pytest.FixtureRequest) -> Posterior:
 @pytest.fixture(scope="module")
 def small() -> Posterior:
     """Four draws: friendly twice, adversarial once, neutral once."""
-    simulations = [
-        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)), 0),
-        Simulation(hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)), 1),
-        Simulation(hypothesis(TO_GREEN, AWAY_FROM_RED, strengths=(400, 300)), 2),
-        Simulation(hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)), 3),
+    hypotheses = [
+        hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)),
+        hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)),
+        hypothesis(TO_GREEN, AWAY_FROM_RED, strengths=(400, 300)),
+        hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)),
     ]
-    return Posterior(make_tree(simulations, [[0, 1], [2, 3]]))
+    return posterior_of(hypotheses, [[0, 1], [2, 3]])
 
 
 @pytest.mark.parametrize("name", CATEGORICAL)
@@ -142,8 +143,7 @@ def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does()
 
 
 def test_top_goals_come_in_order_and_ties_in_label_order() -> None:
-    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((5, 9, 2))]
-    post = Posterior(make_tree(simulations, [[0, 1], [1, 2]]))
+    post = posterior_of((5, 9, 2), [[0, 1], [1, 2]])
     assert post.top("goal_red", 3) == [(GOALS[9], 0.5), (GOALS[2], 0.25), (GOALS[5], 0.25)]
 
 
@@ -195,14 +195,12 @@ def test_scenario_and_relation_follow_a_users_own_definition() -> None:
 
 
 def test_a_site_of_the_users_own_can_be_asked_for_and_may_carry_labels() -> None:
-    simulations = [Simulation(hypothesis(), seed) for seed in range(3)]
-    post = Posterior(make_tree(simulations, [[0, 1, 2, 2]], own_site=[0, 2, 1]))
+    post = posterior_of([hypothesis()] * 3, [[0, 1, 2, 2]], own_site=[0, 2, 1])
     np.testing.assert_allclose(post.marginal("mood"), [0.25, 0.5, 0.25])
     assert post.probability(mood=1, given=RED_BLUE) == pytest.approx(0.5)
-    simulations = simulations[:2]
-    negative = Posterior(make_tree(simulations, [[0, 1]], own_site=[-3, 4]))
+    negative = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[-3, 4])
     assert negative.marginal("mood")["mood"].values.tolist() == ["-3", "4"]
-    tree = make_tree(simulations, [[0, 1]], own_site=[0, 2])
+    tree = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[0, 2]).tree
     tree["posterior"].dataset["mood"].attrs["flag_meanings"] = '["calm", "keen", "angry"]'
     named = Posterior(tree)
     assert named.probability(mood="angry") == pytest.approx(0.5)
@@ -350,8 +348,8 @@ def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> Non
 
 
 def test_a_definition_sees_labels_numbers_and_the_pair_alpha_once_per_hypothesis() -> None:
-    simulations = [Simulation(hypothesis(alpha=(1, 0)), 0), Simulation(hypothesis(), 1)]
-    post = Posterior(make_tree(simulations, [[0, 0, 1, 0]], own_site=[3, 4]))
+    hypotheses = [hypothesis(alpha=(1, 0)), hypothesis()]
+    post = posterior_of(hypotheses, [[0, 0, 1, 0]], own_site=[3, 4])
     seen = []
 
     def look(h):  # type: ignore[no-untyped-def]
@@ -435,7 +433,7 @@ def test_summary_has_exactly_its_keys_and_is_json(post: Posterior) -> None:
 
 
 def test_summary_of_one_particle_gives_null_for_what_does_not_exist() -> None:
-    summary = Posterior(make_tree([Simulation(hypothesis())], [[0]])).summary()
+    summary = posterior_of([hypothesis()], [[0]]).summary()
     assert summary["diagnostics"]["between_chain_tv"]["goal_red"] is None
     json.dumps(summary, allow_nan=False)
 
