@@ -16,14 +16,13 @@ from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
-from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.prior_change import (
     changed_text,
     check_overlap,
     reweighted,
     settings_under,
 )
-from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label, own_quantity
 from phase_ppl.analysis.roles_posterior import RolesPosterior, is_of_roles
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
@@ -38,11 +37,17 @@ from phase_ppl.analysis.tree import (
     untried,
     write_tree,
 )
-from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
+from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.files import existing_file
+
+HINDSIGHT: Final = (
+    "Hindsight, not what an observer believed at the time: the hypotheses were proposed from the "
+    "whole video, and are weighted by how well they explain it up to each frame."
+)
+"""Goes with every result."""
 
 
 class Posterior(EventPosterior):
@@ -102,8 +107,8 @@ class Posterior(EventPosterior):
         self._kept = tree = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         self._weights = name
         rows = WEIGHTINGS[name](tree)
-        words = Vocabulary(space_of_tree(tree), scenario)
-        columns, known = words.completed(rows.values), words.quantities
+        self._words = words = Vocabulary(space_of_tree(tree), scenario)
+        columns, known = words.completed(rows.values), dict(words.quantities)
         self._tell_of(words.space)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
@@ -165,7 +170,7 @@ class Posterior(EventPosterior):
             :class:`phase_ppl.world.hypothesis.Roles`.
         """
         row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
-        space = space_of_tree(self._tree)
+        space = self._words.space
         return space.hypothesis(
             {site: row[name].item() for site, name in zip(space.sites, space.given, strict=True)}
         )
@@ -177,7 +182,7 @@ class Posterior(EventPosterior):
         with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``. In other worlds than
         PHASE the plain form of roles, with ``log_joint`` and each ``relation_<one>_<other>``.
         """
-        best, words = self.map(), Vocabulary(space_of_tree(self._tree), self._scenario)
+        best, words = self.map(), self._words
         goals = zip(words.space.goal_sites, best.effective_goals, strict=True)
         codes = words.relation_codes({name: np.array([goal]) for name, goal in goals})
         return {
@@ -229,11 +234,23 @@ class Posterior(EventPosterior):
     def over_time(self) -> xr.Dataset:
         """Return the marginals on ever more of the video, in hindsight.
 
-        See :func:`phase_ppl.analysis.over_time.over_time`; at the last frame they are those of
-        weights ``"importance"`` where the kernel allows them, whatever the weighting in use; of
-        kernels that need ``"stratified"``, of those.
+        See :data:`HINDSIGHT`. At the last frame they are those of weights ``"importance"``,
+        whatever the weighting in use; of kernels that need ``"stratified"``, of those, and where
+        proposals have no density that is known, of ``"visited"``. Nothing is simulated.
+
+        Returns:
+            ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
+            another world: probabilities (time, label), with the labels of ``goal_red`` in
+            ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``hindsight`` says what it
+            is, ``weights`` by which weights.
         """
-        return over_time(self._tree, self._scenario)
+        weighting, rows, weights = so_far(self._tree)
+        words, simulations = self._words, self._tree["simulations"].dataset
+        codes = {name: simulations[name].values[rows] for name in words.space.goal_sites}
+        codes |= words.relation_codes(codes)
+        time = array(self._tree, "observed_data", "time")
+        found = by_label(time, codes, lambda indicators: weights.T @ indicators, words.quantities)
+        return found.assign_attrs(hindsight=HINDSIGHT, weights=weighting)
 
     @property
     def arviz(self) -> Any:

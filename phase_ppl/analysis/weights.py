@@ -331,6 +331,77 @@ def evaluations(tree: xr.DataTree) -> pd.DataFrame:
     )
 
 
+def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
+    """Return weights on ever more of the video: name, simulations, and weights (simulation, time).
+
+    At frame t every simulation that came so far weighs as under weights ``"importance"``, but with
+    the likelihood of frames 0 to t only; where they are to be weighted by ``"stratified"`` as under
+    these, and where their proposals have no density that is known as under ``"visited"``.
+    """
+    simulations = tree["simulations"].dataset
+    if "step_log_likelihood" not in simulations:
+        raise InvalidEventError(
+            "this posterior does not hold the likelihood of each frame of its simulations "
+            "(simulations/step_log_likelihood); infer it again"
+        )
+    if not (simulations["completed"].values & ~simulations["failed"].values).any():
+        raise InvalidSettingError("there is nothing to weight: no simulation was completed")
+    if not has_proposals(tree):
+        return "visited", *_visits_so_far(tree)
+    if tree.attrs.get("only_weights") == "stratified":
+        return "stratified", *_proposals_so_far(tree, log_shares(tree))
+    return "importance", *_proposals_so_far(tree, log_mass(tree))
+
+
+def _proposals_so_far(
+    tree: xr.DataTree, log_base: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of simulations and their weights (row, time).
+
+    Args:
+        tree: of draws.
+        log_base: (simulation,) log weight beside the likelihood and the proposal's density.
+    """
+    simulations = tree["simulations"].dataset
+    known, so_far = _likelihood_so_far(tree)
+    # a frame that was not simulated counts as one without error where a simulation may be stopped
+    unknown = (~known).sum(axis=1)
+    total = simulations["log_likelihood"].values
+    stopped = (unknown > 0) & np.isfinite(total)
+    perfect = ((total - so_far[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
+    n_frames = known.shape[1]
+    log_weight = np.full(known.shape, -np.inf)
+    for t in range(n_frames):
+        rest = (n_frames - 1 - t) * perfect if np.isfinite(perfect) else np.inf
+        at_best = so_far[:, t] + (rest if t < n_frames - 1 else 0.0)
+        found = log_base + so_far[:, t]
+        found = found + log_reciprocal_proposal(tree, at_best)
+        usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
+        log_weight[:, t] = np.where(usable, found, -np.inf)
+    rows = np.flatnonzero(np.isfinite(log_weight).any(axis=1))
+    weights = np.zeros((len(rows), n_frames))
+    for t, column in enumerate(log_weight[rows].T):
+        usable = np.isfinite(column)
+        weights[usable, t] = truncated(normalised(column[usable]))
+    return rows, weights
+
+
+def _visits_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of distinct simulations and their weights (row, time)."""
+    table = evaluations(tree)
+    rows = table["simulation"].to_numpy()
+    known, so_far = (part[rows] for part in _likelihood_so_far(tree))
+    log_mass = np.where(known, table["log_share"].to_numpy()[:, None] + so_far, -np.inf)
+    return rows, np.stack([normalised(column) for column in log_mass.T], axis=1)
+
+
+def _likelihood_so_far(tree: xr.DataTree) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return (simulation, time) whether a frame was simulated, and the log likelihood so far."""
+    by_frame = tree["simulations"].dataset["step_log_likelihood"].values
+    known = np.logical_and.accumulate(~np.isnan(by_frame), axis=1)
+    return known, np.cumsum(np.where(known, by_frame, 0.0), axis=1)
+
+
 def _sites(tree: xr.DataTree) -> list[str]:
     """Return the sites that both draws and simulations give: ours, then a user's own."""
     posterior, simulations = tree["posterior"].dataset, tree["simulations"].dataset
