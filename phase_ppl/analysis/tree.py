@@ -149,17 +149,15 @@ def untried(tree: xr.DataTree) -> float:
     """
     done = array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
     tried = np.unique(effective_goals(tree, "simulations")[done], axis=0)
-    constant = tree["constant_data"].dataset
-    if "prior_of_pairs" in constant:
-        left = constant["prior_of_pairs"].values.astype(np.float64)
-        left[tuple(tried.T)] = 0.0
-        return float(left.sum())
     found = prior_of_goals(tree, tried)
     if found is None:
         return float("nan")
-    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+    constant, total = tree["constant_data"].dataset, 1.0
+    if "log_prior_company" in constant:
+        own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+        total = space_of_tree(tree).possible_share(own, company)
     # rounded sums of all may be a little above 1
-    return max(0.0, 1.0 - float(found.sum()) / space_of_tree(tree).possible_share(own, company))
+    return max(0.0, 1.0 - float(found.sum()) / total)
 
 
 def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
