@@ -432,12 +432,6 @@ def test_summary_has_exactly_its_keys_and_is_json(post: Posterior) -> None:
     assert summary["settings"] == {"seed": 0, "kernel": "local_mh", "beta": 0.05}
 
 
-def test_summary_of_one_particle_gives_null_for_what_does_not_exist() -> None:
-    summary = posterior_of([hypothesis()], [[0]]).summary()
-    assert summary["diagnostics"]["between_chain_tv"]["goal_red"] is None
-    json.dumps(summary, allow_nan=False)
-
-
 def test_numbers_that_are_not_finite_become_null() -> None:
     assert plain({"a": [math.nan, 1.5], 2: (math.inf, True)}) == {
         "a": [None, 1.5],
