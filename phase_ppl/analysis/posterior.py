@@ -30,18 +30,17 @@ from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
     check_tree,
-    read_tree,
     shape_of_draws,
     simulation_of_draw,
     space_of_tree,
     untried,
-    write_tree,
 )
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
+from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
-from phase_ppl.world.files import existing_file
+from phase_ppl.world.files import check_output, existing_file, write_bytes
 
 HINDSIGHT: Final = (
     "Hindsight, not what an observer believed at the time: the hypotheses were proposed from the "
@@ -273,7 +272,11 @@ class Posterior(EventPosterior):
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
         tree.attrs.pop(KEPT_DEFINITIONS, None)
         tree.attrs |= self._definitions_to_keep()
-        return write_tree(tree, path)
+        groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
+        check_output(path, (".nc",))
+        # every array carries a checksum, so that a damaged file is noticed when it is read
+        write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
+        return Path(path)
 
     @classmethod
     def load(
@@ -289,11 +292,16 @@ class Posterior(EventPosterior):
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
-        if is_stepwise(existing_file(path)):
+        source = existing_file(path)
+        if is_stepwise(source):
             raise InvalidEventError(
                 f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
             )
-        return cls(read_tree(path), weights, burn_in=burn_in, scenario=scenario)
+        try:
+            tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
+            return cls(tree, weights, burn_in=burn_in, scenario=scenario)
+        except InvalidEventError as error:
+            raise InvalidEventError(f"{source}: {error}") from None
 
     def summary(self) -> dict[str, Any]:
         """Return the posterior in JSON's types; numbers that do not exist are None.

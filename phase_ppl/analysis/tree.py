@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,9 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.events_json import labels_of
-from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
@@ -188,28 +184,6 @@ def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:
 def _single(values: NDArray[Any]) -> NDArray[Any]:
     """Return reals rounded to single precision, which is what samplers work in."""
     return values.astype(np.float32) if values.dtype.kind == "f" else values
-
-
-def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
-    """Write ``tree`` to ``path`` as NetCDF, whole or not at all, and return the path.
-
-    Every array carries a checksum, so that a damaged file is noticed when it is read.
-    """
-    groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
-    check_output(path, (".nc",))
-    write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
-    return Path(path)
-
-
-def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Read the tree of draws that :func:`write_tree` wrote, fully into memory."""
-    source = existing_file(path)
-    try:
-        tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
-        check_tree(tree)
-    except InvalidEventError as error:
-        raise InvalidEventError(f"{source}: {error}") from None
-    return tree
 
 
 def scene_dataset(scene: Scene) -> xr.Dataset:

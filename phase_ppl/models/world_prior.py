@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from phase_ppl.models import effective, roles
 from phase_ppl.models.density import Program, remembered
@@ -111,13 +112,7 @@ def drawn_stated(
     stated = np.array(goals, np.int64)
     for agent in range(space.n_agents):
         # the own goal of one that helps or hinders is not used
-        unused = rng.choice(space.n_goals, len(goals), p=normalised(found.goals[agent]))
+        unused = rng.choice(space.n_goals, len(goals), p=softmax(found.goals[agent]))
         idle = space.owner[way, agent] != agent
         stated[idle, agent] = unused[idle]
     return np.column_stack([stated, way])
-
-
-def normalised(log_masses: FloatArray) -> FloatArray:
-    """Return probabilities of log masses."""
-    shares = np.exp(log_masses - log_masses.max())
-    return np.asarray(shares / shares.sum())
