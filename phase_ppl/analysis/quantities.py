@@ -147,28 +147,23 @@ def _canonical(label: object) -> str:
 
 def quantities(world: World = PHASE) -> dict[str, Quantity]:
     """Return the quantities that every posterior of a world has, by name."""
-    keys = world.keys
-    if world == PHASE:
-        labels: dict[str, tuple[str, ...] | None] = {
-            **dict.fromkeys(("goal_red", "goal_green"), GOALS),
-            "relation": RELATIONS,
-            "scenario": SCENARIOS,
-            "alpha": ALPHA_LABELS,
-            **dict.fromkeys(("strength_red", "strength_green"), None),
-            **dict.fromkeys(("stated_goal_red", "stated_goal_green"), GOALS),
-            **{f"{part}_{agent}": GOAL_PARTS[part] for agent in keys for part in GOAL_PARTS},
-        }
-        values: dict[str, tuple[Any, ...]] = {"alpha": ALPHAS}
+    keys, in_phase = world.keys, world == PHASE
+    if in_phase:
+        alphas = [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
     else:
-        alphas = [f"alpha_{who}_{whom}" for who, whom in itertools.permutations(keys, 2)]
-        labels = {
-            **{f"goal_{key}": world.goals for key in keys},
-            **dict.fromkeys(relations_of(world).values(), RELATIONS),
-            **dict.fromkeys(alphas, SIGNS),
-            **{f"strength_{key}": None for key in keys},
-        }
-        values = dict.fromkeys(alphas, (-1, 0, 1))
-    return {name: Quantity(name, known, values.get(name)) for name, known in labels.items()}
+        pairs = ["_".join(pair) for pair in itertools.permutations(keys, 2)]
+        alphas = [Quantity(f"alpha_{pair}", SIGNS, (-1, 0, 1)) for pair in pairs]
+    found = [
+        *(Quantity(f"goal_{key}", world.goals) for key in keys),
+        *(Quantity(name, RELATIONS) for name in relations_of(world).values()),
+        *alphas,
+        *(Quantity(f"strength_{key}") for key in keys),
+    ]
+    if in_phase:
+        parts = itertools.product(keys, GOAL_PARTS.items())
+        found += [Quantity(f"stated_goal_{key}", GOALS) for key in keys]
+        found += [Quantity(f"{part}_{key}", labels) for key, (part, labels) in parts]
+    return {quantity.name: quantity for quantity in found}
 
 
 def relations_of(world: World) -> dict[str, str]:

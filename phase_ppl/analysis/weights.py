@@ -152,12 +152,8 @@ def visited(tree: xr.DataTree) -> Rows:
     weighed = table[table["completed"]]
     if weighed.empty:
         raise InvalidSettingError("weights 'visited' need at least one completed simulation")
-    simulation = weighed["simulation"].to_numpy()
-    simulations = tree["simulations"].dataset
-    values = {name: simulations[name].values[simulation] for name in _sites(tree)}
     weights = normalised(weighed["log_mass"].to_numpy())
-    index = {"simulation": simulation, "chain": simulations["chain"].values[simulation]}
-    return Rows(values, weights, index)
+    return _of_simulations(tree, weighed["simulation"].to_numpy(), weights)
 
 
 def stratified(tree: xr.DataTree) -> Rows:
@@ -206,9 +202,14 @@ def _by_proposals(tree: xr.DataTree, weights: str, log_base: FloatArray) -> Rows
     row = np.flatnonzero(usable & np.isfinite(log_weight))
     if not row.size:
         raise InvalidSettingError(f"weights {weights!r} need at least one completed simulation")
+    return _of_simulations(tree, row, truncated(normalised(log_weight[row])))
+
+
+def _of_simulations(tree: xr.DataTree, row: NDArray[np.int64], weights: FloatArray) -> Rows:
+    simulations = tree["simulations"].dataset
     values = {name: simulations[name].values[row] for name in _sites(tree)}
     index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
-    return Rows(values, truncated(normalised(log_weight[row])), index)
+    return Rows(values, weights, index)
 
 
 def _check_proposals(tree: xr.DataTree, weights: str) -> None:
