@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.goal_filter import GoalFilter, frame_log_likelihood
+from phase_ppl.closed_loop.goal_filter import PairFilter, frame_log_likelihood
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
 from phase_ppl.closed_loop.search_sets import Conduct, Looked, SearchSets
 from phase_ppl.models import priors
@@ -223,7 +223,7 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     sets = Recorder(
         event.scene, PlannerConfig.fast(), likelihood.tracking, seed, 1, likelihood.planner_seeds
     )
-    with GoalFilter(sets, likelihood.conduct, likelihood.weight, log_prior()) as goals:
+    with PairFilter(sets, likelihood.conduct, likelihood.weight, log_prior()) as goals:
         readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began
     unexplained, log_peak = (
@@ -233,7 +233,8 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
         (*found, np.exp(density - density.max()), float(density.max()))
         for found, density in zip(sets.searched, sets.densities, strict=True)
     ]
-    strengths = np.stack([one.strengths for one in readings])
+    levels = [len(likelihood.tracking.strengths)] * 2
+    strengths = np.stack([one.strengths.reshape(levels) for one in readings])
     return Kept(truth, levels_of(event), steps, strengths, unexplained, log_peak, seconds)
 
 

@@ -56,14 +56,16 @@ class EventPosterior(Hypotheses):
         """Whose agents and goals."""
         return self.scene.world
 
-    def map(self) -> Hypothesis:
+    def map(self) -> Any:
         """Return the most probable hypothesis; its goals are the stated ones."""
         raise NotImplementedError
 
     def map_record(self) -> dict[str, Any]:
-        """Return :meth:`map` as plain data; ``goal_*`` are the effective goals."""
+        """Return :meth:`map` as plain data; in PHASE ``goal_*`` are the effective goals."""
         best = self.map()
         record = best.to_dict()
+        if not isinstance(best, Hypothesis):
+            return dict(record)
         red, green = best.effective_goals
         return {
             "goal_red": GOALS[red],

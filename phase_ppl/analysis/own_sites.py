@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.analysis.estimate import Jackknife, leaving_out
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.quantities import Quantity
-from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, Table
+from phase_ppl.analysis.quantities import Quantity, Vocabulary
+from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray
 
@@ -82,11 +82,7 @@ class WithSites(Hypotheses):
 
 
 def with_sites(
-    prior: Callable[..., object],
-    table: Table,
-    frame: int,
-    known: Mapping[str, Quantity],
-    derived: Callable[[dict[str, NDArray[Any]]], dict[str, NDArray[Any]]],
+    prior: Callable[..., object], table: PairTable, frame: int, words: Vocabulary
 ) -> WithSites:
     """Return the table of hypotheses at a frame with the further sites of the prior.
 
@@ -94,36 +90,36 @@ def with_sites(
         prior: of the posterior, with further sites.
         table: of all hypotheses.
         frame: the last that counts.
-        known: quantities of a hypothesis.
-        derived: adds to the columns of a hypothesis what follows from them.
+        words: what one can ask of a hypothesis.
     """
     from phase_ppl.models import own_sites
 
     values = own_sites.enumerable(prior)
     if values is not None:
-        return _summed(prior, values, table, frame, known, derived)
+        return _summed(prior, values, table, frame, words)
     sites = own_sites.further_sites(prior)
-    log_mass = table.log_mass(frame)
-    cumulative = np.exp(log_mass - log_sum_exp(log_mass.ravel())).ravel().cumsum()
+    log_mass, *without = table.all_log_masses(frame)
+    cumulative = np.exp(log_mass - log_sum_exp(log_mass)).cumsum()
     rng = np.random.default_rng(_SEED)
     steps = (np.arange(_DRAWS) + rng.random((_GROUPS, 1))) / _DRAWS  # systematic, by group
     flat = np.searchsorted(cumulative, steps.ravel() * cumulative[-1], side="right")
-    places = np.unravel_index(np.minimum(flat, len(cumulative) - 1), log_mass.shape)
-    columns = table.columns(places)
+    flat = np.minimum(flat, len(cumulative) - 1)
+    places = np.unravel_index(flat, table.log_prior.shape)
+    columns = table.columns(*np.divmod(flat, len(table.combinations)))
     of_program = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
     drawn, log_weight = own_sites.drawn_beside(
-        prior, of_program, table.log_prior, places, table.levels, _SEED
+        prior, of_program, table.log_prior, places, np.array(table.levels), _SEED
     )
     weights = np.exp(log_weight - log_sum_exp(log_weight))
     weights /= weights.sum()
-    quantities = dict(known)
+    quantities = dict(words.quantities)
     for name, site in sites.items():
         quantities[name], columns[name] = _column(name, drawn[name], site.discrete)
     groups = np.repeat(np.arange(_GROUPS), _DRAWS)
     by_chance = leaving_out(weights, groups)
-    by_searches = _reweighted(weights, log_mass[places], table, frame, places)
+    by_searches = _reweighted(weights, log_mass, without, flat)
     parts = [part for part in (by_chance, by_searches) if part is not None]
-    rows = Rows(derived(columns), weights, {"draw": np.arange(len(weights))})
+    rows = Rows(words.completed(columns), weights, {"draw": np.arange(len(weights))})
     errors = Jackknives(tuple(parts)) if len(parts) == 2 else None
     return WithSites(quantities, rows, False, errors)
 
@@ -131,27 +127,28 @@ def with_sites(
 def _summed(
     prior: Callable[..., object],
     values: Sequence[tuple[str, tuple[float, ...]]],
-    table: Table,
+    table: PairTable,
     frame: int,
-    known: Mapping[str, Quantity],
-    derived: Callable[[dict[str, NDArray[Any]]], dict[str, NDArray[Any]]],
+    words: Vocabulary,
 ) -> WithSites:
     from phase_ppl.models.own_sites import log_masses
 
-    log_prior = log_masses(prior, table.levels, tuple(values))
-    log_mass = log_prior + table.log_likelihood(frame)[..., None]
+    likelihood = table.log_likelihood(frame).reshape(-1, 1)
+    log_prior = log_masses(prior, np.array(table.levels), tuple(values))
+    log_mass = log_prior.reshape(len(likelihood), -1) + likelihood
     shares = np.exp(log_mass - log_sum_exp(log_mass.ravel()))
-    *places, combination = np.nonzero(shares > _LEAST)
-    weights = shares[(*places, combination)]
+    flat, value = np.nonzero(shares > _LEAST)
+    weights = shares[flat, value]
     weights /= weights.sum()
-    columns = table.columns(tuple(places))
-    quantities = dict(known)
-    codes = np.unravel_index(combination, [len(options) for _, options in values])
+    columns = table.columns(*np.divmod(flat, len(table.combinations)))
+    quantities = dict(words.quantities)
+    codes = np.unravel_index(value, [len(options) for _, options in values])
     for (name, options), chosen in zip(values, codes, strict=True):
         quantities[name] = Quantity(name, tuple(map(_label, options)), tuple(options))
         columns[name] = chosen
-    errors = _reweighted(weights, table.log_mass(frame)[tuple(places)], table, frame, places)
-    rows = Rows(derived(columns), weights, {"row": np.arange(len(weights))})
+    of_hypotheses, *without = table.all_log_masses(frame)
+    errors = _reweighted(weights, of_hypotheses, without, flat)
+    rows = Rows(words.completed(columns), weights, {"row": np.arange(len(weights))})
     return WithSites(quantities, rows, True, errors)
 
 
@@ -170,17 +167,20 @@ def _label(value: float) -> str:
 def _reweighted(
     weights: FloatArray,
     log_mass: FloatArray,
-    table: Table,
-    frame: int,
-    places: Sequence[NDArray[np.int64]],
+    without: Sequence[FloatArray],
+    places: NDArray[np.int64],
 ) -> Jackknife | None:
-    """Return the weights of rows without each set of searches; None where there is one set."""
-    if table.n_seeds == 1:
+    """Return the weights of rows without each set of searches; None where there is one set.
+
+    Log masses are of all hypotheses, with all sets and without each; ``places`` say which the rows
+    are of.
+    """
+    if not without:
         return None
     changed = []
-    for without in table.log_masses_without(frame):
+    for mass in without:
         with np.errstate(divide="ignore", invalid="ignore"):
-            log_weight = np.log(weights) + without[tuple(places)] - log_mass
+            log_weight = np.log(weights) + mass[places] - log_mass[places]
         log_weight[np.isnan(log_weight)] = -np.inf
         changed.append(np.exp(log_weight - log_sum_exp(log_weight)))
-    return Jackknife(np.array(changed), table.n_seeds - 1.0)
+    return Jackknife(np.array(changed), len(without) - 1.0)

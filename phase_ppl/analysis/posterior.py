@@ -23,7 +23,6 @@ from phase_ppl.analysis.prior_change import (
     settings_under,
 )
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label, own_quantity
-from phase_ppl.analysis.roles_posterior import RolesPosterior, is_of_roles
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
@@ -185,7 +184,7 @@ class Posterior(EventPosterior):
         goals = zip(words.space.goal_sites, best.effective_goals, strict=True)
         codes = words.relation_codes({name: np.array([goal]) for name, goal in goals})
         return {
-            **(super().map_record() if words.space.is_phase else best.to_dict()),
+            **super().map_record(),
             "log_joint": float(self._log_joint().max()),
             **{name: self._quantities[name].categories()[int(c[0])] for name, c in codes.items()},
         }
@@ -393,16 +392,11 @@ def load_posterior(
         InvalidSettingError: weights or a burn-in for one that has no draws.
         UnknownNameError: there are no such weights.
     """
-    of_roles = is_of_roles(existing_file(path))
-    if not (of_roles or is_stepwise(path)):
+    if not is_stepwise(existing_file(path)):
         return Posterior.load(path, weights, burn_in=burn_in, scenario=scenario)
     for name, given in (("weights", weights), ("burn_in", burn_in)):
         if given is not None:
             raise InvalidSettingError(
                 f"{name}={given!r}: {path} was read step by step and has no draws to be weighted"
             )
-    if of_roles:
-        if scenario is not None:
-            raise InvalidSettingError(f"scenario= is for PHASE: {path} is of another world")
-        return RolesPosterior.load(path)
     return StepwisePosterior.load(path, scenario=scenario)

@@ -293,7 +293,8 @@ class Vocabulary:
             derived = derived_codes(columns["goal_red"], columns["goal_green"], self.scenario)
             return {**columns, **derived}
         own = {k: v for k, v in columns.items() if k not in self.space.columns}
-        kept = {k: columns[k] for k in (*self.space.goal_sites, *self.space.strength_sites)}
+        sites = (*self.space.goal_sites, *self.space.strength_sites)
+        kept = {name: columns[name] for name in sites if name in columns}
         alphas = self.space.alpha_codes(columns[self.space.company_site])
         return {**kept, **self.relation_codes(columns), **alphas, **own}
 

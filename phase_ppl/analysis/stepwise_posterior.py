@@ -8,9 +8,9 @@ import functools
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import xarray as xr
@@ -23,21 +23,16 @@ from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.prior_change import changed_text, settings_under
-from phase_ppl.analysis.quantities import (
-    ScenarioFunction,
-    by_label,
-    derived_codes,
-    quantities,
-    relation_codes,
-)
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.stepwise_table import (
-    DIMENSIONS,
-    SCHEMA,
+    MOST_HYPOTHESES,
+    SCHEMAS,
     SITES,
-    STRENGTHS,
+    PairTable,
+    PolicyTable,
     Table,
-    check,
+    table_of,
 )
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
@@ -46,9 +41,8 @@ from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError, shown
 from phase_ppl.world.files import check_output, existing_file, write_bytes
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.scene import PHASE
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
@@ -77,9 +71,11 @@ DISAGREE: Final = 0.1
 
 
 class StepwisePosterior(EventPosterior):
-    """Posterior over all pairs of goals, alphas and strengths, read step by step.
+    """Posterior over all agents' goals, whom they help or hinder, and strengths, step by step.
 
-    The sum over hypotheses leaves none out; what goes into it is approximate. Policies are
+    The sum over hypotheses leaves none out, unless there are more than
+    :data:`~phase_ppl.analysis.stepwise_table.MOST_HYPOTHESES`, of which so many are drawn, as
+    worlds of several agents may have; what goes into it is approximate. Policies are
     estimated by searches: ``.error`` of every answer is the standard error that comes of it, by
     the jackknife over the sets of searches (``planner_seeds``), NaN with one. Velocities, holds
     and strengths come from a filter, and strengths are taken to be independent of the goals given
@@ -93,15 +89,15 @@ class StepwisePosterior(EventPosterior):
     Args:
         found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
         frame: the posterior given the frames up to this one; by default all.
-        prior: the program whose masses ``found`` has, for questions about further sites of it.
+        prior: the program whose masses ``found`` has, for questions about further sites of it, in
+            PHASE.
         scenario: as of :class:`phase_ppl.analysis.posterior.Posterior`.
+        table: of ``found``, if there is one.
 
     Raises:
         InvalidEventError: ``found`` lacks something; the message names it.
-        InvalidSettingError: there is no such frame.
+        InvalidSettingError: there is no such frame, or a scenario for another world than PHASE.
     """
-
-    _schema: ClassVar[str] = SCHEMA
 
     def __init__(
         self,
@@ -110,22 +106,22 @@ class StepwisePosterior(EventPosterior):
         *,
         prior: Callable[..., object] | None = None,
         scenario: ScenarioFunction | None = None,
+        table: Table | None = None,
     ) -> None:
-        check(found)
-        self._found, self._scenario, self._prior = found, scenario, prior
-        self._table = Table(found)
+        self._table: Table = table_of(found) if table is None else table
+        self._found = found
+        self._prior = prior if self._table.space.is_phase else None  # further sites are for PHASE
         self._frame = frame_of(frame, self._table.n_frames)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        rows = self._table.rows(self._frame)
+        self._words = words = Vocabulary(self._table.space, scenario)
+        self._tell_of(words.space)
         self._attrs, self._constant = found.attrs, found
-        columns = self._derived(dict(rows.values))
-        super().__init__(quantities(), dataclasses.replace(rows, values=columns))
+        rows, without = self._table.rows(self._frame)
+        n = self.planner_seeds
+        self._over_sets = Jackknife(without, n - 1.0) if n > 1 else None
+        rows = dataclasses.replace(rows, values=words.completed(rows.values))
+        super().__init__(words.quantities, rows)
         self._define_kept(found.attrs)
-
-    def _derived(self, columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return columns of hypotheses with what follows from them."""
-        goals = columns["goal_red"], columns["goal_green"]
-        return columns | derived_codes(*goals, self._scenario)
 
     @functools.cached_property
     def sites(self) -> WithSites:
@@ -146,17 +142,14 @@ class StepwisePosterior(EventPosterior):
             )
         if self._prior is None or not self._site_names:
             raise InvalidSettingError("the prior samples nothing but the sites of a hypothesis")
-        found = with_sites(self._prior, self._table, self._frame, quantities(), self._derived)
+        assert isinstance(self._table, PairTable)
+        found = with_sites(self._prior, self._table, self._frame, self._words)
         return found._defining({**self._own, **self._of_sites})
 
     @functools.cached_property
     def _site_names(self) -> tuple[str, ...]:
         """The further sites of the prior."""
-        if self._prior is None:
-            return tuple(json.loads(self._found.attrs.get(SITES, "[]")))
-        from phase_ppl.models.own_sites import further_sites
-
-        return tuple(further_sites(self._prior))
+        return tuple(json.loads(self._found.attrs.get(SITES, "[]")))
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:
@@ -197,10 +190,7 @@ class StepwisePosterior(EventPosterior):
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Leave out single sets of searches, of which there are few, whatever is asked."""
-        if 0.0 not in self._jackknives:
-            n = self.planner_seeds
-            self._jackknives[0.0] = Jackknife(self._weights_without(), n - 1.0) if n > 1 else None
-        return self._jackknives[0.0]
+        return self._over_sets
 
     def _has_error(self, *columns: NDArray[Any]) -> bool:
         """Return whether no column depends on strengths.
@@ -219,10 +209,6 @@ class StepwisePosterior(EventPosterior):
         place = np.arange(len(self._rows.weights))
         return np.maximum.accumulate(np.where(np.concatenate([[True], new]), place, 0))
 
-    def _weights_without(self) -> FloatArray:
-        """Return (planner_seed, row) the weights without each set of searches."""
-        return self._table.weights_without(self._frame)
-
     @property
     def planner_seeds(self) -> int:
         """Independent sets of beliefs and searches that were made."""
@@ -230,7 +216,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """Log likelihoods, strengths and the trajectory: ``stepwise_table.DIMENSIONS``."""
+        """What was read: variables as in :class:`phase_ppl.analysis.stepwise_table.Table`."""
         return self._found
 
     @property
@@ -244,24 +230,42 @@ class StepwisePosterior(EventPosterior):
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        at = StepwisePosterior(self._found, frame, prior=self._prior, scenario=self._scenario)
+        at = self._like(self._found, frame, self._prior, self._table)
         return at._defining(self.definitions)
+
+    def _like(
+        self,
+        found: xr.Dataset,
+        frame: int,
+        prior: Callable[..., object] | None,
+        table: Table | None = None,
+    ) -> StepwisePosterior:
+        return StepwisePosterior(
+            found, frame, prior=prior, scenario=self._words.scenario, table=table
+        )
 
     @property
     def definitions(self) -> dict[str, Definition]:
         """What was defined: name -> conditions in words, or a function."""
         return {**self._own, **self._of_sites}
 
-    def under(self, prior: Callable[..., object]) -> StepwisePosterior:
-        from phase_ppl.models.own_sites import further_sites
-        from phase_ppl.models.stepwise import prior_table
+    def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
+        if self.world == PHASE:
+            return super()._checked(prior)
+        from phase_ppl.models import priors  # of another world they are checked where they are read
 
-        table = prior_table(prior, tuple(self._found[STRENGTHS[0]].values.tolist()))
-        found = self._found.assign(log_prior=(DIMENSIONS["log_prior"], table))
-        found.attrs[SITES] = json.dumps(list(further_sites(prior)))
-        found.attrs["settings"] = settings_under(found.attrs["settings"], prior)
-        changed = StepwisePosterior(found, self._frame, prior=prior, scenario=self._scenario)
-        return changed._defining(self.definitions)
+        return priors.named(prior) if isinstance(prior, str) else prior
+
+    def under(self, prior: Callable[..., object]) -> StepwisePosterior:
+        from phase_ppl.models.world_prior import stepwise_prior
+
+        table = self._table
+        masses, attrs = stepwise_prior(prior, table.space.world, table.levels)
+        found = self._found.assign(
+            {name: (table.dimensions[name], values) for name, values in masses.items()}
+        )
+        found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}
+        return self._like(found, self._frame, prior)._defining(self.definitions)
 
     @property
     def log_evidence(self) -> float:
@@ -271,7 +275,7 @@ class StepwisePosterior(EventPosterior):
         likelihood's ``weight``. Of two priors, the one with more explains the video better; so of
         two models with the same tracking.
         """
-        return log_sum_exp(self._table.log_mass(self._frame, 1.0).ravel())
+        return self._table.log_evidence(self._frame)
 
     def surprise(self) -> FloatArray:
         """Return (time,) nats by which each frame was less probable than a perfect match.
@@ -312,54 +316,60 @@ class StepwisePosterior(EventPosterior):
         }
         return {**result, "verdict": _verdict(result)}
 
-    def map(self) -> Hypothesis:
-        """Return the most probable hypothesis; its goals are the stated ones."""
-        best = int(self._rows.weights.argmax())
-        values = {name: column[best] for name, column in self._rows.values.items()}
-        return Hypothesis(
-            int(values["stated_goal_red"]),
-            int(values["stated_goal_green"]),
-            ALPHAS[int(values["alpha"])],
-            *(float(values[name]) for name in STRENGTHS),
+    def map(self) -> Any:
+        """Return the most probable hypothesis; its goals are the stated ones.
+
+        Returns:
+            A :class:`phase_ppl.Hypothesis`; in other worlds than PHASE
+            :class:`phase_ppl.world.hypothesis.Roles`.
+        """
+        space, best = self._table.space, self._table.most_probable(self._frame)
+        return space.hypothesis(
+            {site: best[name] for site, name in zip(space.sites, space.given, strict=True)}
         )
 
     def over_time(self) -> xr.Dataset:
         """Return the marginals at every frame, given the frames until then.
 
         Returns:
-            ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
-            labels in ``goal_red_is`` and so on; ``goal_red_error`` and so on: their standard
-            errors, NaN where there is a single set of searches; ``time`` in seconds. The attribute
+            ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or ``goal_<agent>`` and
+            ``relation_<one>_<other>`` of another world: probabilities (time, label), labels in
+            ``goal_red_is`` and so on; ``goal_red_error`` and so on: their standard errors, NaN
+            where there is a single set of searches; ``time`` in seconds. The attribute
             ``filtering`` says what it is: nothing of later frames, but for ``turning`` (which way
             agents can turn) where the scene's was read off a whole video, as the reader of the
             authors' files does.
         """
-        red, green = (codes.ravel() for codes in np.indices((N_GOALS, N_GOALS)))
-        codes = {"goal_red": red, "goal_green": green}
-        codes |= relation_codes(red, green, self._scenario)
-        time = self._found["time"].values[: self._frame + 1]
-        masses = self._table.pair_masses()[: len(time)].reshape(len(time), -1)
-        without = self._table.pair_masses_without()[:, : len(time)]
-        without = without.reshape(*without.shape[:2], masses.shape[1])
-
-        def error(indicators: NDArray[np.bool_]) -> FloatArray:
-            return self._error_over_sets(without @ indicators, masses @ indicators)
-
-        known = quantities()
-        found = by_label(time, codes, lambda indicators: masses @ indicators, known)
-        for name, errors in by_label(time, codes, error, known).data_vars.items():
-            found[f"{name}_error"] = errors
-        return found.assign_attrs(filtering=FILTERING)
+        words, n = self._words, self._frame + 1
+        columns = words.completed(self._table.columns())
+        told = {**self.goals_of, **self.relations_of, **self.scenarios_of}.values()
+        labels = {name: words.quantities[name].categories() for name in told}
+        masses = {
+            name: np.empty((self._table.n_tables, n, len(each))) for name, each in labels.items()
+        }
+        for t in range(n):
+            weights = self._table.weights(t)
+            for name, found in masses.items():
+                for row, own in enumerate(weights):
+                    found[row, t] = np.bincount(columns[name], own, found.shape[-1])
+        time = self._found["time"].values[:n]
+        result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
+        for name, (first, *without) in masses.items():
+            label = f"{name}_is"
+            error = self._error_over_sets(np.array(without).reshape(-1, *first.shape), first)
+            result = result.assign_coords({label: list(labels[name])})
+            result[name] = ("time", label), first
+            result[f"{name}_error"] = ("time", label), error
+        return result.assign_attrs(filtering=FILTERING)
 
     def _error_over_sets(self, without: FloatArray, value: FloatArray) -> FloatArray:
         """Return the errors of (...) values, given (set, ...) those without each set of searches.
 
         By the jackknife; NaN where there is a single set.
         """
-        n = self.planner_seeds
-        if n == 1:
+        if self._over_sets is None:
             return np.full(np.shape(value), np.nan)
-        return Jackknife(np.empty((n, 0)), n - 1.0).error(without, value)
+        return self._over_sets.error(without, value)
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         """Return which frames speak for ``event``, and against what.
@@ -383,7 +393,7 @@ class StepwisePosterior(EventPosterior):
                 f"{event}{f' over {over}' if over else ''}: frames speak of hypotheses, not of "
                 "further sites of the prior"
             )
-        columns = self._columns()
+        columns = self._words.completed(self._table.all_columns())
         known = {n: one for n, one in self._quantities.items() if n in columns}
         for name, definition in self._own.items():
             with contextlib.suppress(QueryError):  # of what frames do not speak of
@@ -395,7 +405,7 @@ class StepwisePosterior(EventPosterior):
 
         possible = False
         for t in range(self._frame + 1):
-            for place, mass in enumerate(self._log_masses(t)):
+            for place, mass in enumerate(self._table.all_log_masses(t)):
                 for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
                 possible |= bool(np.isfinite(for_it))
                 with np.errstate(invalid="ignore"):
@@ -421,17 +431,6 @@ class StepwisePosterior(EventPosterior):
             coords={"time": ("time", time, {"units": "s"})},
             attrs={"event": event, "over": over or f"not {event}"},
         )
-
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        """Return the codes of all hypotheses, as :meth:`_log_masses` has them."""
-        columns = self._table.columns()
-        return columns | derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
-
-    def _log_masses(self, frame: int) -> Iterator[FloatArray]:
-        """Yield (hypothesis,) log masses at a frame: all in all, then without each set."""
-        yield self._table.log_mass(frame).ravel()
-        for mass in self._table.log_masses_without(frame):
-            yield mass.ravel()
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
@@ -463,13 +462,12 @@ class StepwisePosterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
-        if root_attribute(source, "schema") != cls._schema:
+        if not is_stepwise(source):
             raise InvalidEventError(
                 f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
             )
-        given: dict[str, Any] = {} if scenario is None else {"scenario": scenario}
         try:
-            return cls(read_netcdf(source)["/"], **given)
+            return cls(read_netcdf(source)["/"], scenario=scenario)
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
@@ -518,8 +516,17 @@ class StepwisePosterior(EventPosterior):
         return "\n".join([*lines, *wrapped("cost", words)])
 
     def _notes(self) -> list[str]:
-        """Return what else is to be said above the answers."""
-        return []
+        """Return what is to be said of hypotheses that were drawn."""
+        table = self._table
+        if not isinstance(table, PolicyTable) or not table.sampled:
+            return []
+        n = table.n_effective(self._frame)
+        words = (
+            f"of {table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "
+            f"{n:.0f} of equal weight: probabilities are Monte-Carlo means with standard errors of "
+            f"up to {0.5 / n**0.5:.1g}, beside those shown"
+        )
+        return wrapped("hypotheses", words)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
@@ -581,4 +588,4 @@ def _verdict(found: Mapping[str, Any]) -> str:
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:
     """Whether a file holds a posterior that was read step by step."""
-    return root_attribute(path, "schema") == SCHEMA
+    return root_attribute(path, "schema") in SCHEMAS

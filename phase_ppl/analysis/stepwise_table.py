@@ -1,22 +1,35 @@
-"""From what was read step by step to the table of all hypotheses, at every frame."""
+"""From what was read step by step to a table of hypotheses, at every frame.
+
+A hypothesis is a way in which agents stand to each other, a goal of each, and strengths. In PHASE
+all are summed over, with any prior. In other worlds goals, ways and strengths are independent of
+each other a priori, and the own goal of an agent that helps or hinders is none of a hypothesis. All
+are summed over where there are :data:`MOST_HYPOTHESES` at most; of more, as many are drawn, each
+agent's goal in proportion to about what it has of the mass, and weighted by what they were drawn
+with: then sums are Monte-Carlo means.
+"""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.agents.standpoints import standpoints
+from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
+from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS, effective_pairs
-
-SCHEMA: Final = "phase_ppl/stepwise/2"
+from phase_ppl.world.goals import GOALS, N_GOALS
+from phase_ppl.world.hypothesis import ALPHAS, effective_pairs, effective_table
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import space_of
 
 SITES: Final = "sites"
 """Attribute that names the further sites of the prior, JSON."""
@@ -24,184 +37,502 @@ SITES: Final = "sites"
 STATED: Final = ("stated_goal_red", "stated_goal_green", "alpha")
 STRENGTHS: Final = ("strength_red", "strength_green")
 
-DIMENSIONS: Final = {
-    "log_likelihood": ("time", "goal_red", "goal_green"),
-    "log_likelihood_without": ("planner_seed", "time", "goal_red", "goal_green"),
-    "strengths": ("time", *STRENGTHS),
-    "log_prior": (*STATED, *STRENGTHS),
+MOST_HYPOTHESES: Final = 500_000
+"""Hypotheses that are summed over; of more, so many are drawn."""
+
+_MOST_ROWS: Final = 400_000  # of a table, each a hypothesis with a combination of strengths
+_FROM_PRIOR: Final = 0.1  # share of goals that are drawn from the prior
+_GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
+
+_OF_ANY: Final = {
     "actions": ("time", "agent", "action"),
     "held": ("time", "agent"),
     "unexplained": ("time",),
     "log_peak": ("time",),
     "trajectory": ("time", "entity", "coord"),
 }
-"""Variable -> dimensions.
-
-``log_likelihood`` of each frame given those before it and a pair of effective goals, 0 for the
-first; ``log_likelihood_without`` likewise without each set of searches, none where there is only
-one; ``strengths`` their probabilities, whatever the goals, given the frames so far and equal
-ones before; ``actions`` those of what each agent did to come to a frame; ``unexplained`` by how
-many nats the best pair of actions leaves the frame less probable than one that is exactly where an
-action puts it, whose log density is ``log_peak``."""
-
-REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "weight", "schema")
-_LEAST: Final = 1e-12  # rows with less of the mass than this are left out of tables
 
 
-def check(found: xr.Dataset) -> None:
-    """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such table."""
-    check_variables(found, SCHEMA, DIMENSIONS, REQUIRED_ATTRS)
-    sizes = {"goal_red": N_GOALS, "goal_green": N_GOALS, "alpha": len(ALPHAS)}
-    check_sizes(found, {**sizes, **dict.fromkeys(STATED[:2], N_GOALS)})
-    likelihood = found["log_likelihood"].values
-    if np.isnan(likelihood).any() or (likelihood == np.inf).any():
-        raise InvalidEventError("log_likelihood has values that are no log densities")
+def check_size(found: xr.Dataset, name: str, size: int) -> None:
+    """Raise InvalidEventError unless a dimension has this size."""
+    if found.sizes[name] != size:
+        raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
 
 
-def check_variables(
-    found: xr.Dataset,
-    schema: str,
-    dimensions: Mapping[str, tuple[str, ...]],
-    attrs: Sequence[str],
-) -> None:
-    """Raise InvalidEventError unless there are these variables and attributes."""
-    if found.attrs.get("schema") != schema:
-        raise InvalidEventError(
-            f"this was not read step by step: its schema is {found.attrs.get('schema')!r}, "
-            f"expected {schema!r}"
-        )
-    missing = [name for name in attrs if name not in found.attrs]
-    missing += [name for name in dimensions if name not in found.variables]
-    if missing:
-        raise InvalidEventError(f"it lacks {', '.join(missing)}")
-    for name, dims in dimensions.items():
-        if found[name].dims != dims:
-            raise InvalidEventError(f"{name} has dimensions {found[name].dims}, expected {dims}")
+class GoalRows(NamedTuple):
+    """Hypotheses about who wants what."""
 
-
-def check_sizes(found: xr.Dataset, sizes: Mapping[str, int]) -> None:
-    """Raise InvalidEventError unless dimensions have these sizes."""
-    for name, size in sizes.items():
-        if found.sizes[name] != size:
-            raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
+    way: IntArray  # (row,) index into the ways of the world's ``HypothesisSpace``
+    goals: IntArray  # (row, agent) effective goals
+    stated: IntArray  # (row, agent) stated goals; of who has none, the effective one
+    log_prior: FloatArray  # (row,) log prior mass
+    log_drawn: FloatArray  # (row,) log of how often it is expected among those drawn; else 0
 
 
 class Table:
-    """All hypotheses of a video and their log masses at any frame.
+    """Hypotheses about a video, and their log masses at any frame; :func:`table_of` makes it.
 
     Attributes:
-        log_prior: log masses before the video, dimensions as in :data:`DIMENSIONS`.
-        levels: of strength, newtons, ascending.
+        schema: of files.
+        dimensions: variable of files -> its dimensions. ``strengths`` are their probabilities,
+            whatever the goals, given the frames so far and equal ones before; ``actions`` those of
+            what each agent did to come to a frame; ``unexplained`` by how many nats the best joint
+            action leaves the frame less probable than one that is exactly where an action puts it,
+            whose log density is ``log_peak``. What frames say of goals is in
+            :mod:`phase_ppl.closed_loop.goal_filter`.
+        attrs: of files.
+        space: the hypotheses of the world.
+        combinations: (combination, agent) strengths, newtons.
+        sampled: whether hypotheses were drawn.
     """
 
+    schema: ClassVar[str]
+    dimensions: ClassVar[Mapping[str, tuple[str, ...]]]
+    attrs: ClassVar[tuple[str, ...]] = ("event_id", "settings", "cost", "weight", "schema")
+    least: ClassVar[tuple[float, float]]
+    """Hypotheses with less than a share of the mass of the best, and rows with less than a share of
+    all, are left out of tables."""
+
+    combinations: FloatArray
+    sampled = False
+
     def __init__(self, found: xr.Dataset) -> None:
+        self.space = space_of(kept_world(found))
+        self._found = found
         self._weight = float(found.attrs["weight"])
-        self._levels = found[STRENGTHS[0]].values, found[STRENGTHS[1]].values
-        self.levels = self._levels[0]
-        self.log_prior = found["log_prior"].values
-        self._likelihood = found["log_likelihood"].values
-        self._without = found["log_likelihood_without"].values
-        so_far = np.cumsum(self._likelihood, axis=0)
-        self._so_far = so_far.reshape(len(so_far), -1)
-        with np.errstate(divide="ignore"):
-            self._log_strengths = np.log(found["strengths"].values)
+        self.n_frames = int(found.sizes["time"])
+
+    @classmethod
+    def check(cls, found: xr.Dataset) -> None:
+        """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is none."""
+        missing = [name for name in cls.attrs if name not in found.attrs]
+        missing += [name for name in cls.dimensions if name not in found.variables]
+        if missing:
+            raise InvalidEventError(f"it lacks {', '.join(missing)}")
+        for name, dims in cls.dimensions.items():
+            if found[name].dims != dims:
+                raise InvalidEventError(
+                    f"{name} has dimensions {found[name].dims}, expected {dims}"
+                )
+        for name, labels in cls.labels(kept_world(found)).items():
+            check_size(found, name, len(labels))
+
+    @classmethod
+    def labels(cls, world: World) -> dict[str, list[str]]:
+        """Return dimension -> its labels, of those that have some."""
+        return {"agent": list(world.agents), "action": list(ACTION_NAMES)}
+
+    @functools.cached_property
+    def hypotheses(self) -> GoalRows:
+        """The hypotheses that are summed over, without strengths."""
+        raise NotImplementedError
+
+    @functools.cached_property
+    def given(self) -> FloatArray:
+        """(row, combination) prior probabilities of strengths given a hypothesis; one row: any."""
+        raise NotImplementedError
+
+    def _so_far(self, frame: int) -> FloatArray:
+        """Return (table, row) log likelihoods of the frames up to ``frame``."""
+        raise NotImplementedError
+
+    def _frame(self, frame: int) -> FloatArray:
+        """Return (row,) log likelihoods of one frame, with all sets of searches."""
+        raise NotImplementedError
 
     @property
-    def n_frames(self) -> int:
-        """Frames that were read."""
-        return len(self._so_far)
+    def levels(self) -> tuple[float, ...]:
+        """Strengths, newtons, ascending."""
+        return tuple(np.unique(self.combinations).tolist())
 
     @property
     def n_seeds(self) -> int:
         """Sets of searches."""
-        return max(1, len(self._without))
+        return max(1, int(self._found.sizes["planner_seed"]))
 
-    def log_mass(self, frame: int, weight: float | None = None) -> FloatArray:
-        """Return the log masses, shaped as ``log_prior``, given the frames up to ``frame``.
+    @property
+    def n_tables(self) -> int:
+        """Masses there are of each hypothesis: with all sets of searches, and without each."""
+        return 1 + (self.n_seeds if self.n_seeds > 1 else 0)
 
-        Each counts by ``weight``, by default the likelihood's.
+    # --- masses of goals ------------------------------------------------------------------------
+
+    def log_masses(self, frame: int, weight: float | None = None) -> FloatArray:
+        """Return (table, row) log masses given the frames up to ``frame``.
+
+        The first table is with all sets of searches, the others are without each; where there is
+        one set, there is the first only. A frame counts ``weight``, by default the likelihood's.
         """
         weight = self._weight if weight is None else weight
-        return self._masses(frame, weight * self._so_far[frame])
+        rows = self.hypotheses
+        of_strengths = np.log(self.given @ self._of_strengths(frame))
+        return np.asarray(
+            rows.log_prior - rows.log_drawn + of_strengths + weight * self._so_far(frame)
+        )
 
-    def log_likelihood(self, frame: int) -> FloatArray:
-        """Return log likelihoods, shaped as ``log_prior``, of the frames up to ``frame``."""
-        return self._of_hypotheses(frame, self._weight * self._so_far[frame])
+    def weights(self, frame: int) -> FloatArray:
+        """Return (table, row) :meth:`log_masses` as probabilities."""
+        masses = self.log_masses(frame)
+        return np.exp(masses - np.array([log_sum_exp(one) for one in masses])[:, None])
 
-    def _masses(self, frame: int, of_pairs: FloatArray) -> FloatArray:
-        return np.asarray(self.log_prior + self._of_hypotheses(frame, of_pairs))
-
-    def _of_hypotheses(self, frame: int, of_pairs: FloatArray) -> FloatArray:
-        # over the equal probabilities that they began with: the prior has its own of strengths
-        strengths = self._log_strengths[frame] + np.log(self._log_strengths[frame].size)
-        return np.asarray(of_pairs[effective_pairs()][..., None, None] + strengths)
-
-    def _kept(self, frame: int) -> tuple[tuple[IntArray, ...], FloatArray]:
-        """Return the places of the rows, and their weights."""
-        log_mass = self.log_mass(frame)
-        weights = np.exp(log_mass - log_sum_exp(log_mass.ravel()))
-        kept = np.nonzero(weights > _LEAST)
-        return kept, weights[kept] / weights[kept].sum()
-
-    def rows(self, frame: int) -> Rows:
-        """Return the hypotheses that have any mass to speak of, at a frame."""
-        kept, weights = self._kept(frame)
-        return Rows(self.columns(kept), weights, {"hypothesis": np.arange(len(weights))})
-
-    def columns(self, places: tuple[IntArray, ...] | None = None) -> dict[str, NDArray[Any]]:
-        """Return codes and strengths of the hypotheses at some places of ``log_prior``, or all."""
-        if places is None:
-            places = tuple(column.ravel() for column in np.indices(self.log_prior.shape))
-        red, green = np.unravel_index(effective_pairs()[places[:3]], (N_GOALS, N_GOALS))
-        values: dict[str, NDArray[Any]] = dict(zip(STATED, places[:3], strict=True))
-        values |= {"goal_red": red, "goal_green": green}
-        for name, levels, codes in zip(STRENGTHS, self._levels, places[3:], strict=True):
-            values[name] = levels[codes]
-        return values
-
-    def weights_without(self, frame: int) -> FloatArray:
-        """Return (planner_seed, row) weights of :meth:`rows` without each set of searches."""
-        kept, _ = self._kept(frame)
-        masses = (log_mass[kept] for log_mass in self.log_masses_without(frame))
-        return np.array([np.exp(mass - log_sum_exp(mass)) for mass in masses])
-
-    def log_masses_without(self, frame: int) -> Iterator[FloatArray]:
-        """Yield :meth:`log_mass` without each set of searches; nothing where there is one set."""
-        for one in self._without:
-            so_far = one[: frame + 1].sum(axis=0, dtype=np.float64).ravel()
-            yield self._masses(frame, self._weight * so_far)
-
-    def pair_masses(self) -> FloatArray:
-        """Return (time, goal_red, goal_green) probabilities, given the frames so far."""
-        return self._pair_masses(self._so_far)
-
-    def pair_masses_without(self) -> FloatArray:
-        """Return (planner_seed, time, goal_red, goal_green) likewise without each set."""
-        so_far = self._without.cumsum(axis=1, dtype=np.float64)
-        masses = [self._pair_masses(one.reshape(len(one), -1)) for one in so_far]
-        return np.array(masses).reshape(so_far.shape)
-
-    def _pair_masses(self, so_far: FloatArray) -> FloatArray:
-        size = N_GOALS**2
-        flat = effective_pairs().ravel()
-        n = self._levels[0].size * self._levels[1].size
-        by_strength = np.full((size, n), -np.inf)
-        np.logaddexp.at(by_strength, flat, self.log_prior.reshape(-1, n))
-        found = np.empty((self.n_frames, size))
-        for frame in range(self.n_frames):
-            log_strengths = self._log_strengths[frame].ravel()
-            log_mass = np.logaddexp.reduce(by_strength + log_strengths, axis=1)
-            log_mass += self._weight * so_far[frame]
-            found[frame] = np.exp(log_mass - log_sum_exp(log_mass))
-        return found.reshape(self.n_frames, N_GOALS, N_GOALS)
+    def log_evidence(self, frame: int) -> float:
+        """Return log p of the frames up to ``frame``, in nats, each counted in full."""
+        return log_sum_exp(self.log_masses(frame, 1.0)[0])
 
     @functools.cached_property
     def log_predictive(self) -> FloatArray:
         """Return (time,) log density of each frame given those before it; 0 for the first."""
+        found = np.zeros(self.n_frames)
+        for t in range(1, self.n_frames):
+            before = self.log_masses(t - 1)[0]
+            found[t] = log_sum_exp(before - log_sum_exp(before) + self._frame(t))
+        return found
+
+    # --- strengths ------------------------------------------------------------------------------
+
+    def _of_strengths(self, frame: int) -> FloatArray:
+        """Return (combination,) likelihoods of strengths, over that of equal probabilities."""
+        found = self._found["strengths"].values[frame].ravel()
+        return np.maximum(found, 1e-300) * found.size
+
+    def strengths(self, frame: int) -> FloatArray:
+        """Return (row, combination) probabilities of strengths given a hypothesis; one row: any."""
+        found = self.given * self._of_strengths(frame)
+        return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+    @property
+    def _with_strengths(self) -> bool:
+        """Whether all hypotheses with all strengths are few enough to be in one table."""
+        return len(self.hypotheses.way) * len(self.combinations) <= _MOST_ROWS
+
+    def all_log_masses(self, frame: int) -> FloatArray:
+        """Return (table, row of :meth:`all_columns`) log masses."""
+        masses = self.log_masses(frame)
+        if not self._with_strengths:
+            return masses
         with np.errstate(divide="ignore"):
-            before = np.log(self.pair_masses()[:-1])
-        found = np.logaddexp.reduce(before + self._likelihood[1:], axis=(1, 2))
-        return np.concatenate([[0.0], found])
+            strengths = np.log(self.strengths(frame))
+        return np.asarray((masses[:, :, None] + strengths).reshape(len(masses), -1))
+
+    def all_columns(self) -> dict[str, NDArray[Any]]:
+        """Return the codes of all hypotheses, with all strengths unless these are too many."""
+        if not self._with_strengths:
+            return self.columns()
+        n = len(self.combinations)
+        return self.columns(*np.divmod(np.arange(len(self.hypotheses.way) * n), n))
+
+    # --- tables ---------------------------------------------------------------------------------
+
+    def columns(
+        self, rows: IntArray | None = None, combination: IntArray | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Return the codes of some hypotheses, or of all, with or without strengths."""
+        space, found = self.space, self.hypotheses
+        way, goals, stated = (
+            part if rows is None else part[rows] for part in (found.way, found.goals, found.stated)
+        )
+        values: dict[str, NDArray[Any]] = {
+            **dict(zip(space.stated_sites, stated.T, strict=True)),
+            space.company_site: way,
+            **dict(zip(space.goal_sites, goals.T, strict=True)),
+        }
+        if combination is not None:
+            newtons = self.combinations[combination].T
+            values |= dict(zip(space.strength_sites, newtons, strict=True))
+        return values
+
+    def rows(self, frame: int) -> tuple[Rows, FloatArray]:
+        """Return the hypotheses that have any mass to speak of, and (set, row) weights without."""
+        weights = self.weights(frame)
+        kept = np.flatnonzero(weights[0] > self.least[0] * weights[0].max())
+        weights, strengths = weights[:, kept], self.strengths(frame)
+        n = strengths.shape[1]
+        if len(kept) * n <= _MOST_ROWS:
+            of_kept = strengths[kept] if len(strengths) > 1 else strengths
+            weights = (weights[:, :, None] * of_kept).reshape(len(weights), -1)
+            kept, combination = np.repeat(kept, n), np.tile(np.arange(n), len(kept))
+            some = np.flatnonzero(weights[0] > self.least[1])
+            kept, combination, weights = kept[some], combination[some], weights[:, some]
+        else:  # two combinations each, in their proportions
+            at = (np.arange(len(kept)) * _GOLDEN)[:, None] + [0.0, 0.5]
+            combination = np.searchsorted(np.cumsum(strengths[0]), (at % 1.0).ravel())
+            combination = np.minimum(combination, n - 1)
+            kept, weights = np.repeat(kept, 2), np.repeat(weights, 2, axis=1)
+        weights /= weights.sum(axis=1, keepdims=True)
+        index = {"hypothesis": np.arange(len(kept))}
+        return Rows(self.columns(kept, combination), weights[0], index), weights[1:]
+
+    def most_probable(self, frame: int) -> dict[str, Any]:
+        """Return the codes of the most probable hypothesis, whatever it was drawn with."""
+        strengths = self.strengths(frame)
+        masses = self.log_masses(frame)[0] + self.hypotheses.log_drawn
+        row = (masses + np.log(strengths.max(axis=1))).argmax()
+        combination = strengths[row if len(strengths) > 1 else 0].argmax()
+        columns = self.columns(np.array([row]), np.array([combination]))
+        return {name: column[0].item() for name, column in columns.items()}
+
+
+class PairTable(Table):
+    """All hypotheses about a video of PHASE."""
+
+    schema = "phase_ppl/stepwise/2"
+    dimensions: ClassVar = {
+        "log_likelihood": ("time", "goal_red", "goal_green"),
+        "log_likelihood_without": ("planner_seed", "time", "goal_red", "goal_green"),
+        "strengths": ("time", *STRENGTHS),
+        "log_prior": (*STATED, *STRENGTHS),
+        **_OF_ANY,
+    }
+    least = 1e-12, 1e-12
+
+    def __init__(self, found: xr.Dataset) -> None:
+        super().__init__(found)
+        levels = (found[name].values for name in STRENGTHS)
+        self.combinations = np.array(list(itertools.product(*levels)))
+        self.log_prior = found["log_prior"].values
+        self._pair = effective_pairs().ravel()
+
+    @classmethod
+    def check(cls, found: xr.Dataset) -> None:
+        super().check(found)
+        likelihood = found["log_likelihood"].values
+        if np.isnan(likelihood).any() or (likelihood == np.inf).any():
+            raise InvalidEventError("log_likelihood has values that are no log densities")
+
+    @classmethod
+    def labels(cls, world: World) -> dict[str, list[str]]:
+        goals = {name: list(GOALS) for name in ("goal_red", "goal_green", *STATED[:2])}
+        return {**super().labels(world), **goals, "alpha": [str(alpha) for alpha in ALPHAS]}
+
+    @functools.cached_property
+    def hypotheses(self) -> GoalRows:
+        red, green, alpha = np.indices(self.log_prior.shape[:3]).reshape(3, -1)
+        with np.errstate(divide="ignore"):
+            log_prior = np.log(np.exp(self.log_prior).sum(axis=(3, 4))).ravel()
+        goals = effective_table().reshape(-1, 2).astype(np.int64)
+        stated = np.stack([red, green], axis=1)
+        return GoalRows(alpha, goals, stated, log_prior, np.zeros(len(alpha)))
+
+    @functools.cached_property
+    def given(self) -> FloatArray:
+        masses = np.exp(self.log_prior).reshape(len(self._pair), -1)
+        total = masses.sum(axis=1, keepdims=True)
+        return np.where(total > 0, masses / np.where(total > 0, total, 1), 1 / masses.shape[1])
+
+    @functools.cached_property
+    def _sums(self) -> FloatArray:
+        """(table, time, pair) log likelihoods of the frames so far."""
+        all_sets = self._found["log_likelihood"].values[None]
+        parts = (all_sets, self._found["log_likelihood_without"].values)
+        sums = [part.cumsum(axis=1, dtype=np.float64) for part in parts]
+        return np.concatenate(sums).reshape(self.n_tables, self.n_frames, -1)
+
+    def _so_far(self, frame: int) -> FloatArray:
+        return self._sums[:, frame, self._pair]
+
+    def _frame(self, frame: int) -> FloatArray:
+        return np.asarray(self._found["log_likelihood"].values[frame].ravel()[self._pair])
+
+    def log_likelihood(self, frame: int) -> FloatArray:
+        """Return (row of all, combination) log likelihoods of the frames up to ``frame``."""
+        strengths = np.log(self._of_strengths(frame))
+        return np.asarray(self._weight * self._so_far(frame)[0][:, None] + strengths)
+
+
+class PolicyTable(Table):
+    """Hypotheses about a video of any world: all, or drawn."""
+
+    schema = "phase_ppl/stepwise-roles/1"
+    dimensions: ClassVar = {
+        "density": ("time", "joint_action"),
+        "policies": ("time", "agent", "policy", "planner_seed", "action"),
+        "policy_of": ("time", "agent", "standpoint"),
+        "marginals": ("time", "agent", "goal"),
+        "strengths": ("time", "combination"),
+        "combinations": ("combination", "agent"),
+        "log_prior_goals": ("agent", "goal"),
+        "log_prior_company": ("way",),
+        "log_prior_strengths": ("agent", "level"),
+        **_OF_ANY,
+    }
+    attrs = (*Table.attrs, "world")
+    least = 1e-9, 0.0
+
+    def __init__(self, found: xr.Dataset) -> None:
+        super().__init__(found)
+        self.combinations = found["combinations"].values
+        self._log_goals = found["log_prior_goals"].values
+        self._log_company = found["log_prior_company"].values
+        # (way, its owners, the goals that each can have by the prior)
+        self._ways: list[tuple[int, list[int], list[IntArray]]] = []
+        for way, towards in enumerate(self.space.ways):
+            owners = [agent for agent, one in enumerate(towards) if one is None]
+            if np.isfinite(self._log_company[way]):
+                own = [np.flatnonzero(np.isfinite(self._log_goals[owner])) for owner in owners]
+                self._ways.append((way, owners, own))
+        self.n_hypotheses = sum(math.prod(map(len, choices)) for _, _, choices in self._ways)
+        self.sampled = self.n_hypotheses > MOST_HYPOTHESES
+        self._at = -1  # the frame up to which ``_sums`` counts
+        self._sums = np.zeros((0, 0))
+
+    @classmethod
+    def check(cls, found: xr.Dataset) -> None:
+        super().check(found)
+        space = space_of(kept_world(found))
+        check_size(found, "way", len(space.ways))
+        check_size(found, "joint_action", N_ACTIONS**space.n_agents)
+        numbers = found["policy_of"].values
+        if (numbers < 0).any() or (numbers >= found.sizes["policy"]).any():
+            raise InvalidEventError("policy_of names a policy that there is not")
+        for name in ("density", "strengths", "log_prior_company", "trajectory"):
+            values = found[name].values
+            if np.isnan(values).any() or (values == np.inf).any():
+                raise InvalidEventError(f"{name} has values that cannot be")
+
+    @classmethod
+    def labels(cls, world: World) -> dict[str, list[str]]:
+        return {**super().labels(world), "goal": list(world.goals)}
+
+    @functools.cached_property
+    def hypotheses(self) -> GoalRows:
+        return self._drawn() if self.sampled else self._enumerated()
+
+    @functools.cached_property
+    def given(self) -> FloatArray:
+        """(1, combination) masses whose margins are the prior's, so far as they can be."""
+        levels, agents = self.levels, range(self.space.n_agents)
+        place = np.searchsorted(levels, self.combinations)
+        prior = np.exp(self._found["log_prior_strengths"].values)
+        mass = np.prod([prior[agent, place[:, agent]] for agent in agents], axis=0)
+        for _ in range(50):  # iterative proportional fitting
+            for agent in agents:
+                now = np.bincount(place[:, agent], mass, len(levels))
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    mass = mass * np.nan_to_num(prior[agent] / now)[place[:, agent]]
+        return np.asarray(mass / mass.sum())[None]
+
+    def n_effective(self, frame: int) -> float:
+        """Return of how many independent draws the masses at a frame are worth."""
+        weights = self.weights(frame)[0]
+        return float(1 / (weights**2).sum())
+
+    def _so_far(self, frame: int) -> FloatArray:
+        if self._at > frame or self._at < 0:
+            self._at = 0
+            self._sums = np.zeros((self.n_tables, len(self.hypotheses.way)))
+        for t in range(self._at + 1, frame + 1):
+            self._sums += self._of_frame(t, self.n_tables)
+        self._at = frame
+        return self._sums
+
+    def _frame(self, frame: int) -> FloatArray:
+        return np.asarray(self._of_frame(frame, 1)[0])
+
+    def _of_frame(self, t: int, n_tables: int) -> FloatArray:
+        """Return (table, row) log likelihoods of one frame, of so many tables."""
+        n, n_sets = self.space.n_agents, self.n_seeds
+        density = self._found["density"].values[t]
+        relative = np.exp(density - density.max()).reshape((N_ACTIONS,) * n)
+        policies = self._found["policies"].values[t].astype(np.float64)
+        numbers = self._found["policy_of"].values[t]
+        sizes = [int(numbers[agent].max()) + 1 for agent in range(n)]
+        place = np.zeros(len(self.hypotheses.way), np.int64)
+        for agent in range(n):
+            place = place * sizes[agent] + numbers[agent][self._standpoints[agent]]
+        found = np.empty((n_tables, len(place)))
+        for row, left_out in zip(found, [None, *range(n_sets)], strict=False):
+            sets = [one for one in range(n_sets) if one != left_out]
+            table = relative
+            for agent in range(n):  # the first axis goes, and what it becomes is put last
+                mean = policies[agent, : sizes[agent], sets].mean(axis=0)
+                table = np.tensordot(table, mean, axes=(0, 1))
+            with np.errstate(divide="ignore"):
+                row[:] = np.log(table.ravel())[place] + density.max()
+        return found
+
+    @functools.cached_property
+    def _standpoints(self) -> list[IntArray]:
+        """(agent) (row,) the standpoint of each agent."""
+        goals, world = self.hypotheses.goals, self.space.world
+        return [standpoints(agent, world).of(goals) for agent in range(self.space.n_agents)]
+
+    def _enumerated(self) -> GoalRows:
+        picked = [
+            np.stack(np.meshgrid(*choices, indexing="ij"), -1).reshape(-1, len(choices))
+            for _, _, choices in self._ways
+        ]
+        return self._put_together(picked, [np.zeros(len(one)) for one in picked])
+
+    def _drawn(self) -> GoalRows:
+        """Return hypotheses drawn by how probable each agent's goals are at about any frame."""
+        marginals = self._found["marginals"].values
+        masses = np.exp(marginals - marginals.max(axis=2, keepdims=True))
+        likely = (masses / masses.sum(axis=2, keepdims=True)).mean(axis=0)
+        rng = np.random.default_rng(0)
+        every, logs = [], []
+        for way, owners, _ in self._ways:
+            # more where more goals are to be chosen
+            n = MOST_HYPOTHESES // (2 * len(self._ways)) + (way == 0) * (MOST_HYPOTHESES // 2)
+            picked, log_drawn = np.empty((n, len(owners)), np.int64), np.full(n, np.log(n))
+            for column, owner in enumerate(owners):
+                own = np.exp(self._log_goals[owner])
+                share = _FROM_PRIOR * own + (1 - _FROM_PRIOR) * likely[owner] * (own > 0)
+                share /= share.sum()
+                picked[:, column] = rng.choice(len(share), n, p=share)
+                log_drawn += np.log(share[picked[:, column]])
+            every.append(picked)
+            logs.append(log_drawn)
+        return self._put_together(every, logs)
+
+    def _put_together(self, picked: list[IntArray], log_drawn: list[FloatArray]) -> GoalRows:
+        """Return the hypotheses in which the owners of each way have some goals."""
+        space, goals, log_prior, ways = self.space, [], [], []
+        for (way, owners, _), own in zip(self._ways, picked, strict=True):
+            every = np.empty((len(own), space.n_agents), np.int64)
+            every[:, owners] = own
+            for agent, owner in enumerate(space.owner[way]):
+                every[:, agent] = space.becomes[way, agent][every[:, owner]]
+            goals.append(every)
+            log_prior.append(self._log_company[way] + self._log_goals[owners, own].sum(axis=1))
+            ways.append(np.full(len(own), way))
+        possible_share = space.possible_share(self._log_goals, self._log_company)
+        all_goals = np.concatenate(goals)
+        possible = (all_goals >= 0).all(axis=1)
+        all_goals = all_goals[possible]
+        return GoalRows(
+            np.concatenate(ways)[possible],
+            all_goals,
+            all_goals,
+            np.concatenate(log_prior)[possible] - np.log(possible_share),
+            np.concatenate(log_drawn)[possible],
+        )
+
+
+_KINDS: Final[Mapping[str, type[Table]]] = {one.schema: one for one in (PairTable, PolicyTable)}
+
+SCHEMAS: Final = tuple(_KINDS)
+"""Of files of what was read step by step: in PHASE, and in other worlds."""
+
+
+def kind_of_table(world: World) -> type[Table]:
+    """Return the class of tables of a world."""
+    return PairTable if world == PHASE else PolicyTable
+
+
+def table_of(found: xr.Dataset) -> Table:
+    """Return the hypotheses about a video that was read step by step.
+
+    Raises:
+        InvalidEventError: ``found`` lacks something; the message names it.
+    """
+    kind = _KINDS.get(str(found.attrs.get("schema")))
+    if kind is None:
+        raise InvalidEventError(
+            f"this was not read step by step: its schema is {found.attrs.get('schema')!r}, "
+            f"expected {' or '.join(map(repr, SCHEMAS))}"
+        )
+    kind.check(found)
+    return kind(found)
 
 
 def log_prior_of_pairs(log_prior: FloatArray) -> FloatArray:

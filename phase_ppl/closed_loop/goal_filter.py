@@ -1,48 +1,55 @@
-"""One pass through a video: at each frame, how probable it is under every pair of goals.
+"""One pass through a video: what its agents would do, and what they did.
 
-p(s_t+1 | s_<=t, h) = sum over actions of pi_red(a_red) pi_green(a_green) p(s_t+1 | T(s_t, a)), with
+p(s_t+1 | s_<=t, h) = sum over joint actions a of prod_i pi_i(a_i | h) p(s_t+1 | T(s_t, a)), with
 the policies pi of the joint simulator's agents at what was observed, and T one step of its physics.
 
 A policy is known from a search only, which depends on chance, and so do the beliefs from which it
 starts. Therefore each pi is a mean over several independent sets of beliefs and searches, taken
 inside the logarithm: the log of one noisy policy is too low, and says too much of single frames.
+
+In PHASE that is worked out for every pair of goals. Elsewhere the goals of all agents together are
+too many for a table, but each agent's policy depends on its standpoint only
+(:mod:`phase_ppl.agents.standpoints`), and most standpoints lead to the same intent: so a frame is
+kept as the few policies of each agent, the number of the policy of each standpoint, and the density
+of the frame after every joint action. What that says of hypotheses is worked out where it is asked
+(:mod:`phase_ppl.analysis.stepwise_table`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.closed_loop.hidden_state import Tracking, most_probable_actions
 from phase_ppl.closed_loop.search_sets import Conduct, Looked, SearchSets
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.names import AGENTS, NOTHING
 from phase_ppl.world.scene import Scene
 
 SEARCHED_BY_ALL: Final = 0.99
 """Mass of the most probable pairs of goals, for which all sets of searches are made; for the rest
 there is the first set alone."""
 
+OfGoals = dict[str, NDArray[Any]]
+_All = Sequence[Sequence[Looked]]  # (set, agent)
+
 
 class Reading(NamedTuple):
     """What one frame says."""
 
-    # (goal_red, goal_green) log density of the frame given those before it and a pair of effective
-    # goals, per unit^8 rad^2; -inf where a goal names its own holder
-    log_likelihood: FloatArray
-    # (planner_seed, goal_red, goal_green) likewise without each set of searches; empty where there
-    # is only one
-    without: FloatArray
-    strengths: FloatArray  # (strength of red, of green) probabilities given the frames so far
+    of_goals: OfGoals  # of what the agents want, by name
+    strengths: FloatArray  # (combination,) probabilities given the frames so far
     # (agent, action) probabilities of what each agent has just done, whatever its goal
     actions: FloatArray
     held: IntArray  # (agent,) item that each most probably holds now, or ``NOTHING``
-    # nats by which the best pair of actions leaves the frame less probable than one that is exactly
+    # nats by which the best joint action leaves the frame less probable than one that is exactly
     # where an action puts it
     unexplained: float
     log_peak: float  # log density of the latter
@@ -50,29 +57,28 @@ class Reading(NamedTuple):
 
 
 class GoalFilter:
-    """Takes in a video of PHASE frame by frame; what it says of a frame never changes afterwards.
+    """Takes in a video frame by frame; what it says of a frame never changes afterwards.
 
     Args:
         sets: beliefs and searches; they go along with the filter, and end with it.
         conduct: how agents act on their plans.
         weight: what a frame counts as evidence, and
-        log_prior: (goal_red, goal_green) log prior masses; both only say which pairs of goals are
-            improbable enough for one set of searches to do. None: all alike.
+        log_prior: log prior masses of goals; both only say which goals are probable by now.
 
     Use it as a context manager, or call ``close()``, to end its threads.
+
+    Attributes:
+        combinations: (combination, agent) strengths that are followed, newtons.
     """
 
     def __init__(
-        self,
-        sets: SearchSets,
-        conduct: Conduct,
-        weight: float = 1.0,
-        log_prior: FloatArray | None = None,
+        self, sets: SearchSets, conduct: Conduct, weight: float, log_prior: FloatArray
     ) -> None:
         self._sets, self._conduct, self._weight = sets, conduct, weight
-        self._log_mass = np.zeros((N_GOALS, N_GOALS)) if log_prior is None else log_prior.copy()
+        self._log_mass = log_prior.copy()
+        self.combinations = sets.hidden.combinations
 
-    def __enter__(self) -> GoalFilter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -82,46 +88,104 @@ class GoalFilter:
         """End the threads."""
         self._sets.close()
 
+    def at_start(self) -> Reading:
+        """Return what is known before the first frame: nothing."""
+        n, n_agents = self.combinations.shape
+        return Reading(
+            self._nothing(len(self._sets)),
+            np.full(n, 1.0 / n),
+            np.full((n_agents, N_ACTIONS), 1.0 / N_ACTIONS),
+            np.full(n_agents, NOTHING, np.int64),
+            *(0.0, 0.0, 0),
+        )
+
     def read(self, frame: FloatArray) -> Reading:
-        """Take in the next frame, (4, 3) x, y [units], angle [rad]."""
-        wanted = self._probable_pairs()
+        """Take in the next frame, (entity, 3) x, y [units], angle [rad]."""
         hidden = self._sets.hidden
-        looked = self._sets.look([wanted.ravel()] * len(AGENTS))
+        looked = self._sets.look(self._wanted())
         density = hidden.advance(frame, self._sets.map)
         highest = float(density.max())
         relative = np.exp(density - highest)
-        likelihood, without = frame_log_likelihood(
-            looked, wanted, relative, self._log_mass, self._conduct
-        )
-        likelihood += highest
-        without += highest
-        self._log_mass += self._weight * likelihood
+        of_goals = self._of_goals(looked, density, relative)
         self._sets.done(most_probable_actions(density))
-        actions = np.stack([relative.sum(axis=1), relative.sum(axis=0)])
+        axes = range(density.ndim)
+        actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         return Reading(
-            likelihood,
-            without,
-            hidden.strengths().reshape([len(hidden.tracking.strengths)] * 2),
+            of_goals,
+            hidden.strengths(),
             actions / actions.sum(axis=1, keepdims=True),
             hidden.best().held.copy(),
             hidden.log_peak - highest,
             hidden.log_peak,
-            sum(len(root.actions) > 1 for both in looked for one in both for root in one.roots),
+            sum(len(root.actions) > 1 for each in looked for one in each for root in one.roots),
         )
 
-    def _probable_pairs(self) -> BoolArray:
-        """Return which pairs of goals together have nearly all of the mass."""
+    def _wanted(self) -> list[BoolArray] | None:
+        """Return (agent) (standpoint,) those for which all sets search; None: all."""
+        return None
+
+    def _nothing(self, n_sets: int) -> OfGoals:
+        """Return what there is to say of goals before the first frame."""
+        raise NotImplementedError
+
+    def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
+        """Return what a frame says, from plans at the moment before and densities of the frame.
+
+        The latter are (action of the first agent, of the second, ...): logarithms, and over the
+        highest.
+        """
+        raise NotImplementedError
+
+
+# --- PHASE ----------------------------------------------------------------------------------------
+
+
+class PairFilter(GoalFilter):
+    """Takes in a video of PHASE; ``log_prior`` is (goal_red, goal_green).
+
+    It says of goals:
+
+    ``log_likelihood``
+        (goal_red, goal_green) log density of the frame given those before it and a pair of
+        effective goals, per unit^8 rad^2; -inf where a goal names its own holder.
+    ``log_likelihood_without``
+        (planner_seed, goal_red, goal_green) likewise without each set of searches; empty where
+        there is only one. Single precision: it is for errors only.
+    """
+
+    def _nothing(self, n_sets: int) -> OfGoals:
+        shape = (n_sets if n_sets > 1 else 0, N_GOALS, N_GOALS)
+        return {
+            "log_likelihood": np.zeros(shape[1:]),
+            "log_likelihood_without": np.zeros(shape, np.float32),
+        }
+
+    def _wanted(self) -> list[BoolArray]:
+        """Return which pairs of goals together have nearly all of the mass, for both agents."""
         flat = self._log_mass.ravel()
         mass = np.exp(flat - flat.max())
         order = np.argsort(-mass, kind="stable")
         before = np.cumsum(mass[order]) - mass[order]
         found = np.zeros(flat.shape, bool)
         found[order[before < SEARCHED_BY_ALL * mass.sum()]] = True
-        return found.reshape(self._log_mass.shape)
+        self._probable = found.reshape(self._log_mass.shape)
+        return [found] * len(AGENTS)
+
+    def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
+        likelihood, without = frame_log_likelihood(
+            looked, self._probable, relative, self._log_mass, self._conduct
+        )
+        likelihood += density.max()
+        without += density.max()
+        self._log_mass += self._weight * likelihood
+        return {
+            "log_likelihood": likelihood,
+            "log_likelihood_without": without.astype(np.float32),
+        }
 
 
 def frame_log_likelihood(
-    looked: Sequence[Sequence[Looked]],
+    looked: _All,
     wanted: BoolArray,
     relative: FloatArray,
     log_mass: FloatArray,
@@ -177,11 +241,116 @@ def _density(policies: FloatArray, relative: FloatArray) -> FloatArray:
     return np.asarray(((red @ relative) * green).sum(axis=-1))
 
 
+# --- any other world ------------------------------------------------------------------------------
+
+
+class PolicyFilter(GoalFilter):
+    """Takes in a video of any world; ``log_prior`` is (agent, goal).
+
+    It says of goals:
+
+    ``density``
+        (joint action,) log density of the frame after it, the first agent's action most
+        significant.
+    ``policies``
+        (agent, policy, planner_seed, action) probabilities; NaN where an agent has fewer policies
+        than another.
+    ``policy_of``
+        (agent, standpoint) which of its policies.
+    ``marginals``
+        (agent, goal) log masses of each agent's goal, the others taken to act as is believed of
+        them: approximate, to draw hypotheses from where they are too many.
+    """
+
+    def __init__(
+        self, sets: SearchSets, conduct: Conduct, weight: float, log_prior: FloatArray
+    ) -> None:
+        super().__init__(sets, conduct, weight, log_prior)
+        world = sets.scene.world
+        self._points = [standpoints(agent, world) for agent in range(len(world.agents))]
+        # (agent) (goal,) the standpoint of each goal where the others want something else
+        self._usual = [self._alone(agent, len(world.goals)) for agent in range(len(world.agents))]
+
+    def _nothing(self, n_sets: int) -> OfGoals:
+        n = len(self._points)
+        return {
+            "density": np.zeros(N_ACTIONS**n),
+            "policies": np.full((n, 1, n_sets, N_ACTIONS), 1 / N_ACTIONS, np.float32),
+            "policy_of": np.zeros((n, max(one.n for one in self._points)), np.int32),
+            "marginals": self._log_mass.copy(),
+        }
+
+    def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
+        policies, policy_of = self._policies(looked)
+        self._learn(relative, policies, policy_of)
+        return {
+            "density": density.ravel(),
+            # searches are coarser than single precision
+            "policies": stacked(policies).astype(np.float32),
+            "policy_of": stacked(policy_of).astype(np.int32),
+            "marginals": self._log_mass.copy(),
+        }
+
+    def _alone(self, agent: int, n_goals: int) -> IntArray:
+        """Return (goal,) the first standpoint of an agent with each goal; -1: it cannot have it."""
+        found = np.full(n_goals, -1)
+        for one in reversed(self._points[agent].alike):
+            found[one.own] = one.places[0]
+        return found
+
+    def _policies(self, looked: _All) -> tuple[list[FloatArray], list[IntArray]]:
+        """Return each agent's different policies, and which of them each standpoint has."""
+        policies, policy_of = [], []
+        for sets in zip(*looked, strict=True):
+            intents = np.stack([one.intent_of for one in sets], axis=1)
+            kinds, number = np.unique(intents, axis=0, return_inverse=True)
+            of_sets = []
+            for place, one in enumerate(sets):
+                found = [self._conduct.policy(root) for root in one.roots]
+                found.append(np.full(N_ACTIONS, 1 / N_ACTIONS))  # of NO_INTENT, which is -1
+                of_sets.append(np.array(found)[kinds[:, place]])
+            policies.append(np.stack(of_sets, axis=1))
+            policy_of.append(number.reshape(-1))
+        return policies, policy_of
+
+    def _learn(
+        self, relative: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]
+    ) -> None:
+        """Bring the marginals up to date."""
+        of_goals, believed = [], []
+        for table, numbers, usual, log_mass in zip(
+            policies, policy_of, self._usual, self._log_mass, strict=True
+        ):
+            mean = table.mean(axis=1)[numbers[usual]]
+            mass = np.exp(log_mass - log_mass.max())
+            of_goals.append(mean)
+            believed.append(mass @ mean / mass.sum())
+        for agent, mean in enumerate(of_goals):
+            left = relative
+            for other in range(len(believed) - 1, -1, -1):
+                if other != agent:
+                    left = np.tensordot(left, believed[other], axes=(other, 0))
+            self._log_mass[agent] += self._weight * np.log(mean @ left)
+
+
+def stacked(arrays: Sequence[NDArray[Any]], axis: int = 0) -> NDArray[Any]:
+    """Return arrays as one, along a new axis; the shorter ones are filled up with NaN or 0."""
+    if len({array.shape for array in arrays}) == 1:
+        return np.stack(arrays, axis)
+    shape = np.max([array.shape for array in arrays], axis=0)
+    fill = np.nan if arrays[0].dtype.kind == "f" else 0
+    found = np.full((len(arrays), *shape), fill, arrays[0].dtype)
+    for row, array in zip(found, arrays, strict=True):
+        row[tuple(map(slice, array.shape))] = array
+    return np.moveaxis(found, 0, axis)
+
+
 def warm_up() -> None:
     """Compile the kernels that filtering a video needs, or load them from the cache on disk."""
     spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
     scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
-    with GoalFilter(SearchSets(scene, planner, tracking), Conduct(1.0, 1.0)) as goals:
+    sets, flat = SearchSets(scene, planner, tracking), np.zeros((N_GOALS, N_GOALS))
+    with PairFilter(sets, Conduct(1.0, 1.0), 1.0, flat) as goals:
         for _ in range(2):
             goals.read(scene.start)

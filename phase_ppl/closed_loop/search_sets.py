@@ -81,6 +81,9 @@ class SearchSets:
         ]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
+    def __len__(self) -> int:
+        return len(self._policies)
+
     def close(self) -> None:
         """End the threads."""
         if self._pool is not None:

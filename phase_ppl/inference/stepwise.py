@@ -15,40 +15,24 @@ from numpy.typing import ArrayLike
 
 import phase_ppl
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.standpoints import standpoints
-from phase_ppl.analysis.roles_posterior import RolesPosterior
-from phase_ppl.analysis.roles_table import DIMENSIONS as ROLES_DIMENSIONS
-from phase_ppl.analysis.roles_table import SCHEMA as ROLES_SCHEMA
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import (
-    DIMENSIONS,
-    SCHEMA,
-    SITES,
-    STRENGTHS,
-    log_prior_of_pairs,
-)
+from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, log_prior_of_pairs
 from phase_ppl.analysis.tree import scene_dataset
-from phase_ppl.closed_loop.goal_filter import Reading
-from phase_ppl.closed_loop.world_filter import WorldReading
+from phase_ppl.closed_loop.goal_filter import Reading, stacked
 from phase_ppl.models.model import Model, checked_sites
-from phase_ppl.models.own_sites import further_sites
-from phase_ppl.models.roles import factors
-from phase_ppl.models.stepwise import StepwiseLikelihood, place_of_level, prior_table
-from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.models.stepwise import StepwiseLikelihood, place_of_level
+from phase_ppl.models.world_prior import stepwise_prior
 from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS, N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.names import AGENTS, NOTHING
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.progress import counted, is_shown
-from phase_ppl.world.scene import PHASE, Scene, check_inside, check_phase, finite_array
+from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
 
-_NUMBERS: Final = ("unexplained", "log_peak")
-_GOAL_DIMENSIONS: Final = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
+_OF_FRAMES: Final = ("strengths", "actions", "held", "unexplained", "log_peak")
 
 
 class Watch:
@@ -80,33 +64,23 @@ class Watch:
         self.model = Model(likelihood=StepwiseLikelihood()) if model is None else model
         likelihood, planner = _parts(self.model)
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
-        if type(self) is Watch:
-            check_phase(scene, "Watch (phase_ppl.watch knows others)")
         self._scene, self._event_id = scene, event_id
         self._likelihood = likelihood
         self._seed = whole_number("seed", seed, minimum=0)
         self.threads = number_of_workers(threads, "threads")
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
-        self._begin(planner)
-
-    def _begin(self, planner: PlannerConfig) -> None:
-        """Make the filter, and say what is known before the first frame."""
-        likelihood, scene = self._likelihood, self._scene
         levels = likelihood.tracking.strengths
-        checked_sites(self.model.prior)
-        self._prior: Any = prior_table(self.model.prior, levels)
-        self._filter: Any = likelihood.filter(
-            scene, planner, self._seed, self.threads, log_prior_of_pairs(self._prior)
+        if scene.world == PHASE:
+            checked_sites(self.model.prior)
+        self._prior, self._attrs = stepwise_prior(self.model.prior, scene.world, levels)
+        of_goals = (
+            log_prior_of_pairs(self._prior["log_prior"])
+            if scene.world == PHASE
+            else self._prior["log_prior_goals"]
         )
-        start = np.full((len(levels), len(levels)), 1.0 / len(levels) ** 2)
-        nothing_yet = np.zeros((N_GOALS, N_GOALS))
-        unknown = np.full((len(AGENTS), len(ACTION_NAMES)), 1.0 / len(ACTION_NAMES))
-        empty = np.full(len(AGENTS), NOTHING, np.int64)
-        seeds = likelihood.planner_seeds if likelihood.planner_seeds > 1 else 0
-        without = np.zeros((seeds, N_GOALS, N_GOALS))
-        at_start = Reading(nothing_yet, without, start, unknown, empty, 0.0, 0.0, 0)
-        self._readings: list[Any] = [at_start]
+        self._filter = likelihood.filter(scene, planner, self._seed, self.threads, of_goals)
+        self._readings: list[Reading] = [self._filter.at_start()]
 
     def __enter__(self) -> Self:
         return self
@@ -173,14 +147,11 @@ class Watch:
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
             "threads": self.threads,
         }
-        found = self._read()
-        found["trajectory"] = (DIMENSIONS["trajectory"], np.stack(self._frames))
-        found = found.assign_coords(
-            time=("time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}),
-            agent=list(scene.world.agents),
-            action=list(ACTION_NAMES),
+        found = self._read().assign_coords(
+            time=("time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"})
         )
         found.attrs |= {
+            **self._attrs,
             "event_id": self._event_id,
             "weight": float(likelihood.weight),
             "settings": json.dumps(settings, default=repr),
@@ -188,84 +159,28 @@ class Watch:
             "version": phase_ppl.__version__,
         }
         found = found.merge(scene_dataset(scene), combine_attrs="no_conflicts")
-        return self._posterior(found)
-
-    def _posterior(self, found: xr.Dataset) -> StepwisePosterior:
         return StepwisePosterior(found, prior=self.model.prior)
 
     def _read(self) -> xr.Dataset:
         """Return what the frames so far say."""
-        readings = self._readings[: len(self._frames)]
-        columns = {
-            name: np.stack([getattr(one, name) for one in readings])
-            for name in ("log_likelihood", "strengths", "actions", "held", *_NUMBERS)
-        }
-        without = np.stack([one.without for one in readings], axis=1)
-        # for errors only, to which single precision does no harm
-        columns["log_likelihood_without"] = without.astype(np.float32)
-        columns["log_prior"] = self._prior
-        return xr.Dataset(
-            {name: (DIMENSIONS[name], values) for name, values in columns.items()},
-            coords={
-                **{name: list(GOALS) for name in _GOAL_DIMENSIONS},
-                "alpha": [str(alpha) for alpha in ALPHAS],
-                **{name: list(self._likelihood.tracking.strengths) for name in STRENGTHS},
-            },
-            attrs={"schema": SCHEMA, SITES: json.dumps(list(further_sites(self.model.prior)))},
-        )
-
-
-class RolesWatch(Watch):
-    """An observer of an event of another world than PHASE; :func:`watch` returns one."""
-
-    def _posterior(self, found: xr.Dataset) -> RolesPosterior:
-        return RolesPosterior(found)
-
-    def _begin(self, planner: PlannerConfig) -> None:
-        likelihood, scene = self._likelihood, self._scene
-        levels, world = likelihood.tracking.strengths, scene.world
-        self._prior = factors(self.model.prior, world, levels)
-        self._filter = likelihood.filter(
-            scene, planner, self._seed, self.threads, self._prior.goals
-        )
-        n, n_actions = len(world.agents), len(ACTION_NAMES)
-        combinations = self._filter.combinations
-        any_action = np.full((likelihood.planner_seeds, n_actions), 1 / n_actions)
-        self._readings = [
-            WorldReading(
-                np.zeros(n_actions**n),
-                [any_action[None]] * n,
-                [np.zeros(standpoints(agent, world).n, np.int64) for agent in range(n)],
-                self._prior.goals,
-                np.full(len(combinations), 1 / len(combinations)),
-                np.full((n, n_actions), 1 / n_actions),
-                np.full(n, NOTHING, np.int64),
-                *(0.0, 0.0, 0),
+        readings, world = self._readings[: len(self._frames)], self._scene.world
+        kind, levels = kind_of_table(world), list(self._likelihood.tracking.strengths)
+        columns = {name: [getattr(one, name) for one in readings] for name in _OF_FRAMES}
+        columns |= {name: [one.of_goals[name] for one in readings] for name in readings[0].of_goals}
+        columns["trajectory"] = self._frames
+        found: dict[str, Any] = {"combinations": self._filter.combinations, **self._prior}
+        for name, values in columns.items():
+            found[name] = stacked(
+                list(map(np.asarray, values)), kind.dimensions[name].index("time")
             )
-        ]
-
-    def _read(self) -> xr.Dataset:
-        readings = self._readings[: len(self._frames)]
-        names = ("density", "marginals", "strengths", "actions", "held", *_NUMBERS)
-        columns = {name: np.stack([getattr(one, name) for one in readings]) for name in names}
-        n_agents = len(readings[0].policies)
-        most = max(len(own) for one in readings for own in one.policies)
-        points = max(len(own) for own in readings[0].policy_of)
-        # for searches are coarser than single precision
-        shape = (len(readings), n_agents, most, *readings[0].policies[0].shape[1:])
-        columns["policies"] = np.full(shape, np.nan, np.float32)
-        columns["policy_of"] = np.zeros((len(readings), n_agents, points), np.int32)
-        for t, one in enumerate(readings):
-            for agent in range(n_agents):
-                own, numbers = one.policies[agent], one.policy_of[agent]
-                columns["policies"][t, agent, : len(own)] = own
-                columns["policy_of"][t, agent, : len(numbers)] = numbers
-        columns["combinations"] = self._filter.combinations
-        columns |= {f"log_prior_{name}": values for name, values in self._prior._asdict().items()}
+        coords: dict[str, list[Any]] = dict(kind.labels(world))
+        if world == PHASE:
+            found["strengths"] = found["strengths"].reshape(-1, len(levels), len(levels))
+            coords |= {name: levels for name in STRENGTHS}
         return xr.Dataset(
-            {name: (ROLES_DIMENSIONS[name], values) for name, values in columns.items()},
-            coords={"goal": list(self._scene.world.goals)},
-            attrs={"schema": ROLES_SCHEMA},
+            {name: (dims, found[name]) for name, dims in kind.dimensions.items()},
+            coords=coords,
+            attrs={"schema": kind.schema},
         )
 
 
@@ -286,9 +201,7 @@ def watch(
     What it says after a frame is the same whatever follows, and after the last frame it is what
     :func:`phase_ppl.infer` returns. Arguments and errors as of :class:`Watch`.
     """
-    instance_of("scene", scene, Scene, "a phase_ppl.Scene")
-    kind = Watch if scene.world == PHASE else RolesWatch
-    return kind(scene, model, seed=seed, threads=threads, event_id=event_id)
+    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
 
 
 def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:

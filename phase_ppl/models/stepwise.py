@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from numpyro import handlers
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.goal_filter import GoalFilter
+from phase_ppl.closed_loop.goal_filter import GoalFilter, PairFilter, PolicyFilter
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.closed_loop.search_sets import Conduct, SearchSets
-from phase_ppl.closed_loop.world_filter import WorldFilter
 from phase_ppl.models.density import NO_DENSITY, remembered
 from phase_ppl.models.effective import log_prior_of_hypotheses, strengths_apart
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
@@ -89,14 +88,14 @@ class StepwiseLikelihood:
 
     def filter(
         self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
-    ) -> GoalFilter | WorldFilter:
+    ) -> GoalFilter:
         """Return what takes in frames one by one, and says for each what hypotheses make of it.
 
         ``log_prior`` is (goal_red, goal_green) in PHASE, in other worlds (agent, goal); the result
         does not depend on ``threads``.
         """
         sets = SearchSets(scene, planner, self.tracking, seed, threads, self.planner_seeds)
-        kind = GoalFilter if scene.world == PHASE else WorldFilter
+        kind = PairFilter if scene.world == PHASE else PolicyFilter
         return kind(sets, self.conduct, self.weight, log_prior)
 
     def to_dict(self) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.stepwise_table import DIMENSIONS, SCHEMA, STRENGTHS
+from phase_ppl.analysis.stepwise_table import STRENGTHS, PairTable
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
 from phase_ppl.world.hypothesis import ALPHAS
@@ -56,7 +56,7 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
     goals = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
     return xr.Dataset(
         {
-            **{name: (DIMENSIONS[name], values) for name, values in columns.items()},
+            **{name: (PairTable.dimensions[name], values) for name, values in columns.items()},
             "start": (("entity", "coord"), where.start),
             "radius": ("entity", where.radius),
             "walls": (("wall", "end", "axis"), where.walls),
@@ -74,7 +74,7 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
             "coord": ["x", "y", "angle"],
         },
         attrs={
-            "schema": SCHEMA,
+            "schema": PairTable.schema,
             "event_id": "by hand",
             "weight": 0.5,
             "settings": json.dumps({"seed": 0}),

@@ -184,11 +184,6 @@ def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
         StepwisePosterior.load(file)
 
 
-def test_a_posterior_that_lacks_something_is_refused() -> None:
-    with pytest.raises(InvalidEventError, match="lacks unexplained"):
-        StepwisePosterior(FOUND.drop_vars("unexplained"))
-
-
 def test_the_verdict_leads_with_the_worst_sign() -> None:
     fine = StepwisePosterior(FOUND).diagnostics()
     assert fine["unexplained_frames"] == fine["overlapping_frames"] == []

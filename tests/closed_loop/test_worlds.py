@@ -49,9 +49,10 @@ def test_phase_under_another_name_is_read_as_phase(planner_seeds: int) -> None:
     assert own.mean("strength_green") == pytest.approx(phase.mean("strength_green"), abs=1)
     assert own.log_evidence == pytest.approx(phase.log_evidence, abs=100 * slack)
     np.testing.assert_allclose(own.surprise(), phase.surprise(), atol=100 * slack)
-    odds = phase.why("relation=friendly").log_odds.values
-    found = own.why("relation_red_green=friendly").log_odds.values
-    np.testing.assert_allclose(found, odds, atol=100 * slack)
+    for event_of_phase in ("relation=friendly", "strength_red > 400"):
+        odds = phase.why(event_of_phase).log_odds.values
+        found = own.why(event_of_phase.replace("relation", "relation_red_green")).log_odds.values
+        np.testing.assert_allclose(found, odds, atol=100 * slack)
     error = phase.marginal("goal_red").error.values
     np.testing.assert_allclose(own.marginal("goal_red").error.values, error, atol=slack)
 

@@ -13,10 +13,15 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.analysis import roles_table
-from phase_ppl.analysis.roles_posterior import RolesPosterior
+from phase_ppl.analysis import stepwise_table
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.models.roles import factors
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, QueryError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    PhasePPLError,
+    QueryError,
+)
 from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import Roles, company
 
@@ -28,7 +33,7 @@ MODEL = ppl.Model(
 
 
 @functools.cache
-def posterior() -> RolesPosterior:
+def posterior() -> StepwisePosterior:
     scene = TRIO.scene(
         {
             "red agent": (4, 8), "green agent": (30, 18), "purple agent": (9, 3),
@@ -44,7 +49,7 @@ def posterior() -> RolesPosterior:
         seed=2,
     )
     found = ppl.infer(event, MODEL, workers=1, progress=False)
-    assert isinstance(found, RolesPosterior)
+    assert isinstance(found, StepwisePosterior)
     return found
 
 
@@ -74,15 +79,19 @@ def test_what_was_believed_at_a_frame_does_not_change() -> None:
 
 def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
     post = posterior()
-    again = ppl.load_posterior(post.save(tmp_path / "trio.nc"))
-    assert isinstance(again, RolesPosterior)
+    file = post.save(tmp_path / "trio.nc")
+    again = StepwisePosterior.load(file)
+    with pytest.raises(InvalidEventError, match="read step by step: load_posterior"):
+        ppl.Posterior.load(file)
+    with pytest.raises(InvalidSettingError, match="'trio' has relations only"):
+        ppl.load_posterior(file, scenario=lambda red, green: "competing")
     assert again.scene.world == TRIO
     np.testing.assert_array_equal(again.scene.half_widths, post.scene.half_widths)
     for name in ("goal_red", "relation_green_purple", "alpha_red_purple"):
         np.testing.assert_array_equal(again.marginal(name), post.marginal(name))
     found = post.dataset.drop_vars("density")
     with pytest.raises(InvalidEventError, match="it lacks density"):
-        RolesPosterior(found)
+        StepwisePosterior(found)
 
 
 def test_another_prior_changes_what_is_asked_without_reading_again() -> None:
@@ -92,8 +101,8 @@ def test_another_prior_changes_what_is_asked_without_reading_again() -> None:
 
 
 def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(roles_table, "MOST_HYPOTHESES", 150_000)
-    drawn = RolesPosterior(posterior().dataset)
+    monkeypatch.setattr(stepwise_table, "MOST_HYPOTHESES", 150_000)
+    drawn = StepwisePosterior(posterior().dataset)
     assert drawn._table.sampled
     assert "were drawn" in str(drawn)
     for name in ("goal_red", "goal_purple", "relation_red_purple", "alpha_purple_red"):
@@ -149,7 +158,7 @@ def test_casts_of_all_kinds_are_read(agents: list[str], more: dict[str, list[str
 
 
 def test_why_speaks_of_goals_and_relations() -> None:
-    post = RolesPosterior(posterior().dataset).define("weak", "strength_red < 300")
+    post = StepwisePosterior(posterior().dataset).define("weak", "strength_red < 300")
     post.define("at_odds", "relation_red_purple = adversarial")
     found = post.why("at_odds=True")["log_odds"].values
     share = post.query("P(relation_red_purple=adversarial)")
@@ -174,8 +183,7 @@ def test_nobody_helps_with_what_is_no_goal() -> None:
 
 def test_strengths_have_the_priors_margins() -> None:
     table = posterior()._table
-    mass = np.exp(table.log_prior_of_combinations)
-    combinations = posterior().dataset["combinations"].values
+    (mass,), combinations = table.given, table.combinations
     for agent in range(3):
         found = [mass[combinations[:, agent] == level].sum() for level in (150, 300, 450, 600)]
         np.testing.assert_allclose(found, [1 / 6, 1 / 3, 1 / 3, 1 / 6], atol=1e-6)
