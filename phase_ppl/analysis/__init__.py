@@ -3,7 +3,7 @@
 Numbers, each built on those before it:
 
 * ``tree``: the draws of a run and their file; ``quantities``: what can be asked for.
-* ``weights``: from draws to a weighted table of hypotheses; ``over_time``: on ever more frames.
+* ``weights``: from draws to a weighted table of hypotheses, on the video or ever more of it.
 * ``estimate``: statistics of such a table with their errors; ``query``: questions in words;
   ``definitions``: quantities of one's own.
 * ``hypotheses``: what one can ask a table; ``posterior`` and ``stepwise_posterior`` (with

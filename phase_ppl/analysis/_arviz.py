@@ -12,13 +12,11 @@ import xarray as xr
 
 from phase_ppl.analysis.convergence import MIN_DRAWS, arviz_module, chain_halves
 from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
-from phase_ppl.analysis.quantities import ScenarioFunction
-from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws, space_of_tree
-from phase_ppl.analysis.vocabulary import vocabulary
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
+from phase_ppl.analysis.tree import DRAW, SIMULATED, log_weight_of_draws, space_of_tree
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 
-_PAIR: Final = ("chain", "draw")
 _STREAM: Final = 0x9EA1  # keeps this noise apart from what else follows from the run's seed
 
 
@@ -71,16 +69,20 @@ def arviz_groups(
     groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
 ) -> Any:
     """Return groups of draws in ArviZ's form."""
-    if int(importlib.metadata.version("arviz").split(".")[0]) >= 1:
+    if _is_new():
         data = xr.DataTree.from_dict(dict(groups))
         data.attrs = dict(attrs or {})
         return data
     return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
 
 
+def _is_new() -> bool:
+    return int(importlib.metadata.version("arviz").split(".")[0]) >= 1
+
+
 def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
-    if int(importlib.metadata.version("arviz").split(".")[0]) >= 1:
+    if _is_new():
         from arviz_stats.base import array_stats
 
         logs, k = array_stats.psislw(log_ratios, axis=-1)
@@ -108,11 +110,11 @@ def _replicated(tree: xr.DataTree) -> xr.Dataset | None:
 def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Dataset:
     draws = tree["posterior"].to_dataset()
     result = xr.Dataset(
-        {name: (_PAIR, values) for name, values in scalars(tree).items()},
-        {name: draws[name] for name in _PAIR},
+        {name: (DRAW, values) for name, values in scalars(tree).items()},
+        {name: draws[name] for name in DRAW},
     )
     left_out: dict[str, list[str]] = {}
-    known = vocabulary(space_of_tree(tree)).quantities
+    known = Vocabulary(space_of_tree(tree)).quantities
     for name, codes in categorical_draws(tree, scenario).items():
         indicators = {
             label: (codes == code).astype(np.int64)
@@ -128,7 +130,7 @@ def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Datas
         left_out[name] = [label for label in indicators if label not in usable]
         if usable:
             dim = f"{name}_is"
-            result[name] = ((*_PAIR, dim), np.stack(list(usable.values()), axis=-1))
+            result[name] = ((*DRAW, dim), np.stack(list(usable.values()), axis=-1))
             result = result.assign_coords({dim: list(usable)})
     result.attrs["left_out"] = json.dumps({k: v for k, v in left_out.items() if v})
     return result

@@ -11,8 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.convergence import ess
 from phase_ppl.analysis.event_posterior import EventPosterior
@@ -185,21 +183,15 @@ class Comparison:
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
         named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
-        blocks = [words]
-        width = max(len(name) for name in table.index)
-        for start in range(0, len(named), _PRINTED_COLUMNS):
-            chosen = named[start : start + _PRINTED_COLUMNS]
-            rows = [["", *(MEASURES[name] for name in chosen)]]
-            for label in table.index:
-                cells = [_cell(*table.loc[label, name].to_numpy(float)) for name in chosen]
-                rows.append([label, *cells])
-            sizes = [max(len(row[i]) for row in rows) for i in range(1, len(chosen) + 1)]
-            blocks.append(
-                "\n".join(
-                    "  ".join([f"{row[0]:<{width}}", *map(str.rjust, row[1:], sizes)]).rstrip()
-                    for row in rows
-                )
-            )
+        cells = pd.DataFrame(
+            {
+                MEASURES[name]: [_cell(*row) for row in table[name].to_numpy(float)]
+                for name in named
+            },
+            index=list(table.index),
+        )
+        starts = range(0, len(named), _PRINTED_COLUMNS)
+        blocks = [words, *(cells.iloc[:, i : i + _PRINTED_COLUMNS].to_string() for i in starts)]
         known = [name for name in DISTANCES if self.runs[name].notna().any()]
         blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in known))
         return "\n\n".join(blocks)
@@ -272,13 +264,14 @@ def marginals(post: EventPosterior) -> dict[str, FloatArray]:
     return {name: np.asarray(post.marginal(name).values, float) for name in names}
 
 
-def _means(values: Mapping[str, float]) -> tuple[float, float]:
-    """Return the means over goals and over relations; NaN where there are none."""
-    goals: list[float] = []
-    relations: list[float] = []
-    for name, value in values.items():
-        (goals if name.startswith("goal_") else relations).append(value)
-    return float(np.mean(goals)), float(np.mean(relations)) if relations else np.nan
+def _means(measure: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the means of a measure over goals and over relations; NaN where there are none."""
+    goals = [value for name, value in values.items() if name.startswith("goal_")]
+    relations = [value for name, value in values.items() if not name.startswith("goal_")]
+    return {
+        f"{measure}_goals": float(np.mean(goals)),
+        f"{measure}_relation": float(np.mean(relations)) if relations else np.nan,
+    }
 
 
 def total_variation(one: FloatArray, other: FloatArray) -> float:
@@ -288,8 +281,7 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
 
 def distances(found: Marginals, reference: Marginals) -> dict[str, float]:
     """Return ``tv_goals`` and ``tv_relation`` of marginals; see :func:`accuracy`."""
-    goals, relation = _means({n: total_variation(p, reference[n]) for n, p in found.items()})
-    return {"tv_goals": goals, "tv_relation": relation}
+    return _means("tv", {n: total_variation(p, reference[n]) for n, p in found.items()})
 
 
 def accuracy(
@@ -306,14 +298,11 @@ def accuracy(
     * ``map_goals``: share of the agents whose most probable goal is the true one;
       ``map_relation``: of the pairs whose most probable relation is.
     """
-    found = marginals(post)
-    result = distances(found, reference)
-    if truth is None:
-        return result | {"p_pair": np.nan} | of_truth(found, truth)
-    goals = post.scene.world.goals
-    codes = _true_codes(truth).items()
-    pair = post.probability(**{n: goals[code] for n, code in codes if n.startswith("goal_")})
-    return result | {"p_pair": pair} | of_truth(found, truth)
+    found, pair = marginals(post), np.nan
+    if truth is not None:
+        goals, codes = post.world.goals, _true_codes(truth).items()
+        pair = post.probability(**{n: goals[code] for n, code in codes if n.startswith("goal_")})
+    return distances(found, reference) | {"p_pair": pair} | of_truth(found, truth)
 
 
 def _true_codes(truth: Truth | Roles) -> dict[str, int]:
@@ -334,14 +323,9 @@ def of_truth(found: Marginals, truth: Truth | Roles | None) -> dict[str, float]:
     if truth is None:
         return dict.fromkeys(("p_goals", "p_relation", "map_goals", "map_relation"), np.nan)
     codes = _true_codes(truth)
-    p = _means({name: float(found[name][code]) for name, code in codes.items()})
-    best = _means({name: float(found[name].argmax() == code) for name, code in codes.items()})
-    return {
-        "p_goals": p[0],
-        "p_relation": p[1],
-        "map_goals": best[0],
-        "map_relation": best[1],
-    }
+    p = {name: float(found[name][code]) for name, code in codes.items()}
+    best = {name: float(found[name].argmax() == code) for name, code in codes.items()}
+    return _means("p", p) | _means("map", best)
 
 
 def efficiency(post: Posterior) -> dict[str, float]:
@@ -403,23 +387,10 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | Roles | None) ->
         done, part = np.ones(len(iteration), bool), post
         if length < n_draws:
             done = iteration < first + length
-            part = Posterior(_prefix(tree, length, done), post.weights)
+            prefix = tree.isel(draw=slice(length), simulation=np.flatnonzero(done))
+            burn_in = int(tree.attrs.get("burn_in", 0) * (length / n_draws))
+            prefix.attrs = {**tree.attrs, "burn_in": burn_in}
+            part = Posterior(prefix, post.weights)
         paid = {"simulations": float(done.sum()), "frames": float(frames[done].sum())}
         rows.append({**paid, **accuracy(part, reference, truth)})
     return pd.DataFrame(rows)
-
-
-def _prefix(tree: xr.DataTree, n_draws: int, done: NDArray[np.bool_]) -> xr.DataTree:
-    """Return a tree of the first draws, and of the simulations that were done by then."""
-    groups = {}
-    for name, group in tree.children.items():
-        dataset = group.to_dataset()
-        if "draw" in dataset.dims:
-            dataset = dataset.isel(draw=slice(n_draws))
-        if "simulation" in dataset.dims:
-            dataset = dataset.isel(simulation=np.flatnonzero(done))
-        groups[name] = dataset
-    prefix = xr.DataTree.from_dict(groups)
-    share = n_draws / tree["posterior"].sizes["draw"]
-    prefix.attrs = {**tree.attrs, "burn_in": int(tree.attrs.get("burn_in", 0) * share)}
-    return prefix

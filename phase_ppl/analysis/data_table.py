@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
+from phase_ppl.analysis.estimate import cautious
 from phase_ppl.dataset.statistics import LEVELS, PHASE
 
 Statistics = Mapping[str, Any]
@@ -99,7 +100,7 @@ def _table_rows(
         if beside is not None:
             other, other_count = beside["shares"].get(label, 0.0), beside["counts"].get(label, 0)
             differs = shares_differ(share, here["units"], other, beside["units"])
-        _, error = _cautious(share, here["units"])
+        _, error = cautious(share, here["units"])
         key, margin = f"{name}/{label}", Z * error
         found.append(Row(heading, key, label, count, share, margin, other_count, other, differs))
     return found
@@ -110,15 +111,9 @@ def shares_differ(first: float, n_first: int, second: float, n_second: int) -> b
 
     The interval of Agresti and Caffo (2000), good for small samples too.
     """
-    p, p_error = _cautious(first, n_first)
-    q, q_error = _cautious(second, n_second)
+    p, p_error = cautious(first, n_first)
+    q, q_error = cautious(second, n_second)
     return abs(p - q) > Z * math.hypot(p_error, q_error)
-
-
-def _cautious(share: float, n: int) -> tuple[float, float]:
-    """Return a share and its standard error as if there had been one more of each."""
-    p = (share * n + 1) / (n + 2)
-    return p, math.sqrt(p * (1 - p) / (n + 2))
 
 
 def _value_row(

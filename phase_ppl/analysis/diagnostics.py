@@ -13,7 +13,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.convergence import ess, mcse, r_hat
-from phase_ppl.analysis.quantities import ScenarioFunction
+from phase_ppl.analysis.estimate import worth
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import (
     array,
     effective_goals,
@@ -24,7 +25,6 @@ from phase_ppl.analysis.tree import (
     untried,
 )
 from phase_ppl.analysis.verdict import ALONE, FEW_DRAWS, verdict
-from phase_ppl.analysis.vocabulary import Vocabulary, vocabulary
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
 from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.world.arrays import FloatArray
@@ -95,7 +95,7 @@ def diagnostics(
     mean nothing and are not given.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
-    words = vocabulary(space_of_tree(tree), scenario)
+    words = Vocabulary(space_of_tree(tree), scenario)
     space, labels = words.space, words.space.world.goals
     accepted = stats["accepted"].values.astype(float)
     n_chains, n_draws = accepted.shape
@@ -129,10 +129,8 @@ def diagnostics(
             )
         ),
         "distinct_goal_pairs": len(np.unique(pair)),
-        "effective_rows": float(1 / (rows.weights**2).sum()),
-        "weighted_draws_ess": (
-            float(1 / (draw_weights.size * (draw_weights**2).sum())) if weighted else None
-        ),
+        "effective_rows": worth(rows.weights),
+        "weighted_draws_ess": (worth(draw_weights) / draw_weights.size if weighted else None),
         "agreement": {name: _agreement(p, shares) for name, p in by_chain.items()},
         "leading_goals": {name: _leading_goals(p, shares, labels) for name, p in by_chain.items()},
         "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
@@ -248,7 +246,7 @@ def categorical_draws(
     tree: xr.DataTree, scenario: ScenarioFunction | None = None
 ) -> dict[str, NDArray[np.int64]]:
     """Return the codes (chain, draw) of goals, relations and scenarios of the draws."""
-    words, goals = vocabulary(space_of_tree(tree), scenario), effective_goals(tree, "posterior")
+    words, goals = Vocabulary(space_of_tree(tree), scenario), effective_goals(tree, "posterior")
     shape = goals.shape[:-1]
     codes = {name: goals[..., agent] for agent, name in enumerate(words.space.goal_sites)}
     derived = words.relation_codes({name: values.ravel() for name, values in codes.items()})

@@ -46,6 +46,12 @@ def share(which: NDArray[np.bool_], weights: FloatArray) -> FloatArray:
     return weights[..., which].sum(axis=-1) / weights.sum(axis=-1)
 
 
+def cautious(share: float, n: int) -> tuple[float, float]:
+    """Return a share of ``n`` and its standard error as if there had been one more of each."""
+    p = (share * n + 1) / (n + 2)
+    return p, math.sqrt(p * (1 - p) / (n + 2))
+
+
 def mean(values: FloatArray, weights: FloatArray) -> FloatArray:
     """Return (...) the mean of values (row,) under weights (..., row) of sum 1."""
     return (weights * values).sum(axis=-1)  # BLAS would start threads for it
@@ -92,6 +98,11 @@ def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> t
     starts, ends = values[holds], values[last[holds]]
     best = int(np.argmin(ends - starts))
     return float(starts[best]), float(ends[best])
+
+
+def worth(weights: FloatArray) -> float:
+    """Return how many equal draws weighted ones of sum 1 are worth, at most (Kish)."""
+    return float(1 / (weights**2).sum())
 
 
 N_SETS: Final = 30  # random sets of chains that are left out

@@ -12,7 +12,6 @@ import xarray as xr
 
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.prior_change import checked_program
 from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown
@@ -101,7 +100,9 @@ class EventPosterior(Hypotheses):
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
         """Return a prior, by its name or itself; errors as of a model."""
-        return checked_program(prior, self.scene.world)
+        from phase_ppl.models.model import Model
+
+        return Model(prior=prior).in_world(self.world).prior
 
     def under(self, prior: Callable[..., object]) -> Self:
         """Return :meth:`with_prior` of a program that was checked."""

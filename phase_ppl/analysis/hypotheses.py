@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from phase_ppl.analysis import estimate
 from phase_ppl.analysis.definitions import Definition, check_name, defined, read_definitions
 from phase_ppl.analysis.estimate import Estimate, Jackknife, Mode, doubt, leaving_out, with_unseen
-from phase_ppl.analysis.quantities import Quantity
-from phase_ppl.analysis.query import Conditions, conditions, understood
+from phase_ppl.analysis.quantities import Quantity, relations_of
+from phase_ppl.analysis.query import Clause, Conditions, conditions, understood
 from phase_ppl.analysis.summary import LABEL, bars
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
@@ -34,6 +34,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.picture import preformatted
+from phase_ppl.world.space import HypothesisSpace
 
 Given: TypeAlias = Mapping[str, Any] | str | Conditions | None
 """What to condition on: quantity -> value, or conditions in words; None: nothing."""
@@ -101,6 +102,15 @@ class Hypotheses:
         self._halves = tuple(halves)
         self._jackknives: dict[float, Jackknife | None] = {}
         self._own: dict[str, Definition] = {}  # of quantities that the user defined
+
+    def _tell_of(self, space: HypothesisSpace) -> None:
+        """Let summaries tell of the agents of another world than PHASE."""
+        world = space.world
+        self.goals_of = dict(zip(world.agents, space.goal_sites, strict=True))
+        self.strengths_of = dict(zip(world.agents, space.strength_sites, strict=True))
+        self.relations_of = relations_of(world)
+        if not space.is_phase:
+            self.scenarios_of = {}
 
     def _repr_html_(self) -> str:
         return preformatted(self)
@@ -442,39 +452,31 @@ class Hypotheses:
         others = (*self.relations_of.values(), *self.scenarios_of.values())
         names = (*self.goals_of.values(), *others)
         tables = {name: self.marginal(name) for name in names}
-        numbers: dict[str, dict[str, tuple[float, float]]] = {}
-        for agent, name in self.strengths_of.items():
-            mean, sd, interval = self.mean(name), self.sd(name), self.hdi(name)
-            low, high = zip(interval.values, interval["error"].values, strict=True)
-            numbers[agent] = {
-                "mean": (float(mean), mean.error),
-                "sd": (float(sd), sd.error),
-                "hdi_low": low,
-                "hdi_high": high,
-            }
+        numbers = {
+            agent: {"mean": self.mean(name), "sd": self.sd(name), "hdi": self.hdi(name)}
+            for agent, name in self.strengths_of.items()
+        }
 
-        def told(part: int) -> dict[str, Any]:
-            """Return the values, or their errors."""
+        def told(part: Callable[[Any], Any]) -> dict[str, Any]:
+            """Return a part of all results: their values, or their errors."""
             found = {
                 name: dict(
-                    zip(
-                        table[name].values.tolist(),
-                        (table["error"] if part else table).values.tolist(),
-                        strict=True,
-                    )
+                    zip(table[name].values.tolist(), part(table).values.tolist(), strict=True)
                 )
                 for name, table in tables.items()
             }
+            strengths = {}
+            for agent, results in numbers.items():
+                low, high = part(results["hdi"]).values.tolist()
+                mean, sd = (float(part(results[name])) for name in ("mean", "sd"))
+                strengths[agent] = {"mean": mean, "sd": sd, "hdi_low": low, "hdi_high": high}
             return {
                 "goals": {agent: found[name] for agent, name in self.goals_of.items()},
                 **{name: found[name] for name in others},
-                "strengths": {
-                    agent: {key: pair[part] for key, pair in pairs.items()}
-                    for agent, pairs in numbers.items()
-                },
+                "strengths": strengths,
             }
 
-        return {**told(0), "errors": told(1)}
+        return {**told(lambda result: result), "errors": told(lambda result: result.error)}
 
     def _answer_lines(self) -> list[str]:
         """Return the lines of a table about goals, relation, scenario and strengths."""
@@ -504,28 +506,26 @@ class Hypotheses:
         return self._quantity(name).numbers(self._rows.values[name])
 
     def _satisfied(self, wanted: Given) -> NDArray[np.bool_]:
-        if isinstance(wanted, str):
-            wanted = conditions(self._quantities, wanted)
-        if isinstance(wanted, Conditions):
-            return wanted.holds(self._rows.values)
         result = np.ones(len(self._rows.weights), bool)
-        for name, value in (wanted or {}).items():
-            result &= self._quantity(name).satisfied(self._rows.values[name], value)
+        for clause in self._conditions(wanted).clauses:
+            result &= clause.holds(self._rows.values)
         return result
 
-    def _why_impossible(self, given: Given) -> str:
+    def _conditions(self, given: Given) -> Conditions:
+        """Return what is said of hypotheses, in words or by quantity."""
+        if isinstance(given, Conditions):
+            return given
+        if isinstance(given, str):
+            return conditions(self._quantities, given)
+        wanted = given or {}
+        clauses = (_clause(self._quantity(name), value) for name, value in wanted.items())
+        return Conditions(str(wanted), tuple(clauses))
+
+    def _why_impossible(self, given: Conditions) -> str:
         """Return why nothing can be conditioned on ``given``, and what could be instead."""
         why = "it has probability 0 in this posterior"
-        if isinstance(given, str):
-            given = conditions(self._quantities, given)
-        if isinstance(given, Conditions):
-            parts = [(part.quantity, part.holds(self._rows.values)) for part in given.clauses]
-        else:
-            parts = [
-                (name, self._satisfied({name: value})) for name, value in (given or {}).items()
-            ]
-        for name, satisfied in parts:
-            if self._rows.weights[satisfied].sum() > 0:
+        for name, holds in ((clause.quantity, clause.holds) for clause in given.clauses):
+            if self._rows.weights[holds(self._rows.values)].sum() > 0:
                 continue
             if name is None:  # several are compared
                 return why
@@ -570,8 +570,7 @@ class Hypotheses:
             if spread > 0 and variance > estimate.ROUNDING:
                 sizes.append(variance / spread)
         chains = float(len(np.unique(self._rows.index["chain"])))
-        worth = float(1 / (self._rows.weights**2).sum())
-        return min(min(sizes, default=chains), max(chains, worth))
+        return min(min(sizes, default=chains), max(chains, estimate.worth(self._rows.weights)))
 
     def _error_of_share(
         self, mass: FloatArray | float, error: FloatArray, rows: NDArray[np.bool_]
@@ -589,12 +588,14 @@ class Hypotheses:
         Third, those without sets with a ``share`` of the chains; None where unknown, as it may be
         for the columns that are ``asked`` about.
         """
-        rows = self._satisfied(given)
+        said = self._conditions(given)
+        rows = self._satisfied(said)
         weights = self._rows.weights[rows]
         total = weights.sum()
         if not total > 0:
-            said = given.text if isinstance(given, Conditions) else given
-            raise InvalidSettingError(f"cannot condition on {said}: {self._why_impossible(given)}")
+            raise InvalidSettingError(
+                f"cannot condition on {said.text}: {self._why_impossible(said)}"
+            )
         without = self._jackknife(share) if self._has_error(rows, *asked) else None
         return rows, weights / total, None if without is None else without.only(rows)
 
@@ -632,6 +633,10 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
         if name in names[:place]:
             raise InvalidSettingError(f"{name!r} is named twice: expected different quantities")
     return names
+
+
+def _clause(quantity: Quantity, wanted: object) -> Clause:
+    return Clause(lambda columns: quantity.satisfied(columns[quantity.name], wanted), quantity.name)
 
 
 def _entropy_of_codes(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:

@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.analysis.estimate import Jackknife, leaving_out
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.quantities import Quantity
+from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
-from phase_ppl.analysis.vocabulary import Vocabulary
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray
 

@@ -13,37 +13,39 @@ import xarray as xr
 
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
+from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
-from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.prior_change import (
     changed_text,
     check_overlap,
     reweighted,
     settings_under,
-    worth,
 )
-from phase_ppl.analysis.quantities import ScenarioFunction, own_quantity
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label, own_quantity
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
     check_tree,
-    read_tree,
     shape_of_draws,
     simulation_of_draw,
     space_of_tree,
     untried,
-    without_burn_in,
-    write_tree,
 )
-from phase_ppl.analysis.vocabulary import vocabulary
-from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
+from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
+from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
-from phase_ppl.world.files import existing_file
+from phase_ppl.world.files import check_output, existing_file, write_bytes
+
+HINDSIGHT: Final = (
+    "Hindsight, not what an observer believed at the time: the hypotheses were proposed from the "
+    "whole video, and are weighted by how well they explain it up to each frame."
+)
+"""Goes with every result."""
 
 
 class Posterior(EventPosterior):
@@ -100,14 +102,12 @@ class Posterior(EventPosterior):
             )
         self._tree = tree
         self._attrs, self._constant = tree.attrs, tree["constant_data"].to_dataset()
-        self._kept = without_burn_in(tree, self._burn_in)
+        self._kept = tree = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         self._weights = name
-        tree = self._kept
         rows = WEIGHTINGS[name](tree)
-        words = vocabulary(space_of_tree(tree), scenario)
-        columns, known = words.completed(rows.values), words.quantities
-        self.goals_of, self.strengths_of = words.goals, words.strengths
-        self.relations_of, self.scenarios_of = words.relations, words.scenarios
+        self._words = words = Vocabulary(space_of_tree(tree), scenario)
+        columns, known = words.completed(rows.values), dict(words.quantities)
+        self._tell_of(words.space)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
         groups = chain_groups(tree)[rows.index["chain"]]
@@ -168,7 +168,7 @@ class Posterior(EventPosterior):
             :class:`phase_ppl.world.hypothesis.Roles`.
         """
         row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
-        space = space_of_tree(self._tree)
+        space = self._words.space
         return space.hypothesis(
             {site: row[name].item() for site, name in zip(space.sites, space.given, strict=True)}
         )
@@ -180,7 +180,7 @@ class Posterior(EventPosterior):
         with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``. In other worlds than
         PHASE the plain form of roles, with ``log_joint`` and each ``relation_<one>_<other>``.
         """
-        best, words = self.map(), vocabulary(space_of_tree(self._tree), self._scenario)
+        best, words = self.map(), self._words
         goals = zip(words.space.goal_sites, best.effective_goals, strict=True)
         codes = words.relation_codes({name: np.array([goal]) for name, goal in goals})
         return {
@@ -232,11 +232,23 @@ class Posterior(EventPosterior):
     def over_time(self) -> xr.Dataset:
         """Return the marginals on ever more of the video, in hindsight.
 
-        See :func:`phase_ppl.analysis.over_time.over_time`; at the last frame they are those of
-        weights ``"importance"`` where the kernel allows them, whatever the weighting in use; of
-        kernels that need ``"stratified"``, of those.
+        See :data:`HINDSIGHT`. At the last frame they are those of weights ``"importance"``,
+        whatever the weighting in use; of kernels that need ``"stratified"``, of those, and where
+        proposals have no density that is known, of ``"visited"``. Nothing is simulated.
+
+        Returns:
+            ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
+            another world: probabilities (time, label), with the labels of ``goal_red`` in
+            ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``hindsight`` says what it
+            is, ``weights`` by which weights.
         """
-        return over_time(self._tree, self._scenario)
+        weighting, rows, weights = so_far(self._tree)
+        words, simulations = self._words, self._tree["simulations"].dataset
+        codes = {name: simulations[name].values[rows] for name in words.space.goal_sites}
+        codes |= words.relation_codes(codes)
+        time = array(self._tree, "observed_data", "time")
+        found = by_label(time, codes, lambda indicators: weights.T @ indicators, words.quantities)
+        return found.assign_attrs(hindsight=HINDSIGHT, weights=weighting)
 
     @property
     def arviz(self) -> Any:
@@ -259,7 +271,11 @@ class Posterior(EventPosterior):
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
         tree.attrs.pop(KEPT_DEFINITIONS, None)
         tree.attrs |= self._definitions_to_keep()
-        return write_tree(tree, path)
+        groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
+        check_output(path, (".nc",))
+        # every array carries a checksum, so that a damaged file is noticed when it is read
+        write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
+        return Path(path)
 
     @classmethod
     def load(
@@ -275,11 +291,16 @@ class Posterior(EventPosterior):
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
-        if is_stepwise(existing_file(path)):
+        source = existing_file(path)
+        if is_stepwise(source):
             raise InvalidEventError(
                 f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
             )
-        return cls(read_tree(path), weights, burn_in=burn_in, scenario=scenario)
+        try:
+            tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
+            return cls(tree, weights, burn_in=burn_in, scenario=scenario)
+        except InvalidEventError as error:
+            raise InvalidEventError(f"{source}: {error}") from None
 
     def summary(self) -> dict[str, Any]:
         """Return the posterior in JSON's types; numbers that do not exist are None.

@@ -15,11 +15,8 @@ from phase_ppl.analysis.tree import (
     simulation_of_draw,
     space_of_tree,
 )
-from phase_ppl.models.world_prior import as_given
-from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash
-from phase_ppl.world.scene import PHASE, World
 
 FEWEST: Final = 10.0
 """Equal draws that a run under another prior must be worth, unless it was worth few before."""
@@ -31,21 +28,13 @@ _TRIED: Final = 0.25
 """Share that what was simulated must hold of the new prior, of its share of the old one."""
 
 
-def checked_program(
-    prior: Callable[..., object] | str, world: World = PHASE
-) -> Callable[..., object]:
-    """Return a prior, by its name or itself, bound to a world; errors as of a model."""
-    from phase_ppl.models.model import Model
-
-    given: Any = prior
-    return Model(prior=given).in_world(world).prior
-
-
 def settings_under(settings: str, program: Any, **found: float) -> str:
     """Return a run's settings, JSON, under another prior: which, and instead of which.
 
     The numbers ``found`` are kept beside it, in ``reweighted``.
     """
+    from phase_ppl.models.world_prior import as_given
+
     record = json.loads(settings)
     model = dict(record.get("model", {}))
     first = record.get("reweighted", {}).get("from", model.get("prior", "unknown"))
@@ -80,11 +69,8 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     left out.
     """
     from phase_ppl.models.density import NO_DENSITY
-    from phase_ppl.models.effective import (
-        log_prior_of_hypotheses,
-        upstream,
-    )
-    from phase_ppl.models.space_prior import drawn_stated, kept_prior, log_prior_of_effective
+    from phase_ppl.models.effective import log_prior_of_hypotheses, upstream
+    from phase_ppl.models.world_prior import drawn_stated, kept_prior, log_prior_of_effective
 
     rows = simulation_of_draw(tree)
     if (rows < 0).any():
@@ -115,23 +101,13 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     stats = tree["sample_stats"].to_dataset()
     stats["log_joint"] = stats["log_joint"] + change[rows]
     stats["log_weight"] = (*stats["log_joint"].dims,), log_weight_of_draws(tree) + change[rows]
-    constant = tree["constant_data"].to_dataset()
-    constant = constant.assign(kept_prior(program))
     changed = {
         "simulations": simulations,
         "posterior": draws,
         "sample_stats": stats,
-        "constant_data": constant,
+        "constant_data": tree["constant_data"].to_dataset().assign(kept_prior(program)),
     }
-    result = tree.copy()
-    for name, group in changed.items():
-        result[name] = xr.DataTree(group)
-    return result
-
-
-def worth(weights: FloatArray) -> float:
-    """Return how many equal draws weighted ones are worth, at most (Kish)."""
-    return float(1 / (weights**2).sum())
+    return tree.assign({name: xr.DataTree(group) for name, group in changed.items()})
 
 
 def check_overlap(worths: tuple[float, float], tried: tuple[float, float]) -> None:

@@ -15,11 +15,16 @@ each effective goal, here that of red:
     The landmark, or "none".
 ``sign_red``
     "to" or "away from".
+
+In other worlds than PHASE, with the agents' ``world.keys``: ``goal_<agent>``, the effective goal;
+``relation_<one>_<other>`` of two agents, in order; ``alpha_<who>_<whom>``; ``strength_<agent>``,
+newtons.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import json
 from collections.abc import Callable, Mapping
@@ -42,6 +47,7 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, Predicate
 from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import HypothesisSpace
 
 ScenarioFunction = Callable[[str, str], str]
 """(effective goal of red, of green) -> one of ``SCENARIOS``."""
@@ -139,41 +145,31 @@ def _canonical(label: object) -> str:
     return "".join(str(label).split()).lower()
 
 
-def quantities() -> dict[str, Quantity]:
-    """Return the quantities that every posterior has, by name."""
-    labels: dict[str, tuple[str, ...] | None] = {
-        **dict.fromkeys(("goal_red", "goal_green"), GOALS),
-        "relation": RELATIONS,
-        "scenario": SCENARIOS,
-        "alpha": ALPHA_LABELS,
-        **dict.fromkeys(("strength_red", "strength_green"), None),
-        **dict.fromkeys(("stated_goal_red", "stated_goal_green"), GOALS),
-        **{f"{part}_{agent}": GOAL_PARTS[part] for agent in PHASE.keys for part in GOAL_PARTS},
-    }
-    found = {name: Quantity(name, values) for name, values in labels.items()}
-    found["alpha"] = dataclasses.replace(found["alpha"], values=ALPHAS)
-    return found
-
-
-def quantities_of(world: World) -> dict[str, Quantity]:
-    """Return the quantities of a world's posteriors, by name.
-
-    With the agents' ``world.keys``: ``goal_<agent>``, the effective goal;
-    ``relation_<one>_<other>`` of two agents, in order; ``alpha_<who>_<whom>``;
-    ``strength_<agent>``, newtons.
-    """
-    keys = world.keys
-    found = {f"goal_{key}": Quantity(f"goal_{key}", world.goals) for key in keys}
-    for name in relations_of(world).values():
-        found[name] = Quantity(name, RELATIONS)
-    for pair in itertools.permutations(keys, 2):
-        name = "_".join(("alpha", *pair))
-        found[name] = Quantity(name, SIGNS, (-1, 0, 1))
-    return found | {f"strength_{key}": Quantity(f"strength_{key}") for key in keys}
+def quantities(world: World = PHASE) -> dict[str, Quantity]:
+    """Return the quantities that every posterior of a world has, by name."""
+    keys, in_phase = world.keys, world == PHASE
+    if in_phase:
+        alphas = [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
+    else:
+        pairs = ["_".join(pair) for pair in itertools.permutations(keys, 2)]
+        alphas = [Quantity(f"alpha_{pair}", SIGNS, (-1, 0, 1)) for pair in pairs]
+    found = [
+        *(Quantity(f"goal_{key}", world.goals) for key in keys),
+        *(Quantity(name, RELATIONS) for name in relations_of(world).values()),
+        *alphas,
+        *(Quantity(f"strength_{key}") for key in keys),
+    ]
+    if in_phase:
+        parts = itertools.product(keys, GOAL_PARTS.items())
+        found += [Quantity(f"stated_goal_{key}", GOALS) for key in keys]
+        found += [Quantity(f"{part}_{key}", labels) for key, (part, labels) in parts]
+    return {quantity.name: quantity for quantity in found}
 
 
 def relations_of(world: World) -> dict[str, str]:
-    """Return two agents' keys -> the quantity of their relation."""
+    """Return the quantities of relations, by title: of all, or of two agents' keys."""
+    if world == PHASE:
+        return {"relation": "relation"}
     pairs = itertools.combinations(world.keys, 2)
     return {f"{one} & {other}": f"relation_{one}_{other}" for one, other in pairs}
 
@@ -252,6 +248,55 @@ def derived_codes(
 ) -> dict[str, NDArray[np.int64]]:
     """Return the codes of all that follows from pairs of effective goals, arrays (row,)."""
     return relation_codes(goal_red, goal_green, scenario) | part_codes(goal_red, goal_green)
+
+
+@dataclasses.dataclass(frozen=True)
+class Vocabulary:
+    """What one can ask posteriors of a world for, and how it follows from a hypothesis.
+
+    Args:
+        space: of the world.
+        scenario: replaces the paper's of two effective goals, in PHASE.
+
+    Raises:
+        InvalidSettingError: a scenario for another world.
+    """
+
+    space: HypothesisSpace
+    scenario: ScenarioFunction | None = None
+
+    def __post_init__(self) -> None:
+        if self.scenario is not None and not self.space.is_phase:
+            raise InvalidSettingError(
+                "scenario replaces that of the world PHASE; "
+                f"{self.space.world.name!r} has relations only"
+            )
+
+    @functools.cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """All quantities, by name."""
+        return quantities(self.space.world)
+
+    def relation_codes(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.int64]]:
+        """Return relations, and in PHASE the scenario, of effective goals, columns (row,)."""
+        goals = [np.asarray(columns[name]) for name in self.space.goal_sites]
+        if self.space.is_phase:
+            return relation_codes(goals[0], goals[1], self.scenario)
+        return self.space.relation_codes(np.stack(goals, axis=-1))
+
+    def completed(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return columns of a file, (row,), with all that follows from them.
+
+        Beside PHASE without stated goals, which of those who help or hinder mean nothing.
+        """
+        if self.space.is_phase:
+            derived = derived_codes(columns["goal_red"], columns["goal_green"], self.scenario)
+            return {**columns, **derived}
+        own = {k: v for k, v in columns.items() if k not in self.space.columns}
+        sites = (*self.space.goal_sites, *self.space.strength_sites)
+        kept = {name: columns[name] for name in sites if name in columns}
+        alphas = self.space.alpha_codes(columns[self.space.company_site])
+        return {**kept, **self.relation_codes(columns), **alphas, **own}
 
 
 def by_label(

@@ -36,7 +36,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
@@ -466,7 +466,7 @@ class _Meaning:
             values = np.concatenate([np.nextafter(ends, way) for way in (-np.inf, ends, np.inf)])
         else:
             values = np.arange(len(quantity.labels))
-        fulfilled = [self._simple(one)(quantity, values) for one in said]
+        fulfilled = [self._simple(one)(values) for one in said]
         return bool(np.logical_and.reduce(fulfilled).any())
 
     def _clause(self, event: Event) -> Clause:
@@ -480,7 +480,7 @@ class _Meaning:
         if (other := self._other(event)) is not None:
             return Clause(self._comparison(quantity, other, event))
         wanted = self._simple(event)
-        return Clause(lambda columns: wanted(quantity, columns[quantity.name]), quantity.name)
+        return Clause(lambda columns: wanted(columns[quantity.name]), quantity.name)
 
     def _other(self, condition: Condition) -> Quantity | None:
         """Return the quantity that another one is compared with; None: it is with values."""
@@ -523,7 +523,7 @@ class _Meaning:
             first.numbers(columns[names[0]]), second.numbers(columns[names[1]])
         )
 
-    def _simple(self, condition: Condition) -> _Simple:
+    def _simple(self, condition: Condition) -> Callable[[NDArray[Any]], NDArray[np.bool_]]:
         """Return what a condition on a single quantity asks of its codes or numbers."""
         quantity = self._quantity(condition.name)
         if not condition.numbers:
@@ -534,7 +534,7 @@ class _Meaning:
                 )
             codes = [self._code(quantity, label) for label in condition.labels]
             negated = condition.operator.text == "!="
-            return lambda _, values: np.isin(values, codes, invert=negated)
+            return lambda values: np.isin(values, codes, invert=negated)
         if not quantity.numeric:
             self._fail(
                 f"{quantity.name} has categories, not numbers: expected =, != or in {{...}}",
@@ -542,11 +542,9 @@ class _Meaning:
             )
         ends = condition.numbers
         if len(ends) == 2:
-            return lambda quantity, values: (
-                (quantity.numbers(values) >= ends[0]) & (quantity.numbers(values) <= ends[1])
-            )
+            return lambda values: quantity.satisfied(values, ends)
         compare = _COMPARED[condition.operator.text]
-        return lambda quantity, values: compare(quantity.numbers(values), ends[0])
+        return lambda values: compare(quantity.numbers(values), ends[0])
 
     def _code(self, quantity: Quantity, label: Word) -> int:
         try:
@@ -558,15 +556,10 @@ class _Meaning:
         raise QueryError(reason, self._text, at)
 
 
-_Simple: TypeAlias = Callable[[Quantity, NDArray[Any]], NDArray[np.bool_]]
-
-
-def _all_of(events: Sequence[Event]) -> list[Event]:
-    """Return what is joined by "and" one by one."""
-    found: list[Event] = []
+def _all_of(events: Sequence[Event]) -> Iterator[Event]:
+    """Yield what is joined by "and" one by one."""
     for event in events:
         if isinstance(event, Junction) and event.kind == "and":
-            found += _all_of(event.parts)
+            yield from _all_of(event.parts)
         else:
-            found.append(event)
-    return found
+            yield event

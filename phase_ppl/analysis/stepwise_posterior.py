@@ -23,7 +23,7 @@ from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.prior_change import changed_text, settings_under
-from phase_ppl.analysis.quantities import ScenarioFunction
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.stepwise_table import (
     MOST_HYPOTHESES,
@@ -36,7 +36,6 @@ from phase_ppl.analysis.stepwise_table import (
 )
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
-from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
@@ -114,9 +113,8 @@ class StepwisePosterior(EventPosterior):
         self._prior = prior if self._table.space.is_phase else None  # further sites are for PHASE
         self._frame = frame_of(frame, self._table.n_frames)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        self._words = words = vocabulary(self._table.space, scenario)
-        self.goals_of, self.strengths_of = words.goals, words.strengths
-        self.relations_of, self.scenarios_of = words.relations, words.scenarios
+        self._words = words = Vocabulary(self._table.space, scenario)
+        self._tell_of(words.space)
         self._attrs, self._constant = found.attrs, found
         rows, without = self._table.rows(self._frame)
         n = self.planner_seeds
@@ -259,7 +257,7 @@ class StepwisePosterior(EventPosterior):
         return priors.named(prior) if isinstance(prior, str) else prior
 
     def under(self, prior: Callable[..., object]) -> StepwisePosterior:
-        from phase_ppl.models.space_prior import stepwise_prior
+        from phase_ppl.models.world_prior import stepwise_prior
 
         table = self._table
         masses, attrs = stepwise_prior(prior, table.space.world, table.levels)
@@ -344,7 +342,8 @@ class StepwisePosterior(EventPosterior):
         """
         words, n = self._words, self._frame + 1
         columns = words.completed(self._table.columns())
-        labels = {name: words.quantities[name].categories() for name in words.followed}
+        told = {**self.goals_of, **self.relations_of, **self.scenarios_of}.values()
+        labels = {name: words.quantities[name].categories() for name in told}
         masses = {
             name: np.empty((self._table.n_tables, n, len(each))) for name, each in labels.items()
         }

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.events_json import labels_of
-from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
@@ -85,6 +82,7 @@ def check_tree(tree: xr.DataTree) -> None:
         "posterior": dict.fromkeys(space.columns, DRAW),
         "simulations": dict.fromkeys(space.columns, SIMULATION),
     }
+    sizes: dict[str, int] = {}
     for group, others in REQUIRED.items():
         variables = {**hypothesis.get(group, {}), **others}
         dataset = tree[group].dataset
@@ -92,37 +90,25 @@ def check_tree(tree: xr.DataTree) -> None:
         if missing:
             raise InvalidEventError(f"group {group!r} of the tree of draws lacks {missing}")
         for name, dims in {**variables, **OPTIONAL.get(group, {})}.items():
-            if dims is not None and name in dataset and dataset[name].dims != dims:
+            if dims is None or name not in dataset:
+                continue
+            found = dataset[name]
+            if found.dims != dims:
                 raise InvalidEventError(
-                    f"{group}/{name} has dimensions {dataset[name].dims}, expected {dims}"
+                    f"{group}/{name} has dimensions {found.dims}, expected {dims}"
                 )
-    _check_sizes(tree)
+            want = tuple(sizes.setdefault(dim, found.sizes[dim]) for dim in dims)
+            if found.shape != want:
+                raise InvalidEventError(f"{group}/{name} has shape {found.shape}, expected {want}")
+    if not sizes["chain"] * sizes["draw"]:
+        shape = sizes["chain"], sizes["draw"]
+        raise InvalidEventError(f"the tree holds no draws: (chain, draw) = {shape}")
     limits = {**dict.fromkeys(space.stated_sites, space.n_goals), **space.limits}
     for group in ("posterior", "simulations"):
         for name, limit in limits.items():
             codes = array(tree, group, name)
             if codes.size and (codes.min() < 0 or codes.max() >= limit):
                 raise InvalidEventError(f"{group}/{name} has codes outside 0..{limit - 1}")
-
-
-def _check_sizes(tree: xr.DataTree) -> None:
-    shape = shape_of_draws(tree)
-    if 0 in shape:
-        raise InvalidEventError(f"the tree holds no draws: (chain, draw) = {shape}")
-    frames = array(tree, "observed_data", "trajectory").shape
-    expected = {
-        ("sample_stats", "log_joint"): shape,
-        ("sample_stats", "step_error"): (*shape, frames[0]),
-        (SIMULATED, "trajectory"): (*shape, *frames),
-    }
-    simulations = tree["simulations"].dataset
-    if "step_log_likelihood" in simulations:
-        size = (simulations.sizes["simulation"], frames[0])
-        expected["simulations", "step_log_likelihood"] = size
-    for (group, name), want in expected.items():
-        have = array(tree, group, name).shape
-        if have != want:
-            raise InvalidEventError(f"{group}/{name} has shape {have}, expected {want}")
 
 
 def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
@@ -159,28 +145,15 @@ def untried(tree: xr.DataTree) -> float:
     """
     done = array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
     tried = np.unique(effective_goals(tree, "simulations")[done], axis=0)
-    constant = tree["constant_data"].dataset
-    if "prior_of_pairs" in constant:
-        left = constant["prior_of_pairs"].values.astype(np.float64)
-        left[tuple(tried.T)] = 0.0
-        return float(left.sum())
     found = prior_of_goals(tree, tried)
     if found is None:
         return float("nan")
-    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+    constant, total = tree["constant_data"].dataset, 1.0
+    if "log_prior_company" in constant:
+        own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+        total = space_of_tree(tree).possible_share(own, company)
     # rounded sums of all may be a little above 1
-    return max(0.0, 1.0 - float(found.sum()) / space_of_tree(tree).possible_share(own, company))
-
-
-def without_burn_in(tree: xr.DataTree, burn_in: int) -> xr.DataTree:
-    """Return the tree without the first ``burn_in`` draws of every chain; simulations all stay."""
-    if not burn_in:
-        return tree
-    result = tree.copy()
-    for name, node in tree.children.items():
-        if "draw" in node.dims:
-            result[name] = xr.DataTree(node.to_dataset().isel(draw=slice(burn_in, None)))
-    return result
+    return max(0.0, 1.0 - float(found.sum()) / total)
 
 
 def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
@@ -196,49 +169,21 @@ def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:
 
     A draw and its simulation share hypothesis and seed; -1 where no completed simulation does.
     """
-    given = space_of_tree(tree).given
-    draws = {name: array(tree, "posterior", name) for name in given}
-    draws["seed"] = array(tree, "sample_stats", "sim_seed")
+    names = [*space_of_tree(tree).given, "seed"]
+    seeds = array(tree, "sample_stats", "sim_seed")
+    draws = {**{name: array(tree, "posterior", name) for name in names[:-1]}, "seed": seeds}
     simulations = tree["simulations"].dataset
-    columns = [simulations[name].values for name in (*given, "seed")]
     usable = simulations["completed"].values & ~simulations["failed"].values
-    index = {
-        key: row
-        for row, key in reversed(list(enumerate(zip(*map(_plain, columns), strict=True))))
-        if usable[row]
-    }
-    keys = zip(*(_plain(values.reshape(-1)) for values in draws.values()), strict=True)
-    found = np.array([index.get(key, -1) for key in keys], np.int64)
-    return found.reshape(draws["seed"].shape)
+    known = pd.DataFrame({name: _single(simulations[name].values) for name in names})[usable]
+    known = known.drop_duplicates().reset_index(names="simulation")
+    asked = pd.DataFrame({name: _single(values.ravel()) for name, values in draws.items()})
+    found = asked.merge(known, how="left", on=names)["simulation"].fillna(-1)
+    return found.to_numpy(np.int64).reshape(seeds.shape)
 
 
-def _plain(values: NDArray[np.generic]) -> list[object]:
-    """Return plain numbers; reals rounded to single precision, which is what samplers work in."""
-    if values.dtype.kind == "f":
-        values = values.astype(np.float32)
-    return list(values.tolist())
-
-
-def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
-    """Write ``tree`` to ``path`` as NetCDF, whole or not at all, and return the path.
-
-    Every array carries a checksum, so that a damaged file is noticed when it is read.
-    """
-    groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
-    check_output(path, (".nc",))
-    write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
-    return Path(path)
-
-
-def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Read the tree of draws that :func:`write_tree` wrote, fully into memory."""
-    source = existing_file(path)
-    try:
-        tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
-        check_tree(tree)
-    except InvalidEventError as error:
-        raise InvalidEventError(f"{source}: {error}") from None
-    return tree
+def _single(values: NDArray[Any]) -> NDArray[Any]:
+    """Return reals rounded to single precision, which is what samplers work in."""
+    return values.astype(np.float32) if values.dtype.kind == "f" else values
 
 
 def scene_dataset(scene: Scene) -> xr.Dataset:

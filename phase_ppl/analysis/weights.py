@@ -152,28 +152,18 @@ def visited(tree: xr.DataTree) -> Rows:
     weighed = table[table["completed"]]
     if weighed.empty:
         raise InvalidSettingError("weights 'visited' need at least one completed simulation")
-    simulation = weighed["simulation"].to_numpy()
-    simulations = tree["simulations"].dataset
-    values = {name: simulations[name].values[simulation] for name in _sites(tree)}
     weights = normalised(weighed["log_mass"].to_numpy())
-    index = {"simulation": simulation, "chain": simulations["chain"].values[simulation]}
-    return Rows(values, weights, index)
+    return _of_simulations(tree, weighed["simulation"].to_numpy(), weights)
 
 
 def stratified(tree: xr.DataTree) -> Rows:
     """Return every completed simulation, by P(pair) times its part of the pair's mean L."""
-    if not has_proposals(tree):
-        raise _no_proposals("stratified", tree)
+    _check_proposals(tree, "stratified")
     if prior_of_goals(tree, effective_goals(tree, "simulations")[:0]) is None:
         raise InvalidSettingError(
             "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
         )
-    simulations = tree["simulations"].dataset
-    with np.errstate(invalid="ignore"):  # of what failed
-        log_weight = log_shares(tree) + simulations["log_likelihood"].values
-        log_weight = log_weight + log_reciprocal_proposal(tree)
-    rows = _weighted_simulations(tree, "stratified", log_weight)
-    return dataclasses.replace(rows, weights=truncated(rows.weights))
+    return _by_proposals(tree, "stratified", log_shares(tree))
 
 
 def log_shares(tree: xr.DataTree) -> FloatArray:
@@ -202,40 +192,43 @@ def log_shares(tree: xr.DataTree) -> FloatArray:
     return found + log_proposal
 
 
-def _weighted_simulations(tree: xr.DataTree, weights: str, log_weight: FloatArray) -> Rows:
-    """Return the completed simulations among those with a weight."""
+def _by_proposals(tree: xr.DataTree, weights: str, log_base: FloatArray) -> Rows:
+    """Return the completed simulations, weighted by L / Q and what is given, truncated."""
     simulations = tree["simulations"].dataset
+    with np.errstate(invalid="ignore"):  # of what failed
+        log_weight = log_base + simulations["log_likelihood"].values
+        log_weight = log_weight + log_reciprocal_proposal(tree)
     usable = simulations["completed"].values & ~simulations["failed"].values
     row = np.flatnonzero(usable & np.isfinite(log_weight))
     if not row.size:
         raise InvalidSettingError(f"weights {weights!r} need at least one completed simulation")
+    return _of_simulations(tree, row, truncated(normalised(log_weight[row])))
+
+
+def _of_simulations(tree: xr.DataTree, row: NDArray[np.int64], weights: FloatArray) -> Rows:
+    simulations = tree["simulations"].dataset
     values = {name: simulations[name].values[row] for name in _sites(tree)}
     index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
-    return Rows(values, normalised(log_weight[row]), index)
+    return Rows(values, weights, index)
 
 
-def _no_proposals(weights: str, tree: xr.DataTree) -> InvalidSettingError:
-    return InvalidSettingError(
-        f"weights {weights!r} need the density of each proposal, which kernel "
-        f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
-    )
+def _check_proposals(tree: xr.DataTree, weights: str) -> None:
+    if not has_proposals(tree):
+        raise InvalidSettingError(
+            f"weights {weights!r} need the density of each proposal, which kernel "
+            f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
+        )
 
 
 def importance(tree: xr.DataTree) -> Rows:
     """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated."""
-    if not has_proposals(tree):
-        raise _no_proposals("importance", tree)
+    _check_proposals(tree, "importance")
     if "only_weights" in tree.attrs:
         raise InvalidSettingError(
             f"what kernel {tree.attrs['kernel']!r} simulates goes by earlier results: weights "
             f"'importance' would be wrong; those for it are {tree.attrs['only_weights']!r}"
         )
-    simulations = tree["simulations"].dataset
-    with np.errstate(invalid="ignore"):  # of what failed
-        log_weight = log_mass(tree) + simulations["log_likelihood"].values
-        log_weight = log_weight + log_reciprocal_proposal(tree)
-    rows = _weighted_simulations(tree, "importance", log_weight)
-    return dataclasses.replace(rows, weights=truncated(rows.weights))
+    return _by_proposals(tree, "importance", log_mass(tree))
 
 
 def log_mass(tree: xr.DataTree) -> FloatArray:
@@ -337,6 +330,77 @@ def evaluations(tree: xr.DataTree) -> pd.DataFrame:
             "log_mass": log_share + table["log_likelihood"].astype(float),
         }
     )
+
+
+def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
+    """Return weights on ever more of the video: name, simulations, and weights (simulation, time).
+
+    At frame t every simulation that came so far weighs as under weights ``"importance"``, but with
+    the likelihood of frames 0 to t only; where they are to be weighted by ``"stratified"`` as under
+    these, and where their proposals have no density that is known as under ``"visited"``.
+    """
+    simulations = tree["simulations"].dataset
+    if "step_log_likelihood" not in simulations:
+        raise InvalidEventError(
+            "this posterior does not hold the likelihood of each frame of its simulations "
+            "(simulations/step_log_likelihood); infer it again"
+        )
+    if not (simulations["completed"].values & ~simulations["failed"].values).any():
+        raise InvalidSettingError("there is nothing to weight: no simulation was completed")
+    if not has_proposals(tree):
+        return "visited", *_visits_so_far(tree)
+    if tree.attrs.get("only_weights") == "stratified":
+        return "stratified", *_proposals_so_far(tree, log_shares(tree))
+    return "importance", *_proposals_so_far(tree, log_mass(tree))
+
+
+def _proposals_so_far(
+    tree: xr.DataTree, log_base: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of simulations and their weights (row, time).
+
+    Args:
+        tree: of draws.
+        log_base: (simulation,) log weight beside the likelihood and the proposal's density.
+    """
+    simulations = tree["simulations"].dataset
+    known, so_far = _likelihood_so_far(tree)
+    # a frame that was not simulated counts as one without error where a simulation may be stopped
+    unknown = (~known).sum(axis=1)
+    total = simulations["log_likelihood"].values
+    stopped = (unknown > 0) & np.isfinite(total)
+    perfect = ((total - so_far[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
+    n_frames = known.shape[1]
+    log_weight = np.full(known.shape, -np.inf)
+    for t in range(n_frames):
+        rest = (n_frames - 1 - t) * perfect if np.isfinite(perfect) else np.inf
+        at_best = so_far[:, t] + (rest if t < n_frames - 1 else 0.0)
+        found = log_base + so_far[:, t]
+        found = found + log_reciprocal_proposal(tree, at_best)
+        usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
+        log_weight[:, t] = np.where(usable, found, -np.inf)
+    rows = np.flatnonzero(np.isfinite(log_weight).any(axis=1))
+    weights = np.zeros((len(rows), n_frames))
+    for t, column in enumerate(log_weight[rows].T):
+        usable = np.isfinite(column)
+        weights[usable, t] = truncated(normalised(column[usable]))
+    return rows, weights
+
+
+def _visits_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of distinct simulations and their weights (row, time)."""
+    table = evaluations(tree)
+    rows = table["simulation"].to_numpy()
+    known, so_far = (part[rows] for part in _likelihood_so_far(tree))
+    log_mass = np.where(known, table["log_share"].to_numpy()[:, None] + so_far, -np.inf)
+    return rows, np.stack([normalised(column) for column in log_mass.T], axis=1)
+
+
+def _likelihood_so_far(tree: xr.DataTree) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return (simulation, time) whether a frame was simulated, and the log likelihood so far."""
+    by_frame = tree["simulations"].dataset["step_log_likelihood"].values
+    known = np.logical_and.accumulate(~np.isnan(by_frame), axis=1)
+    return known, np.cumsum(np.where(known, by_frame, 0.0), axis=1)
 
 
 def _sites(tree: xr.DataTree) -> list[str]:

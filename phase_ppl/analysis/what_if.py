@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.analysis.estimate import Estimate, cautious
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.closed_loop.hidden_state import reconstructed
 from phase_ppl.physics.pymunk_world import AWAY
@@ -123,7 +123,8 @@ class WhatIf:
 
     def probability(self, agent: str, goal: str | None = None) -> list[Estimate]:
         """Return in each world the probability that an agent's goal is reached."""
-        return [_share(row) for row in np.isfinite(self.reached(agent, goal).values)]
+        shares = np.isfinite(self.reached(agent, goal).values).mean(axis=1).tolist()
+        return [Estimate(share, cautious(share, len(self.goals))[1]) for share in shares]
 
     def difference(self, agent: str, goal: str | None = None) -> Estimate:
         """Return how much more probable the change makes it that an agent's goal is reached.
@@ -187,12 +188,6 @@ class WhatIf:
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"
-
-
-def _share(hits: np.ndarray) -> Estimate:
-    n = len(hits)
-    cautious = (hits.sum() + 1) / (n + 2)
-    return Estimate(float(hits.mean()), math.sqrt(cautious * (1 - cautious) / (n + 2)))
 
 
 def _median(seconds: FloatArray) -> str:

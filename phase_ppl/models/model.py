@@ -27,9 +27,9 @@ from phase_ppl.models.density import (
     site_shapes,
 )
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
-from phase_ppl.models.roles import in_world, is_of_any_world, masses
+from phase_ppl.models.roles import in_world, is_of_any_world
 from phase_ppl.models.sites import HYPOTHESIS_SITES
-from phase_ppl.models.world_prior import WorldPrior, as_given, space_of_prior
+from phase_ppl.models.world_prior import WorldPrior, as_given, masses, space_of_prior
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import PHASE, World
@@ -161,7 +161,7 @@ class Model(Generic[Kind]):
         """Latent sites of the prior with their shapes."""
         if is_of_any_world(self.prior):
             return {}  # what it samples is known where the world is
-        return checked_sites(self.prior)
+        return dict(checked_sites(self.prior))
 
     def in_world(self, world: World) -> Model:
         """Return the model for events of a world: its prior bound to it, and its likelihood.
@@ -270,6 +270,7 @@ _NOT_POSITIVE: Final = -np.logspace(-3, 6, 91, dtype=np.float32)
 _FAR: Final = 100  # how far from the allowed codes others are looked for
 
 
+@remembered(_REMEMBERED)
 def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     """Return the latent sites of a prior with their shapes."""
     if not callable(prior):
@@ -277,11 +278,6 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
             f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "
             f"or a function without arguments that samples {', '.join(HYPOTHESIS_SITES)}"
         )
-    return dict(_checked(prior))
-
-
-@remembered(_REMEMBERED)
-def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
     given = as_given(prior)
     name = getattr(given, "__name__", shown(given))
     try:
@@ -294,7 +290,7 @@ def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
     if priors.is_ready_made(given):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     if isinstance(prior, WorldPrior):
-        masses(given, prior.world)
+        masses(prior)
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
     except Exception as error:  # whatever a user's program does

@@ -24,9 +24,9 @@ from jax import random
 from jax.scipy.special import logsumexp
 from numpyro.distributions import constraints
 
-from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.scene import PHASE
+from phase_ppl.world.space import space_of
 
 __all__ = [
     "ALPHA_PROBABILITIES",
@@ -47,17 +47,16 @@ IMPOSSIBLE: Final = -1e30
 _MASSLESS = -1e15  # values with logits below this are outside the support
 
 
-GOAL_SITES: Final = ("goal_red", "goal_green")  # stated goals: indices into ``GOALS``
-ALPHA_SITE: Final = "alpha"  # index into ``ALPHAS``
-STRENGTH_SITES: Final = ("strength_red", "strength_green")  # maximum forces, newtons
-HYPOTHESIS_SITES: Final = (*GOAL_SITES, ALPHA_SITE, *STRENGTH_SITES)
+_SPACE: Final = space_of(PHASE)
+GOAL_SITES: Final = _SPACE.goal_sites  # stated goals: indices into ``GOALS``
+ALPHA_SITE: Final = _SPACE.company_site  # index into ``ALPHAS``
+STRENGTH_SITES: Final = _SPACE.strength_sites  # maximum forces, newtons
+HYPOTHESIS_SITES: Final = _SPACE.sites
 
 ALPHA_PROBABILITIES: Final = (1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6)
 """The paper's (Appendix 4B): u from {-1, 0, 1}; if not 0, one agent by chance has it."""
 
-SELF_REFERRING: Final = np.array(
-    [[is_self_referring(g, holder) for g in range(N_GOALS)] for holder in range(len(AGENTS))]
-)
+SELF_REFERRING: Final = _SPACE.impossible
 """(holder, goal): goals that name their own holder and have no prior mass."""
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.world.goals import GOALS, goal_index, is_self_referring
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
@@ -160,6 +161,21 @@ def make_tree(
     return tree
 
 
+def posterior_of(
+    hypotheses: Sequence[Hypothesis | str | int],
+    draws: Sequence[Sequence[int]],
+    weights: str | None = None,
+    **options: Any,
+) -> Posterior:
+    """Return a posterior of draws (chain, draw) of hypotheses, or of such with goals of red.
+
+    Each was simulated once, all alike likely.
+    """
+    given = [one if isinstance(one, Hypothesis) else hypothesis(one) for one in hypotheses]
+    simulations = [Simulation(one, seed, iteration=1) for seed, one in enumerate(given)]
+    return Posterior(make_tree(simulations, draws, **options), weights)
+
+
 def _simulation_table(
     simulations: Sequence[Simulation], own_site: Sequence[int] | None
 ) -> dict[str, NDArray[Any]]:
@@ -189,6 +205,38 @@ def _simulation_table(
     if own_site is not None:
         table["mood"] = column(own_site, np.int64)
     return table
+
+
+def with_variables(tree: xr.DataTree, group: str, **variables: Any) -> xr.DataTree:
+    """Return the tree with further variables, (dims, values), in a group."""
+    changed = tree[group].to_dataset().assign(variables)
+    return tree.assign({group: xr.DataTree(changed)})
+
+
+def with_log_weight(tree: xr.DataTree, log_weight: Any) -> xr.DataTree:
+    """Return the tree with log weights (chain, draw) of its draws."""
+    return with_variables(tree, "sample_stats", log_weight=(("chain", "draw"), log_weight))
+
+
+def with_densities(
+    tree: xr.DataTree, log_proposal: Any, log_bound: Any = np.inf, log_again: Any = -np.inf
+) -> xr.DataTree:
+    """Return the tree with the densities by which its simulations were proposed, one or of all."""
+    given = {"log_proposal": log_proposal, "log_bound": log_bound, "log_again": log_again}
+    shape = (tree["simulations"].sizes["simulation"],)
+    columns = {name: np.array(np.broadcast_to(values, shape)) for name, values in given.items()}
+    return with_variables(
+        tree, "simulations", **{name: ("simulation", column) for name, column in columns.items()}
+    )
+
+
+def with_prior(tree: xr.DataTree, prior: Any) -> xr.DataTree:
+    """Return the tree with prior masses of pairs: a table, or hypotheses with theirs."""
+    if not isinstance(prior, np.ndarray):
+        masses, prior = prior, np.zeros((len(GOALS), len(GOALS)))
+        for one, mass in masses:
+            prior[one.effective_goals] = mass
+    return with_variables(tree, "constant_data", prior_of_pairs=(("pair_red", "pair_green"), prior))
 
 
 def random_hypothesis(rng: np.random.Generator) -> Hypothesis:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Iterator
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -15,7 +16,16 @@ import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import InvalidSettingError
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    Simulation,
+    hypothesis,
+    make_tree,
+    posterior_of,
+    random_tree,
+    with_log_weight,
+)
 
 matplotlib.use("Agg")
 
@@ -27,6 +37,10 @@ NEW = int(arviz.__version__.split(".")[0]) >= 1
 
 # ArviZ 0.23 calls Matplotlib 3.11 in a way that is going to change
 pytestmark = pytest.mark.filterwarnings("ignore:Passing a dict or None as alias_mapping")
+
+
+def groups(data: Any) -> set[str]:
+    return set(data.children) if NEW else set(data.groups())
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +59,7 @@ def _no_open_figures() -> Iterator[None]:
 def test_it_is_what_the_installed_generation_works_on(post: Posterior) -> None:
     data = post.arviz
     assert isinstance(data, xr.DataTree if NEW else arviz.InferenceData)
-    groups = set(data.children) if NEW else set(data.groups())
-    assert groups >= {"posterior", "sample_stats", "posterior_predictive", "observed_data"}
+    assert groups(data) >= {"posterior", "sample_stats", "posterior_predictive", "observed_data"}
     assert data.attrs["event_id"] == "made-up"
 
 
@@ -82,8 +95,7 @@ def test_its_figures_can_be_drawn(plot: str) -> None:
 
 def test_categories_without_an_r_hat_are_left_out_and_named() -> None:
     # green's goal never changes; red's does in the first half of a chain
-    simulations = [Simulation(hypothesis(goal), i) for i, goal in enumerate((BLUE_TO_RED, 3))]
-    tree = make_tree(simulations, [[0, 1, 1, 1], [0, 0, 0, 1]])
+    tree = posterior_of((BLUE_TO_RED, 3), [[0, 1, 1, 1], [0, 0, 0, 1]]).tree
     tree["sample_stats"]["total_error"] += np.arange(8.0).reshape(2, 4)
     posterior = Posterior(tree).arviz["posterior"]
     attrs = dict(posterior.attrs)
@@ -105,9 +117,8 @@ def test_draws_of_unequal_weight_are_refused() -> None:
     tree = random_tree()
     log_weight = np.zeros(tree["posterior"]["goal_red"].shape)
     log_weight[0, 0] = 1
-    tree["sample_stats"]["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
     with pytest.raises(InvalidSettingError, match="unequal weights"):
-        _ = Posterior(tree).arviz
+        _ = Posterior(with_log_weight(tree, log_weight)).arviz
 
 
 # --- posterior predictive ----------------------------------------------------------------------
@@ -188,6 +199,5 @@ def test_a_likelihood_of_ones_own_replicates_nothing(post: Posterior) -> None:
     tree = post.tree.copy()
     tree["simulated"].attrs = {}
     data = Posterior(tree).arviz
-    groups = set(data.children) if NEW else set(data.groups())
-    assert "posterior_predictive" not in groups
-    assert "observed_data" in groups
+    assert "posterior_predictive" not in groups(data)
+    assert "observed_data" in groups(data)

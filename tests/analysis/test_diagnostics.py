@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.convergence import ess, mcse, r_hat
@@ -17,7 +16,17 @@ from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import LANDMARKS
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    Simulation,
+    hypothesis,
+    make_tree,
+    posterior_of,
+    random_tree,
+    with_log_weight,
+    with_prior,
+)
 
 
 def initial(h: Hypothesis, seed: int) -> Simulation:
@@ -71,23 +80,18 @@ def test_best_error_per_frame_is_that_of_the_best_draw() -> None:
     assert Posterior(tree).diagnostics()["best_error_per_frame"] == pytest.approx(2)
 
 
-def test_effective_rows_fall_with_uneven_weights() -> None:
-    simulations = [proposed(A, 0, log_likelihood=0.0), proposed(B, 1, log_likelihood=-50.0)]
-    post = Posterior(make_tree(simulations, [[0, 1]]), "likelihood")
-    assert post.diagnostics()["effective_rows"] == pytest.approx(1)
-
-
 def test_weighted_draws_are_judged_by_their_weights() -> None:
-    simulations = [proposed(A, 0), proposed(B, 1)]
-    tree = make_tree(simulations, [[0], [1], [1], [0]])
-    log_weight = np.log([[3.0], [1.0], [1.0], [1.0]])
-    tree["sample_stats"]["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
-    found = Posterior(tree, "count").diagnostics()
+    tree = posterior_of((A, B), [[0] * 5, [1] * 5, [1] * 5, [0] * 5]).tree
+    log_weight = np.repeat(np.log([[3.0], [1.0], [1.0], [1.0]]), 5, axis=1)
+    post = Posterior(with_log_weight(tree, log_weight), "count")
+    found = post.diagnostics()
     assert found["weighted_draws_ess"] == pytest.approx(36 / 12 / 4)
-    post = Posterior(tree, "count")
     assert found["monte_carlo_error"]["goal_red"] == post.top("goal_red", 1)[0][1].error
-    assert "4 weighted draws are worth 3.0 equal ones" in found["verdict"]
+    assert "20 weighted draws are worth 15.0 equal ones" in found["verdict"]
     assert "accepted" not in found["verdict"]
+    assert set(found["scalars"]["log_joint"].values()) == {None}
+    for entry in found["categories"]["goal_red"].values():
+        assert (entry["ess"], entry["mcse"], entry["r_hat"]) == (None, None, None)
 
 
 def verdict(
@@ -112,12 +116,9 @@ def test_verdict_says_on_whose_goal_the_particles_agree() -> None:
     assert "agree on both" in verdict([[0], [0]], simulations)
 
 
-def test_verdict_calls_chains_that_never_moved_a_guess() -> None:
-    assert "No proposal was accepted" in verdict([[0, 0], [0, 0]], [initial(A, 0)])
-
-
-def test_verdict_warns_of_few_acceptances() -> None:
+def test_verdict_calls_chains_that_hardly_moved_a_guess() -> None:
     simulations = [initial(A, 0), proposed(A, 1)]
+    assert "No proposal was accepted" in verdict([[0, 0], [0, 0]], simulations)
     assert "Only 2% of the proposals" in verdict([[0] * 24 + [1], [0] * 25], simulations)
 
 
@@ -137,8 +138,7 @@ def test_verdict_begins_with_bodies_that_lie_on_each_other() -> None:
 
 
 def test_verdict_of_a_single_particle_asks_for_more() -> None:
-    post = Posterior(make_tree([proposed(A, 0)], [[0]]))
-    found = post.diagnostics()
+    found = posterior_of([A], [[0]]).diagnostics()
     assert found["between_chain_tv"] == {"goal_red": None, "goal_green": None}
     assert found["move_rate"] is None
     assert "use more" in found["verdict"]
@@ -150,14 +150,6 @@ def test_verdict_discloses_approximate_kernels_and_weights() -> None:
     assert "approximate" not in verdict([[0]], simulations, validity="exact")
     assert "at most 50.0% of their mass" in verdict([[0]], simulations, "visited")
     assert "too extreme" in verdict([[0]], simulations, "likelihood")
-
-
-@pytest.mark.parametrize("weights", ["count", "visited", "likelihood"])
-def test_rates_are_shares(weights: str) -> None:
-    found = Posterior(random_tree(9, n_chains=5), weights).diagnostics()
-    for name in ("acceptance_rate", "move_rate", "frames_saved_share", "aborted_mass_bound"):
-        assert 0 <= found[name] <= 1
-    assert len(found["acceptance_by_iteration"]) == found["iterations"]
 
 
 # --- scalars, categories, windows ------------------------------------------------------------
@@ -178,8 +170,7 @@ def test_scalars_have_their_convergence_but_not_with_fewer_than_four_draws() -> 
 
 
 def test_a_users_real_site_is_a_scalar_and_its_categories_are_not() -> None:
-    simulations = [proposed(A, i) for i in range(4)]
-    tree = make_tree(simulations, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2])
+    tree = posterior_of([A] * 4, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2]).tree
     assert "mood" not in Posterior(tree).diagnostics()["scalars"]
     for group in ("posterior", "simulations"):
         tree[group]["mood"] = tree[group]["mood"].astype(float)
@@ -188,9 +179,8 @@ def test_a_users_real_site_is_a_scalar_and_its_categories_are_not() -> None:
 
 def test_categories_worked_out_by_hand() -> None:
     # A in three of the four particles, and in half of the other's draws
-    simulations = [proposed(A, 0), proposed(B, 1)]
     draws = [[0] * 4] * 3 + [[0, 0, 1, 1]]
-    found = Posterior(make_tree(simulations, draws)).diagnostics()["categories"]
+    found = posterior_of((A, B), draws).diagnostics()["categories"]
     red = found["goal_red"]
     assert list(red) == [BLUE_TO_RED, PINK_TO_BLUE]
     indicator = (np.array(draws) == 0).astype(float)
@@ -215,10 +205,11 @@ def test_categories_are_those_of_the_weighting_and_of_the_draws() -> None:
     ]
     post = Posterior(make_tree(simulations, [[0] * 4] * 2), "visited")
     found = post.diagnostics()
-    assert found["categories"]["goal_red"][PINK_TO_BLUE]["share"] == 0
-    assert found["categories"]["goal_red"][PINK_TO_BLUE]["probability"] == pytest.approx(1)
-    assert found["categories"]["goal_red"][BLUE_TO_RED]["share"] == 1
-    assert list(found["categories"]["goal_red"]) == [PINK_TO_BLUE, BLUE_TO_RED]
+    assert found["effective_rows"] == pytest.approx(1)
+    red = found["categories"]["goal_red"]
+    assert list(red) == [PINK_TO_BLUE, BLUE_TO_RED]
+    assert (red[PINK_TO_BLUE]["share"], red[BLUE_TO_RED]["share"]) == (0, 1)
+    assert red[PINK_TO_BLUE]["probability"] == pytest.approx(1)
     assert f"another goal of red first, '{PINK_TO_BLUE}'" in found["verdict"]
 
 
@@ -230,8 +221,7 @@ def test_categories_follow_a_users_scenario() -> None:
 
 
 def test_windows_are_counted_and_those_without_are_not_windows() -> None:
-    simulations = [proposed(A, 0)]
-    tree = make_tree(simulations, [[0, 0, 0], [0, 0, 0]], window=[[2, 0, 2], [-1, 2, -1]])
+    tree = posterior_of([A], [[0] * 3] * 2, window=[[2, 0, 2], [-1, 2, -1]]).tree
     assert Posterior(tree).diagnostics()["windows"] == {
         "proposals": 4,
         "without": 2,
@@ -243,17 +233,6 @@ def test_windows_are_counted_and_those_without_are_not_windows() -> None:
     assert Posterior(tree).diagnostics()["windows"]["frames"] == 5  # all there are
     tree["sample_stats"]["window"] = tree["sample_stats"]["window"] * np.nan
     assert Posterior(tree).diagnostics()["windows"]["proposals"] == 0
-
-
-def test_weighted_draws_have_no_convergence() -> None:
-    tree = random_tree(3, n_draws=6)
-    shape = tree["posterior"]["goal_red"].shape
-    log_weight = np.arange(np.prod(shape), dtype=float).reshape(shape)
-    tree["sample_stats"]["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
-    found = Posterior(tree, "count").diagnostics()
-    assert set(found["scalars"]["log_joint"].values()) == {None}
-    for entry in found["categories"]["goal_red"].values():
-        assert (entry["ess"], entry["mcse"], entry["r_hat"]) == (None, None, None)
 
 
 def test_verdict_of_draws_that_count_says_whether_the_log_joint_has_mixed() -> None:
@@ -268,10 +247,14 @@ def test_verdict_of_draws_that_count_says_whether_the_log_joint_has_mixed() -> N
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 4), (2, 3), (15, 6), (4, 40)])
 @pytest.mark.parametrize("weights", ["count", "visited"])
-def test_diagnostics_are_plain_data(shape: tuple[int, int], weights: str) -> None:
-    post = Posterior(random_tree(5, *shape), weights)
-    found = post.diagnostics()
+def test_diagnostics_are_plain_data_and_rates_are_shares(
+    shape: tuple[int, int], weights: str
+) -> None:
+    found = Posterior(random_tree(5, *shape), weights).diagnostics()
     assert json.loads(json.dumps(found, allow_nan=False)) == found
+    for name in ("acceptance_rate", "move_rate", "frames_saved_share", "aborted_mass_bound"):
+        assert found[name] is None or 0 <= found[name] <= 1
+    assert len(found["acceptance_by_iteration"]) == found["iterations"]
 
 
 def rivals_of(h: Hypothesis) -> list[Hypothesis]:
@@ -294,10 +277,8 @@ def test_an_answer_is_decided_only_where_all_its_rivals_were_simulated() -> None
     draws = [[place] for place in range(12)]
 
     def diagnose(simulations: list[Simulation]) -> dict[str, Any]:
-        tree = make_tree(simulations, draws)
         prior = np.full((len(GOALS), len(GOALS)), 1 / len(GOALS) ** 2)
-        tree["constant_data"]["prior_of_pairs"] = xr.DataArray(prior, dims=("red", "green"))
-        return Posterior(tree, "count").diagnostics()
+        return Posterior(with_prior(make_tree(simulations, draws), prior)).diagnostics()
 
     found = diagnose(lead + lost)
     assert found["untried_rivals"] == 0
@@ -315,16 +296,14 @@ def test_an_answer_is_decided_only_where_all_its_rivals_were_simulated() -> None
 
 
 def test_leaders_say_by_how_much_they_lead() -> None:
-    simulations = [proposed(A, seed) for seed in range(9)] + [proposed(B, 9)]
-    post = Posterior(make_tree(simulations, [[place] for place in range(10)]), "count")
-    found = post.leaders()["goal_red"]
+    each = [[place] for place in range(10)]
+    found = posterior_of([A] * 9 + [B], each).leaders()["goal_red"]
     assert (found["label"], found["next"]) == (GOALS[A.goal_red], GOALS[B.goal_red])
     assert (found["probability"], found["next_probability"]) == pytest.approx((0.9, 0.1))
     assert found["sure"]
-    split = [proposed(h, seed) for seed, h in enumerate([A] * 6 + [B] * 4)]
-    post = Posterior(make_tree(split, [[place] for place in range(10)]), "count")
-    assert not post.leaders()["goal_red"]["sure"], "0.6 of ten draws is not yet a majority"
-    alone = Posterior(make_tree(simulations[:1], [[0]]), "count")
+    split = posterior_of([A] * 6 + [B] * 4, each)
+    assert not split.leaders()["goal_red"]["sure"], "0.6 of ten draws is not yet a majority"
+    alone = posterior_of([A], [[0]])
     assert not alone.leaders()["goal_red"]["sure"], "one draw knows no error"
 
 

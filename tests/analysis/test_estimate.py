@@ -6,16 +6,25 @@ import json
 import math
 import pickle
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import Estimate, Mode, sets_to_leave_out, widened
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.goals import GOALS
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    Simulation,
+    hypothesis,
+    make_tree,
+    posterior_of,
+    random_tree,
+    with_densities,
+)
 
 
 @pytest.mark.parametrize(
@@ -58,8 +67,9 @@ def test_an_estimate_is_a_float_in_all_else() -> None:
 
 def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> None:
     strengths = [200.0, 260.0, 320.0, 500.0]
-    simulations = [Simulation(hypothesis(strengths=(s, 300)), i) for i, s in enumerate(strengths)]
-    post = Posterior(make_tree(simulations, [[i] for i in range(4)]))
+    post = posterior_of(
+        [hypothesis(strengths=(s, 300)) for s in strengths], [[i] for i in range(4)]
+    )
     assert post.mean("strength_red").error == pytest.approx(
         np.std(strengths, ddof=1) / 2 * widened(4)
     )
@@ -82,8 +92,7 @@ def test_one_chain_knows_no_error() -> None:
 
 
 def test_no_error_is_known_where_a_single_chain_meets_the_condition() -> None:
-    simulations = [Simulation(hypothesis(BLUE_TO_RED)), Simulation(hypothesis(PINK_TO_BLUE), 1)]
-    post = Posterior(make_tree(simulations, [[0, 0], [0, 0], [0, 1]]))
+    post = posterior_of((BLUE_TO_RED, PINK_TO_BLUE), [[0, 0], [0, 0], [0, 1]])
     alone = post.probability({"goal_red": PINK_TO_BLUE}, relation="friendly")
     assert math.isnan(alone.error)
     assert np.isnan(post.marginal("relation", given={"goal_red": PINK_TO_BLUE}).error).all()
@@ -103,27 +112,24 @@ def test_all_questions_about_a_label_have_the_same_error() -> None:
 
 
 def test_the_mode_doubts_itself_by_half_in_a_tie_and_not_at_all_where_all_agree() -> None:
-    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((2, 5))]
-    tied = Posterior(make_tree(simulations, [[0], [0], [1], [1]])).mode("goal_red")
+    tied = posterior_of((2, 5), [[0], [0], [1], [1]]).mode("goal_red")
     assert (tied, tied.error) == (GOALS[2], 0.5)
-    agreed = Posterior(make_tree(simulations, [[1], [1], [1]])).mode("goal_red")
+    agreed = posterior_of((2, 5), [[1], [1], [1]]).mode("goal_red")
     assert (agreed, agreed.error) == (GOALS[5], 0)
     # of 8 chains 6 lead: the difference 0.5 has the error 2 sd / sqrt(8), sd^2 = 6 / 28
-    leads = Posterior(make_tree(simulations, [[0]] * 6 + [[1]] * 2)).mode("goal_red")
+    leads = posterior_of((2, 5), [[0]] * 6 + [[1]] * 2).mode("goal_red")
     z = 0.5 / (2 * math.sqrt(6 / 28) / math.sqrt(8))
     assert leads.error == pytest.approx(0.5 * math.erfc(z / math.sqrt(2)))
 
 
 def test_more_chains_than_can_be_left_out_singly_are_left_out_in_groups() -> None:
-    simulations = [Simulation(hypothesis(strengths=(200.0 + i, 300)), i) for i in range(320)]
-    post = Posterior(
-        make_tree(simulations, [[i] for i in np.random.default_rng(0).permutation(320)])
-    )
+    hypotheses = [hypothesis(strengths=(200.0 + i, 300)) for i in range(320)]
+    post = posterior_of(hypotheses, [[i] for i in np.random.default_rng(0).permutation(320)])
     expected = np.std(np.arange(320), ddof=1) / math.sqrt(320)
     assert post.mean("strength_red").error == pytest.approx(expected, rel=0.3)
 
 
-@pytest.mark.parametrize("n", [2, 3, 5, 6, 15, 32])
+@pytest.mark.parametrize("n", [2, 5, 6, 32])
 def test_random_sets_leave_out_a_third(n: int) -> None:
     sets, factor = sets_to_leave_out(n, 1 / 3)
     sizes = set(sets.sum(axis=1).tolist())
@@ -133,27 +139,16 @@ def test_random_sets_leave_out_a_third(n: int) -> None:
 
 # --- errors against repetitions -----------------------------------------------------------------
 
-STATISTICS: dict[str, Callable[[Posterior], tuple[float, float]]] = {
-    "probability": lambda post: pair(post.probability(relation="friendly")),
-    "conditional": lambda post: pair(
-        post.probability({"goal_red": GOALS[5]}, strength_red=(0, 350))
-    ),
-    "marginal": lambda post: pair(post.top("goal_red", 3)[0][1]),
-    "entropy": lambda post: pair(post.entropy("goal_red", "goal_green")),
-    "mean": lambda post: pair(post.mean("strength_red")),
-    "sd": lambda post: pair(post.sd("strength_red")),
-    "lower end": lambda post: end(post, 0),
-    "upper end": lambda post: end(post, 1),
+STATISTICS: dict[str, Callable[[Posterior], Any]] = {
+    "probability": lambda post: post.probability(relation="friendly"),
+    "conditional": lambda post: post.probability({"goal_red": GOALS[5]}, strength_red=(0, 350)),
+    "marginal": lambda post: post.top("goal_red", 3)[0][1],
+    "entropy": lambda post: post.entropy("goal_red", "goal_green"),
+    "mean": lambda post: post.mean("strength_red"),
+    "sd": lambda post: post.sd("strength_red"),
+    "lower end": lambda post: post.hdi("strength_red", 0.8)[0],
+    "upper end": lambda post: post.hdi("strength_red", 0.8)[1],
 }
-
-
-def pair(estimate: Estimate) -> tuple[float, float]:
-    return float(estimate), estimate.error
-
-
-def end(post: Posterior, which: int) -> tuple[float, float]:
-    found = post.hdi("strength_red", 0.8)
-    return float(found[which]), float(found.error[which])
 
 
 def sticky_chains(rng: np.random.Generator) -> Posterior:
@@ -185,20 +180,17 @@ def repetitions() -> Sequence[Posterior]:
 def test_errors_of_equal_draws_are_as_large_as_runs_differ(
     repetitions: Sequence[Posterior], name: str
 ) -> None:
-    results = np.array([STATISTICS[name](post) for post in repetitions])
-    check(results, least=0.75, most=1.75)
+    assert 0.75 < error_over_spread([STATISTICS[name](post) for post in repetitions]) < 1.75
 
 
-def check(results: NDArray[np.float64], least: float, most: float) -> None:
-    """Compare the errors (repetition, [value, error]) with the spread of the values."""
-    ratio = math.sqrt((results[:, 1] ** 2).mean()) / results[:, 0].std()
-    assert least < ratio < most
+def error_over_spread(results: Sequence[Any]) -> float:
+    """Return how large the errors of repetitions are, over the spread of their values."""
+    values, errors = np.array([(float(one), float(one.error)) for one in results]).T
+    return float(math.sqrt((errors**2).mean()) / values.std())
 
 
 def test_few_particles_that_agree_leave_room_for_what_they_did_not_show() -> None:
-    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((2, 5))]
-    tree = make_tree(simulations, [[0]] * 15)
-    post = Posterior(tree)
+    post = posterior_of((2, 5), [[0]] * 15)
     # Jeffreys: mean 0.5 / 16 after 15 draws without it, variance p (1 - p) / 17
     mean = 0.5 / 16
     expected = math.sqrt(mean * (1 - mean) / 17 + mean**2)
@@ -208,9 +200,8 @@ def test_few_particles_that_agree_leave_room_for_what_they_did_not_show() -> Non
 
 
 def test_chains_that_still_move_have_larger_errors() -> None:
-    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((2, 5))]
-    moved = Posterior(make_tree(simulations, [[0, 0, 1, 1]] * 6 + [[1, 0, 1, 0]] * 2))
-    mixed = Posterior(make_tree(simulations, [[0, 1, 0, 1]] * 6 + [[1, 0, 1, 0]] * 2))
+    moved = posterior_of((2, 5), [[0, 0, 1, 1]] * 6 + [[1, 0, 1, 0]] * 2)
+    mixed = posterior_of((2, 5), [[0, 1, 0, 1]] * 6 + [[1, 0, 1, 0]] * 2)
     still, steady = (post.probability(goal_red=GOALS[2]) for post in (moved, mixed))
     assert still == steady == 0.5
     assert still.error > 2 * steady.error
@@ -237,18 +228,14 @@ def test_errors_of_importance_weights_are_as_large_as_runs_differ() -> None:
                     )
                 )
         tree = make_tree(simulations, [[7 * chain] for chain in range(15)], n_frames=2)
-        densities = tree["simulations"].to_dataset()
-        for name, values in (("log_proposal", log_proposal), ("log_bound", np.inf)):
-            densities[name] = "simulation", np.broadcast_to(values, len(simulations)).astype(float)
-        densities["log_again"] = "simulation", np.full(len(simulations), -np.inf)
-        tree["simulations"] = densities
-        results.append(pair(Posterior(tree, "importance").probability(goal_red=GOALS[2])))
-    check(np.array(results), least=0.75, most=1.35)
+        tree = with_densities(tree, log_proposal)
+        results.append(Posterior(tree, "importance").probability(goal_red=GOALS[2]))
+    assert 0.75 < error_over_spread(results) < 1.35
     exact = np.exp(-np.array(goals) / 5) / np.exp(-np.array(goals) / 5).sum()
-    assert np.mean([value for value, _ in results]) == pytest.approx(exact[0], abs=0.02)
+    assert np.mean(results) == pytest.approx(exact[0], abs=0.02)
 
 
-@pytest.mark.parametrize("n", [2, 3, 5, 30])
+@pytest.mark.parametrize("n", [2, 5, 30])
 def test_errors_of_a_mean_of_few_draws_hold_what_they_say(n: int) -> None:
     draws = np.random.default_rng(0).normal(size=(4000, n))
     error = draws.std(axis=1, ddof=1) / np.sqrt(n) * widened(n)

@@ -22,6 +22,9 @@ from .factory import (
     hypothesis,
     make_tree,
     random_tree,
+    with_densities,
+    with_prior,
+    with_variables,
 )
 
 FOLLOWED = ("goal_red", "goal_green", "relation", "scenario")
@@ -31,20 +34,14 @@ def tree_by_frame(seed: int = 0) -> xr.DataTree:
     """Return a random tree with a likelihood for each frame, which add up."""
     tree = random_tree(seed)
     rng = np.random.default_rng(seed)
-    simulations = tree["simulations"].dataset
-    by_frame = np.full(
-        (simulations.sizes["simulation"], tree["observed_data"].sizes["time"]), np.nan
-    )
-    for row, (total, frames) in enumerate(
-        zip(
-            simulations["log_likelihood"].values,
-            simulations["frames_simulated"].values,
-            strict=True,
-        )
-    ):
+    table = tree["simulations"].dataset.to_dataframe()
+    by_frame = np.full((len(table), tree["observed_data"].sizes["time"]), np.nan)
+    pairs = zip(table["log_likelihood"], table["frames_simulated"], strict=True)
+    for row, (total, frames) in enumerate(pairs):
         by_frame[row, :frames] = total * rng.dirichlet(np.ones(frames))
-    tree["simulations"]["step_log_likelihood"] = xr.DataArray(by_frame, dims=("simulation", "time"))
-    return tree
+    return with_variables(
+        tree, "simulations", step_log_likelihood=(("simulation", "time"), by_frame)
+    )
 
 
 def test_prefixes_worked_out_by_hand() -> None:
@@ -73,36 +70,31 @@ def test_at_the_last_frame_it_is_the_posterior_of_the_visited(seed: int) -> None
     # the same simulation again, as when two particles ask for it, counts once
     first = np.append(np.arange(tree["simulations"].sizes["simulation"]), 0)
     tree["simulations"] = tree["simulations"].isel(simulation=first)
-    found, post = Posterior(tree).over_time(), Posterior(tree, "visited")
+    check_last_frame(tree, "visited")
+
+
+def check_last_frame(tree: xr.DataTree, weights: str) -> None:
+    found, post = Posterior(tree).over_time(), Posterior(tree, weights)
+    assert found.attrs["weights"] == weights
     for name in FOLLOWED:
         np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
         np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
-    assert found.attrs["weights"] == "visited"
 
 
 @pytest.mark.parametrize("weights", ["stratified", "importance"])
 @pytest.mark.parametrize("seed", range(2))
 def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, weights: str) -> None:
     tree = tree_by_frame(seed)
-    simulations = tree["simulations"].to_dataset()
-    rng = np.random.default_rng(seed)
+    simulations, rng = tree["simulations"].to_dataset(), np.random.default_rng(seed)
     n = simulations.sizes["simulation"]
-    simulations["log_proposal"] = "simulation", rng.normal(-10, 1, n)
+    log_proposal = rng.normal(-10, 1, n)
     first = simulations["iteration"].values == 0
     at_end = rng.normal(-1, 1, n) - simulations["log_likelihood"].values
-    simulations["log_bound"] = "simulation", np.where(first, np.inf, at_end)
-    simulations["log_again"] = "simulation", np.full(n, -np.inf)
-    tree["simulations"] = xr.DataTree(simulations)
+    tree = with_densities(tree, log_proposal, np.where(first, np.inf, at_end))
     if weights == "stratified":
-        constant = tree["constant_data"].to_dataset()
-        prior = ("pair_red", "pair_green"), rng.random((36, 36))
-        tree["constant_data"] = xr.DataTree(constant.assign(prior_of_pairs=prior))
+        tree = with_prior(tree, rng.random((36, 36)))
         tree.attrs["only_weights"] = weights
-    found, post = Posterior(tree).over_time(), Posterior(tree, weights)
-    assert found.attrs["weights"] == weights
-    for name in FOLLOWED:
-        np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
-        np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
+    check_last_frame(tree, weights)
 
 
 def test_later_frames_change_nothing_before_them() -> None:
@@ -128,14 +120,6 @@ def test_a_failed_simulation_counts_for_nothing() -> None:
     np.testing.assert_array_equal(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), 1)
 
 
-def test_it_says_that_it_is_hindsight_and_in_which_units_time_is() -> None:
-    tree = tree_by_frame()
-    found = Posterior(tree).over_time()
-    assert "proposed from the whole video" in found.attrs["hindsight"]
-    assert found["time"].attrs["units"] == "s"
-    np.testing.assert_array_equal(found["time"], tree["observed_data"]["time"])
-
-
 def test_a_users_scenario_is_followed() -> None:
     found = Posterior(tree_by_frame(), scenario=lambda red, green: "opposing").over_time()
     np.testing.assert_allclose(found["relation"].sel(relation_is="adversarial"), 1)
@@ -146,10 +130,13 @@ def test_a_file_without_the_likelihood_of_each_frame_is_refused() -> None:
         Posterior(random_tree()).over_time()
 
 
-def test_it_survives_the_file(tmp_path: Path) -> None:
+def test_it_says_that_it_is_hindsight_and_survives_the_file(tmp_path: Path) -> None:
     post = Posterior(tree_by_frame())
-    again = Posterior.load(post.save(tmp_path / "a b.nc")).over_time()
-    xr.testing.assert_equal(again, post.over_time())
+    found = post.over_time()
+    assert "proposed from the whole video" in found.attrs["hindsight"]
+    assert found["time"].attrs["units"] == "s"
+    np.testing.assert_array_equal(found["time"], post.tree["observed_data"]["time"])
+    xr.testing.assert_equal(Posterior.load(post.save(tmp_path / "a b.nc")).over_time(), found)
 
 
 def test_likelihoods_of_another_shape_are_named() -> None:

@@ -26,6 +26,7 @@ from .factory import (
     Simulation,
     hypothesis,
     make_tree,
+    posterior_of,
     random_tree,
 )
 
@@ -44,13 +45,13 @@ def post(request: pytest.FixtureRequest) -> Posterior:
 @pytest.fixture(scope="module")
 def small() -> Posterior:
     """Four draws: friendly twice, adversarial once, neutral once."""
-    simulations = [
-        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)), 0),
-        Simulation(hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)), 1),
-        Simulation(hypothesis(TO_GREEN, AWAY_FROM_RED, strengths=(400, 300)), 2),
-        Simulation(hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)), 3),
+    hypotheses = [
+        hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)),
+        hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)),
+        hypothesis(TO_GREEN, AWAY_FROM_RED, strengths=(400, 300)),
+        hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)),
     ]
-    return Posterior(make_tree(simulations, [[0, 1], [2, 3]]))
+    return posterior_of(hypotheses, [[0, 1], [2, 3]])
 
 
 @pytest.mark.parametrize("name", CATEGORICAL)
@@ -64,12 +65,18 @@ def test_marginal_sums_to_one_over_all_labels(post: Posterior, name: str) -> Non
     assert float(marginal.min()) >= 0
 
 
-@pytest.mark.parametrize(("first", "second"), [("goal_red", "goal_green"), ("relation", "alpha")])
-def test_margins_of_the_joint_are_the_marginals(post: Posterior, first: str, second: str) -> None:
-    joint = post.joint(first, second)
-    assert joint.dims == (first, second)
-    np.testing.assert_allclose(joint.sum(second), post.marginal(first), atol=1e-12)
-    np.testing.assert_allclose(joint.sum(first), post.marginal(second), atol=1e-12)
+@pytest.mark.parametrize(
+    "names", [("goal_red", "goal_green"), ("relation", "alpha"), ("goal_red", "relation", "alpha")]
+)
+def test_margins_of_the_joint_are_the_joints_of_fewer(
+    post: Posterior, names: tuple[str, ...]
+) -> None:
+    joint = post.joint(*names)
+    assert joint.dims == names
+    assert joint.error.shape == joint.shape
+    for name in names:
+        others = [other for other in names if other != name]
+        np.testing.assert_allclose(joint.sum(name), post.joint(*others), atol=1e-12)
 
 
 def test_conditional_is_joint_over_marginal(post: Posterior) -> None:
@@ -88,28 +95,31 @@ def test_probability_of_several_labels_is_the_sum_of_theirs(post: Posterior) -> 
     assert either == pytest.approx(1 - post.probability(relation="adversarial"))
 
 
-def test_goals_are_effective_and_the_stated_ones_stay_available(small: Posterior) -> None:
-    # the second hypothesis helps green with the blue item, whatever red's own goal was
-    assert small.probability(goal_red=BLUE_TO_RED) == pytest.approx(3 / 4)
-    assert small.probability(stated_goal_red=PINK_TO_BLUE) == pytest.approx(1 / 4)
-    assert small.probability(relation="friendly") == pytest.approx(1 / 2)
-    assert small.probability(scenario="opposing") == pytest.approx(1 / 4)
+RED_BLUE = {"goal_red": BLUE_TO_RED}
 
 
-def test_conditioning_counts_only_what_fulfils_the_condition(small: Posterior) -> None:
-    given = {"goal_red": BLUE_TO_RED}
-    assert small.probability(given, relation="friendly") == pytest.approx(2 / 3)
-    assert small.probability(given, relation="friendly", alpha=(1, 0)) == pytest.approx(1 / 3)
-    assert small.probability(given, strength_red=(240, 600)) == pytest.approx(2 / 3)
-
-
-@pytest.mark.parametrize("alpha", [(1, 0), "(1, 0)", "(1,0)"])
-def test_alpha_is_asked_for_as_a_pair_or_in_words(small: Posterior, alpha: object) -> None:
-    assert small.probability(alpha=alpha) == pytest.approx(1 / 4)
-
-
-def test_goal_strings_may_differ_in_case_and_spacing(small: Posterior) -> None:
-    assert small.probability(goal_red=" get  BLUE item to red lm") == pytest.approx(3 / 4)
+@pytest.mark.parametrize(
+    ("event", "given", "expected"),
+    [
+        # the second hypothesis helps green with the blue item, whatever red's own goal was
+        (RED_BLUE, {}, 3 / 4),
+        ({"stated_goal_red": PINK_TO_BLUE}, {}, 1 / 4),
+        ({"goal_red": " get  BLUE item to red lm"}, {}, 3 / 4),
+        ({"relation": "friendly"}, {}, 1 / 2),
+        ({"scenario": "opposing"}, {}, 1 / 4),
+        ({"alpha": (1, 0)}, {}, 1 / 4),
+        ({"alpha": "(1,0)"}, {}, 1 / 4),
+        ({"target_red": "green agent"}, {}, 1 / 4),
+        ({"sign_green": "away from"}, {"sign_red": "to"}, 1 / 4),
+        ({"relation": "friendly"}, RED_BLUE, 2 / 3),
+        ({"relation": "friendly", "alpha": (1, 0)}, RED_BLUE, 1 / 3),
+        ({"strength_red": (240, 600)}, RED_BLUE, 2 / 3),
+    ],
+)
+def test_probabilities_of_effective_goals_and_what_follows(
+    small: Posterior, event: dict[str, Any], given: dict[str, Any], expected: float
+) -> None:
+    assert small.probability(given, **event) == pytest.approx(expected)
 
 
 def test_mean_and_interval_of_a_strength(small: Posterior) -> None:
@@ -133,8 +143,7 @@ def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does()
 
 
 def test_top_goals_come_in_order_and_ties_in_label_order() -> None:
-    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((5, 9, 2))]
-    post = Posterior(make_tree(simulations, [[0, 1], [1, 2]]))
+    post = posterior_of((5, 9, 2), [[0, 1], [1, 2]])
     assert post.top("goal_red", 3) == [(GOALS[9], 0.5), (GOALS[2], 0.25), (GOALS[5], 0.25)]
 
 
@@ -185,18 +194,13 @@ def test_scenario_and_relation_follow_a_users_own_definition() -> None:
         Posterior(tree, scenario=lambda red, green: "rivalry")
 
 
-def test_a_site_of_the_users_own_can_be_asked_for() -> None:
-    simulations = [Simulation(hypothesis(), seed) for seed in range(3)]
-    post = Posterior(make_tree(simulations, [[0, 1, 2, 2]], own_site=[0, 2, 1]))
+def test_a_site_of_the_users_own_can_be_asked_for_and_may_carry_labels() -> None:
+    post = posterior_of([hypothesis()] * 3, [[0, 1, 2, 2]], own_site=[0, 2, 1])
     np.testing.assert_allclose(post.marginal("mood"), [0.25, 0.5, 0.25])
-    assert post.probability(mood=1, given={"goal_red": BLUE_TO_RED}) == pytest.approx(0.5)
-
-
-def test_a_site_of_the_users_own_may_carry_labels_or_negative_codes() -> None:
-    simulations = [Simulation(hypothesis(), seed) for seed in range(2)]
-    negative = Posterior(make_tree(simulations, [[0, 1]], own_site=[-3, 4]))
+    assert post.probability(mood=1, given=RED_BLUE) == pytest.approx(0.5)
+    negative = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[-3, 4])
     assert negative.marginal("mood")["mood"].values.tolist() == ["-3", "4"]
-    tree = make_tree(simulations, [[0, 1]], own_site=[0, 2])
+    tree = posterior_of([hypothesis()] * 2, [[0, 1]], own_site=[0, 2]).tree
     tree["posterior"].dataset["mood"].attrs["flag_meanings"] = '["calm", "keen", "angry"]'
     named = Posterior(tree)
     assert named.probability(mood="angry") == pytest.approx(0.5)
@@ -292,35 +296,19 @@ def test_a_goal_has_a_kind_for_its_holder_a_target_a_landmark_and_a_sign(
         assert found == {"goal_kind": kind, "target": target, "landmark": landmark, "sign": sign}
 
 
-def test_parts_of_goals_are_asked_for_like_goals(small: Posterior) -> None:
-    assert small.mode("goal_kind_red") == "item-landmark"
-    assert small.probability(target_red="green agent") == pytest.approx(1 / 4)
-    assert small.marginal("landmark_green").sel(landmark_green="none") == pytest.approx(1 / 4)
-    assert small.probability(sign_green="away from", given={"sign_red": "to"}) == 1 / 4
-
-
 # --- further questions ---------------------------------------------------------------------------
 
 
-def test_a_joint_of_three_has_the_joints_of_two_as_margins(post: Posterior) -> None:
-    joint = post.joint("goal_red", "relation", "alpha")
-    assert joint.shape == (36, 3, 5)
-    two = post.joint("relation", "alpha")
-    np.testing.assert_allclose(joint.sum("goal_red"), two, atol=1e-12)
-    assert joint.error.shape == joint.shape
-
-
 def test_every_question_can_be_conditioned(small: Posterior) -> None:
-    given = {"goal_red": BLUE_TO_RED}
-    np.testing.assert_allclose(small.marginal("relation", given=given), [2 / 3, 1 / 3, 0])
-    joint = small.joint("relation", "alpha", given=given)
+    np.testing.assert_allclose(small.marginal("relation", given=RED_BLUE), [2 / 3, 1 / 3, 0])
+    joint = small.joint("relation", "alpha", given=RED_BLUE)
     assert float(joint.sel(relation="friendly", alpha="(1, 0)")) == pytest.approx(1 / 3)
     assert small.top("relation", 1, given={"strength_red": (300, 700)})[0][0] == "neutral"
     assert small.mode("relation", given={"goal_red": TO_GREEN}) == "adversarial"
     assert small.entropy("relation", given={"goal_red": TO_GREEN}) == 0
-    assert small.mean("strength_red", given=given) == pytest.approx((200 + 250 + 600) / 3)
+    assert small.mean("strength_red", given=RED_BLUE) == pytest.approx((200 + 250 + 600) / 3)
     assert small.sd("strength_red", given={"alpha": (1, 0)}) == 0
-    assert small.hdi("strength_red", 0.6, given=given).values.tolist() == [200, 250]
+    assert small.hdi("strength_red", 0.6, given=RED_BLUE).values.tolist() == [200, 250]
 
 
 def test_entropy_is_that_of_the_weights_in_nats(small: Posterior) -> None:
@@ -360,8 +348,8 @@ def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> Non
 
 
 def test_a_definition_sees_labels_numbers_and_the_pair_alpha_once_per_hypothesis() -> None:
-    simulations = [Simulation(hypothesis(alpha=(1, 0)), 0), Simulation(hypothesis(), 1)]
-    post = Posterior(make_tree(simulations, [[0, 0, 1, 0]], own_site=[3, 4]))
+    hypotheses = [hypothesis(alpha=(1, 0)), hypothesis()]
+    post = posterior_of(hypotheses, [[0, 0, 1, 0]], own_site=[3, 4])
     seen = []
 
     def look(h):  # type: ignore[no-untyped-def]
@@ -418,9 +406,8 @@ KEYS = ["goals", "relation", "scenario", "strengths", "errors", "map"]
 KEYS += ["diagnostics", "settings", "cost"]
 
 
-@pytest.mark.parametrize("weights", ["count", "visited", "likelihood"])
-def test_summary_has_exactly_its_keys_and_is_json(weights: str) -> None:
-    summary = Posterior(random_tree(4), weights).summary()
+def test_summary_has_exactly_its_keys_and_is_json(post: Posterior) -> None:
+    summary = post.summary()
     assert list(summary) == KEYS
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     assert list(summary["goals"]) == ["red agent", "green agent"]
@@ -441,14 +428,8 @@ def test_summary_has_exactly_its_keys_and_is_json(weights: str) -> None:
         name: list(summary[name]) for name in ("goals", "relation", "scenario", "strengths")
     }
     assert errors["relation"]["neutral"] > 0
-    assert summary["diagnostics"]["weights"] == weights
+    assert summary["diagnostics"]["weights"] == post.weights
     assert summary["settings"] == {"seed": 0, "kernel": "local_mh", "beta": 0.05}
-
-
-def test_summary_of_one_particle_gives_null_for_what_does_not_exist() -> None:
-    summary = Posterior(make_tree([Simulation(hypothesis())], [[0]])).summary()
-    assert summary["diagnostics"]["between_chain_tv"]["goal_red"] is None
-    json.dumps(summary, allow_nan=False)
 
 
 def test_numbers_that_are_not_finite_become_null() -> None:
@@ -458,7 +439,7 @@ def test_numbers_that_are_not_finite_become_null() -> None:
     }
 
 
-@pytest.mark.parametrize("weights", ["count", "visited", "likelihood"])
+@pytest.mark.parametrize("weights", WEIGHTS)
 def test_table_fits_a_terminal_and_shows_the_leading_goals(weights: str) -> None:
     tree = random_tree(4)
     tree.attrs["event_id"] = "a rather long name of an event " * 4
@@ -471,6 +452,7 @@ def test_table_fits_a_terminal_and_shows_the_leading_goals(weights: str) -> None
     assert text.index("verdict") < text.index("relation  ")  # before the bars
     for word in ("relation", "scenario", "strength", "cost", "verdict", "12 s on 2 workers"):
         assert word in text
+    assert repr(post) == f"<Posterior of {post.event_id}: 4 x 6 draws, weights {weights!r}>"
 
 
 def test_table_leaves_out_goals_without_mass_and_costs_that_are_not_known() -> None:
@@ -480,8 +462,3 @@ def test_table_leaves_out_goals_without_mass_and_costs_that_are_not_known() -> N
     assert text.partition("red agent")[2].count("Get ") == 2
     assert BLUE_TO_RED in text
     assert "1 simulations;" in text
-
-
-def test_repr_names_the_event_and_the_weighting() -> None:
-    text = repr(Posterior(random_tree(4), "visited"))
-    assert text == "<Posterior of made-up: 4 x 6 draws, weights 'visited'>"

@@ -21,22 +21,21 @@ from .factory import (
     BLUE_TO_RED,
     PINK_TO_BLUE,
     TO_GREEN,
-    Simulation,
     hypothesis,
-    make_tree,
+    posterior_of,
     random_tree,
 )
 
 
 @pytest.fixture(scope="module")
 def small() -> Posterior:
-    simulations = [
-        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)), 0),
-        Simulation(hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)), 1),
-        Simulation(hypothesis(TO_GREEN, PINK_TO_BLUE, strengths=(400, 300)), 2),
-        Simulation(hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)), 3),
+    hypotheses = [
+        hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)),
+        hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)),
+        hypothesis(TO_GREEN, PINK_TO_BLUE, strengths=(400, 300)),
+        hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)),
     ]
-    post = Posterior(make_tree(simulations, [[0, 1], [2, 3]]))
+    post = posterior_of(hypotheses, [[0, 1], [2, 3]])
     post.define("same_goal", lambda h: h.goal_red == h.goal_green)
     return post.define("mood", lambda h: "keen, or not" if h.same_goal else "it's = {fine}")
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
@@ -19,10 +18,18 @@ from phase_ppl.analysis.weights import (
     visited,
 )
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
-from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import Hypothesis
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, TO_GREEN, Simulation, hypothesis, make_tree
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    TO_GREEN,
+    Simulation,
+    hypothesis,
+    make_tree,
+    with_densities,
+    with_log_weight,
+    with_prior,
+)
 
 A = hypothesis(BLUE_TO_RED)
 B = hypothesis(PINK_TO_BLUE)
@@ -35,43 +42,29 @@ def goal_probabilities(post: Posterior) -> dict[str, float]:
     return {goal: value for goal, value in post.top("goal_red", 36) if value > 0}
 
 
-def test_count_gives_every_draw_the_same_weight() -> None:
+def test_draws_count_alike_unless_the_kernel_gave_them_weights() -> None:
     tree = make_tree([Simulation(A), Simulation(B)], [[0, 0, 1], [1, 1, 1]])
     assert goal_probabilities(Posterior(tree, "count")) == pytest.approx(
         {BLUE_TO_RED: 2 / 6, PINK_TO_BLUE: 4 / 6}
     )
-
-
-def test_count_heeds_the_weights_that_a_kernel_gave_its_draws() -> None:
-    tree = make_tree([Simulation(A), Simulation(B)], [[0, 0, 1], [1, 1, 1]])
     log_weight = np.log(np.array([[2.0, 0, 1], [1, 0, 0]]) + 1e-300) - 500
-    stats = tree["sample_stats"]
-    stats["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
-    post = Posterior(tree, "count")
+    post = Posterior(with_log_weight(tree, log_weight), "count")
     assert goal_probabilities(post)[BLUE_TO_RED] == pytest.approx(0.5)
-    stats["log_weight"] = xr.full_like(stats["log_weight"], -np.inf)
+    weightless = with_log_weight(tree, np.full((2, 3), -np.inf))
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
-        Posterior(tree, "count")
-    assert Posterior(tree, "visited").diagnostics()["weighted_draws_ess"] is None
+        Posterior(weightless, "count")
+    assert Posterior(weightless, "visited").diagnostics()["weighted_draws_ess"] is None
 
 
-def test_likelihood_weighs_each_draw_by_its_own_likelihood() -> None:
-    simulations = [Simulation(A, 1, log_likelihood=LOG(0.3)), Simulation(B, 2, 0.0, LOG(0.1))]
-    tree = make_tree(simulations, [[0, 1, 1]])
-    # 0.3 against 0.1 + 0.1
-    assert goal_probabilities(Posterior(tree, "likelihood")) == pytest.approx(
-        {BLUE_TO_RED: 0.6, PINK_TO_BLUE: 0.4}
-    )
-
-
-def test_likelihood_takes_the_seed_of_the_draw_where_a_hypothesis_was_simulated_twice() -> None:
+def test_likelihood_weighs_each_draw_by_its_own_likelihood_of_the_seed_it_had() -> None:
     simulations = [
         Simulation(A, 1, log_likelihood=LOG(0.9)),
-        Simulation(A, 2, log_likelihood=LOG(0.1)),
-        Simulation(B, 3, log_likelihood=LOG(0.3)),
+        Simulation(A, 2, log_likelihood=LOG(0.3)),
+        Simulation(B, 3, log_likelihood=LOG(0.1)),
     ]
-    post = Posterior(make_tree(simulations, [[1, 2]]), "likelihood")
-    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.25, PINK_TO_BLUE: 0.75})
+    post = Posterior(make_tree(simulations, [[1, 2, 2]]), "likelihood")
+    # 0.3 against 0.1 + 0.1
+    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.6, PINK_TO_BLUE: 0.4})
 
 
 def test_likelihood_refuses_a_draw_that_rests_on_no_simulation() -> None:
@@ -116,23 +109,15 @@ def test_visited_weighs_goal_pairs_by_prior_times_mean_likelihood_of_their_runs(
     assert goal_probabilities(post) == pytest.approx(expected)
 
 
-def test_visited_averages_over_strengths_alphas_and_seeds_of_a_pair() -> None:
+def test_visited_tells_runs_of_a_pair_apart_and_averages_over_them() -> None:
     simulations = [
         Simulation(hypothesis(strengths=(300.0, 450.0)), 1, 0.0, LOG(0.6)),
-        Simulation(hypothesis(strengths=(450.0, 450.0)), 2, 0.0, LOG(0.2)),
-        Simulation(B, 3, 0.0, LOG(0.4)),
+        Simulation(hypothesis(strengths=(300.5, 450.0)), 1, 0.0, LOG(0.2)),
+        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED), 1, 0.0, LOG(0.3)),
+        Simulation(hypothesis(TO_GREEN, BLUE_TO_RED, (1, 0)), 1, 0.0, LOG(0.1)),
     ]
     rows = visited(make_tree(simulations, [[0]]))
-    np.testing.assert_allclose(rows.weights, [0.3 / 0.8, 0.1 / 0.8, 0.4 / 0.8])
-
-
-def test_visited_tells_runs_apart_by_strength_and_alpha() -> None:
-    simulations = [
-        Simulation(hypothesis(strengths=(300.0, 450.0)), 1),
-        Simulation(hypothesis(strengths=(300.5, 450.0)), 1),
-        Simulation(hypothesis(TO_GREEN, BLUE_TO_RED, (1, 0)), 1),
-    ]
-    assert len(visited(make_tree(simulations, [[0]])).weights) == 3
+    np.testing.assert_allclose(rows.weights, np.array([0.3, 0.1, 0.15, 0.05]) / 0.6)
 
 
 def test_visited_drops_failed_runs_and_takes_a_stopped_run_as_its_lower_bound() -> None:
@@ -197,16 +182,13 @@ def test_visited_needs_a_completed_simulation() -> None:
         Posterior(tree, "visited")
 
 
-def test_weights_default_to_what_the_run_recorded() -> None:
+def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_close_one() -> None:
     simulations = [Simulation(A, 1, 0.0, LOG(0.9)), Simulation(B, 2, 0.0, LOG(0.1))]
     tree = make_tree(simulations, [[0, 1]], weights="visited")
     assert Posterior(tree).weights == "visited"
     assert goal_probabilities(Posterior(tree))[BLUE_TO_RED] == pytest.approx(0.9)
-
-
-def test_unknown_weights_name_the_close_one() -> None:
     with pytest.raises(UnknownNameError, match="'visited'"):
-        Posterior(make_tree([Simulation(A)], [[0]]), "visitd")
+        Posterior(tree, "visitd")
 
 
 def test_log_sum_exp_of_nothing_and_of_zeros_is_minus_infinity() -> None:
@@ -219,23 +201,6 @@ def test_log_sum_exp_of_nothing_and_of_zeros_is_minus_infinity() -> None:
 def test_weights_that_cannot_be_normalised_are_refused(bad: list[float]) -> None:
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
         normalised(np.array(bad))
-
-
-def proposed(
-    tree: xr.DataTree, log_proposal: list[float], log_bound: float = math.inf, again: float = 0.0
-) -> xr.DataTree:
-    """Return the tree with the densities by which its simulations were proposed.
-
-    All but the first have the bound, and were asked for again with this density.
-    """
-    n = len(log_proposal)
-    simulations = tree["simulations"].to_dataset()
-    simulations["log_proposal"] = "simulation", np.array(log_proposal)
-    simulations["log_bound"] = "simulation", np.array([math.inf, *[log_bound] * (n - 1)])
-    with np.errstate(divide="ignore"):
-        simulations["log_again"] = "simulation", np.log([0.0, *[again] * (n - 1)])
-    tree["simulations"] = xr.DataTree(simulations)
-    return tree
 
 
 TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), iteration=1)]
@@ -252,37 +217,25 @@ TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), itera
                 Simulation(C, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
                 Simulation(C, 3, LOG(0.1), LOG(0.9), failed=True, iteration=1),
             ],
-            {"log_proposal": [LOG(0.5), LOG(0.25), 0.0, 0.0]},
+            {"log_proposal": np.log([0.5, 0.25, 1.0, 1.0])},
         ),
         # completed with probability 0.1 / 0.2, so it counts twice
-        (TENTHS, {"log_proposal": [0.0, 0.0], "log_bound": -LOG(0.2)}),
+        (TENTHS, {"log_proposal": 0.0, "log_bound": [math.inf, -LOG(0.2)]}),
         # what was answered again counts again
-        (TENTHS, {"log_proposal": [0.0, 0.0], "again": 1.0}),
+        (TENTHS, {"log_proposal": 0.0, "log_again": [-math.inf, 0.0]}),
     ],
     ids=["by proposal", "could have been stopped", "answered again"],
 )
 def test_importance_makes_up_for_how_simulations_came_about(
     simulations: list[Simulation], options: dict[str, Any]
 ) -> None:
-    tree = proposed(make_tree(simulations, [[0, 1]]), **options)
+    tree = with_densities(make_tree(simulations, [[0, 1]]), **options)
     found = goal_probabilities(Posterior(tree, "importance"))
     assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
 
 
-def with_prior(tree: xr.DataTree, masses: list[tuple[Hypothesis, float]]) -> xr.DataTree:
-    """Return the tree with the prior masses of pairs, given by hypotheses."""
-    prior = np.zeros((len(GOALS), len(GOALS)))
-    for one, mass in masses:
-        prior[one.effective_goals] = mass
-    constant = tree["constant_data"].to_dataset()
-    tree["constant_data"] = xr.DataTree(
-        constant.assign(prior_of_pairs=(("pair_red", "pair_green"), prior))
-    )
-    return tree
-
-
 def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
-    tree = proposed(make_tree(TENTHS, [[0, 1]]), [0.0, 0.0], again=0.1)
+    tree = with_densities(make_tree(TENTHS, [[0, 1]]), 0.0, log_again=[-math.inf, LOG(0.1)])
     found = goal_probabilities(Posterior(with_prior(tree, [(A, 0.5), (B, 0.5)]), "stratified"))
     assert found == pytest.approx({BLUE_TO_RED: 1 / 2, PINK_TO_BLUE: 1 / 2})
 
@@ -298,7 +251,7 @@ def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None
         Simulation(C, 4, LOG(0.1), LOG(0.9), failed=True, iteration=1),
     ]
     tree = make_tree(simulations, [[0, 1, 3]])
-    tree = proposed(tree, [LOG(q) for q in (0.2, 0.4, 0.4, 0.01, 0.1)])
+    tree = with_densities(tree, np.log([0.2, 0.4, 0.4, 0.01, 0.1]))
     found = goal_probabilities(
         Posterior(with_prior(tree, [(A, 0.6), (B, 0.1), (C, 0.3)]), "stratified")
     )
@@ -317,7 +270,7 @@ def test_rivals_weigh_by_their_pairs_prior_and_mean_likelihood_beside_n_proposal
         Simulation(C, 2, LOG(0.1), LOG(0.4), iteration=2),
         Simulation(C, 3, LOG(0.2), LOG(0.2), iteration=2),
     ]
-    tree = proposed(make_tree(simulations, [[0, 1]]), [LOG(q) for q in (0.5, 0.25, 0.3, 0.6)])
+    tree = with_densities(make_tree(simulations, [[0, 1]]), np.log([0.5, 0.25, 0.3, 0.6]))
     tree.attrs["rivals_from"] = 2
     found = goal_probabilities(
         Posterior(with_prior(tree, [(A, 0.6), (B, 0.3), (C, 0.1)]), "importance")
@@ -326,12 +279,15 @@ def test_rivals_weigh_by_their_pairs_prior_and_mean_likelihood_beside_n_proposal
     assert found == pytest.approx({goal: mass / 0.46 for goal, mass in expected.items()})
 
 
-def test_stratified_needs_densities_and_the_prior_of_pairs() -> None:
+def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
-    with pytest.raises(InvalidSettingError, match="density of each proposal"):
-        Posterior(tree, "stratified")
+    for weights in ("stratified", "importance"):
+        with pytest.raises(InvalidSettingError, match="density of each proposal"):
+            Posterior(tree, weights)
+        with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
+            Posterior(with_densities(tree, [0.0, math.nan]), weights)
     with pytest.raises(InvalidSettingError, match="'importance' does without"):
-        Posterior(proposed(tree, [0.0, 0.0]), "stratified")
+        Posterior(with_densities(tree, 0.0), "stratified")
 
 
 def test_weights_are_truncated_twice_at_the_root_of_their_number_times_the_mean() -> None:
@@ -340,15 +296,6 @@ def test_weights_are_truncated_twice_at_the_root_of_their_number_times_the_mean(
     np.testing.assert_allclose(found, np.array([0.28, 0.02, 0.02, 0.02]) / 0.34)
     even = np.full(9, 1 / 9)
     np.testing.assert_allclose(truncated(even), even)
-
-
-def test_importance_is_refused_where_proposals_have_no_density() -> None:
-    tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
-    with pytest.raises(InvalidSettingError, match="density of each proposal"):
-        Posterior(tree, "importance")
-    unknown = proposed(tree, [0.0, math.nan])
-    with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
-        Posterior(unknown, "importance")
 
 
 def test_a_burn_in_does_not_count() -> None:
@@ -369,11 +316,6 @@ def test_a_burn_in_does_not_count() -> None:
 def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1, completed=False)], [[0]])
     assert math.isnan(Posterior(tree).untried)
-    mass = np.zeros((36, 36))
-    mass[A.effective_goals], mass[B.effective_goals], mass[C.effective_goals] = 0.5, 0.3, 0.2
-    constant = tree["constant_data"].to_dataset()
-    constant["prior_of_pairs"] = ("pair_red", "pair_green"), mass
-    tree["constant_data"] = xr.DataTree(constant)
-    post = Posterior(tree)
+    post = Posterior(with_prior(tree, [(A, 0.5), (B, 0.3), (C, 0.2)]))
     assert post.untried == pytest.approx(0.5)
     assert "0.50 of the prior's mass were never simulated" in post.diagnostics()["verdict"]

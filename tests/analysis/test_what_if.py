@@ -137,20 +137,15 @@ def test_helpers_follow_a_stated_goal_and_not_an_effective_one() -> None:
         ({"at": 41}, "last frame"),
         ({"n": 1}, "n=1"),
         ({"seconds": -1.0}, "seconds"),
+        ({"remove": "grene agent"}, "did you mean 'green agent'"),
+        ({"goal_green": "Get lost"}, "unknown goal"),
     ],
 )
 def test_what_cannot_be_is_refused(
     contested: ppl.Posterior, options: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises(InvalidSettingError, match=words):
-        contested.do(remove="green agent", workers=1, **options)
-
-
-def test_unknown_names_are_refused(contested: ppl.Posterior) -> None:
-    with pytest.raises(UnknownNameError, match="green agent"):
-        contested.do(remove="grene agent", workers=1)
-    with pytest.raises(UnknownNameError):
-        contested.do(goal_green="Get lost", workers=1)
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=words):
+        contested.do(**{"remove": "green agent", "workers": 1, **options})
 
 
 def test_walls_are_moved(contested: ppl.Posterior) -> None:
@@ -183,11 +178,16 @@ def related(share: float) -> None:
     ppl.sites.strengths()
 
 
+def kind(kindness: Any) -> Any:
+    """Sample alpha by a site of one's own."""
+    kindness = numpyro.sample("kindness", kindness)
+    shares = jnp.stack([0.2, *[0.4 * kindness] * 2, *[0.4 * (1 - kindness)] * 2])
+    return numpyro.sample("alpha", dist.Categorical(probs=shares / shares.sum()))
+
+
 def strong_helpers() -> None:
     """Strengths hang on alpha, and alpha on a site of one's own."""
-    kindness = numpyro.sample("kindness", dist.Beta(2.0, 2.0))
-    shares = jnp.stack([0.2, *[0.4 * kindness] * 2, *[0.4 * (1 - kindness)] * 2])
-    alpha = numpyro.sample("alpha", dist.Categorical(probs=shares / shares.sum()))
+    alpha = kind(dist.Beta(2.0, 2.0))
     ppl.sites.goals()
     for name in ("strength_red", "strength_green"):
         numpyro.sample(name, ppl.sites.OneOf(LEVELS, jnp.stack([1.0, 1.0 + alpha])))
@@ -247,9 +247,7 @@ def test_it_is_kept_in_the_file(enumerated: ppl.Posterior, tmp_path: Path) -> No
 
 def test_own_sites_are_weighted_with_the_rest() -> None:
     def friendlier(low: float) -> None:
-        kindness = numpyro.sample("kindness", dist.Uniform(low, 1.0))
-        shares = jnp.stack([0.2, *[0.4 * kindness] * 2, *[0.4 * (1 - kindness)] * 2])
-        numpyro.sample("alpha", dist.Categorical(probs=shares))
+        kind(dist.Uniform(low, 1.0))
         ppl.sites.goals()
         ppl.sites.strengths()
 

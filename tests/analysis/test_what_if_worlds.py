@@ -75,16 +75,21 @@ def test_what_a_world_does_not_have_is_refused(given: dict[str, Any], words: str
         Change.of(TRIO, given, **said)
 
 
-def test_a_closed_loop_goes_on_from_its_hypotheses() -> None:
+def of_one_agent(frames: int) -> tuple[ppl.Event, str]:
+    """Return an event of one agent, and its goal."""
     scene = ppl.worlds.SOLO.random_scene(0)
     goal = next(goal for goal in ppl.worlds.SOLO.goals if goal.startswith("get to"))
-    event = ppl.simulate(scene, goals={scene.world.agents[0]: goal}, frames=12, seed=0)
+    return ppl.simulate(scene, goals={scene.world.agents[0]: goal}, frames=frames, seed=0), goal
+
+
+def test_a_closed_loop_goes_on_from_its_hypotheses() -> None:
+    event, goal = of_one_agent(12)
     post = ppl.infer(event, CLOSED_LOOP, progress=False)
     sure = post.do(goal_red=goal, at=8, seconds=3, n=4, workers=1)
     assert sure.tracks.sizes["entity"] == 3
     assert sure.probability("red agent", goal)[1] == 1
     shares = [float((np.array(sure.goals)[:, 0] == code).mean()) for code in range(22)]
-    likeliest = scene.world.goal_index(post.top("goal_red", 1)[0][0])
+    likeliest = event.scene.world.goal_index(post.top("goal_red", 1)[0][0])
     assert shares[likeliest] == max(shares)
 
 
@@ -104,11 +109,9 @@ def test_ways_are_found_again_in_what_was_read_of_three_agents() -> None:
 
 
 def test_simulated_posteriors_too() -> None:
-    scene = ppl.worlds.SOLO.random_scene(0)
-    goal = next(goal for goal in ppl.worlds.SOLO.goals if goal.startswith("get to"))
-    event = ppl.simulate(scene, goals={scene.world.agents[0]: goal}, frames=8, seed=0)
+    event, _ = of_one_agent(8)
     budget = ppl.simulations(4)
     post = ppl.infer(event, kernel="prior_mh", chains=2, budget=budget, workers=1, progress=False)
-    names = list(scene.world.items[:1])
+    names = list(event.scene.world.items[:1])
     without = post.do(remove=names, seconds=0.2, n=2, workers=1)
     assert without.tracks.sel(world="changed", entity=names[0]).isnull().all()

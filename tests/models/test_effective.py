@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import jax.numpy as jnp
 import numpy as np
 import numpyro
@@ -40,11 +38,6 @@ def test_helping_and_hindering_pairs_gather_what_the_social_agent_might_have_wan
     assert shared == pytest.approx(1 / 3 / 34**2 + 2 / 6 / 34, rel=1e-4)
     assert opposed == pytest.approx(1 / 3 / 34**2 + 2 / 6 / 34, rel=1e-4)
     assert unrelated == pytest.approx(1 / 3 / 34**2, rel=1e-4)
-
-
-def test_effective_pairs_have_total_mass_one() -> None:
-    pairs = list(itertools.product(range(N_GOALS), repeat=2))
-    assert np.exp(log_prior(pairs) + PER_NEWTON).sum() == pytest.approx(1.0, rel=1e-3)
 
 
 def test_a_site_of_ones_own_is_averaged_out() -> None:

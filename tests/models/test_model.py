@@ -35,24 +35,29 @@ def also(statement: Callable[[], Any]) -> Callable[[], None]:
     return changed
 
 
-def test_prior_that_cannot_work_is_refused_by_name() -> None:
-    # tests/models/test_checks.py has all that can be wrong
-    with pytest.raises(InvalidSettingError, match="conditions on 'also'"):
-        Model(prior=also(lambda: numpyro.factor("also", 0.5)), simulator=still)
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        # tests/models/test_checks.py has all that can be wrong with a prior
+        ({"prior": also(lambda: numpyro.factor("also", 0.5))}, "conditions on 'also'"),
+        ({"prior": 34}, "no NumPyro program"),
+        ({"prior": "sparse_socal"}, "'sparse_social'"),
+        ({"likelihood": object()}, "lacks log_prob or max_total_error"),
+        ({"planner": "papr"}, "papr"),
+        ({"noise": "none"}, "noise"),
+        ({"simulator": still, "planner": "paper"}, "joint simulator"),
+    ],
+)
+def test_what_makes_no_model_is_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=said):
+        Model(**options)
 
 
-def test_likelihood_must_be_of_one_of_two_kinds() -> None:
-    with pytest.raises(InvalidSettingError, match="lacks log_prob or max_total_error"):
-        Model(likelihood=object())  # type: ignore[arg-type]
+def test_kernels_weigh_errors_by_one_of_two_kinds_of_likelihood() -> None:
     assert Model().error_likelihood == RadialLikelihood()
     table = Model(likelihood=StepwiseLikelihood()).error_likelihood
     assert table.log_prob(2.5) == -2.5
     assert table.max_total_error(-4.0, 10) == 4.0
-
-
-def test_prior_must_be_a_program() -> None:
-    with pytest.raises(InvalidSettingError, match="no NumPyro program"):
-        Model(prior=34)  # type: ignore[arg-type]
 
 
 def test_prior_may_have_sites_of_its_own() -> None:
@@ -69,18 +74,6 @@ def test_joint_simulator_with_the_fast_planner_is_the_default() -> None:
     assert Model(planner="paper").build_simulator().planner == PlannerConfig()
 
 
-def test_unknown_names_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="papr"):
-        Model(planner="papr")
-    with pytest.raises(UnknownNameError, match="noise"):
-        Model(noise="none")  # type: ignore[arg-type]
-
-
-def test_planner_belongs_to_the_joint_simulator() -> None:
-    with pytest.raises(InvalidSettingError, match="joint simulator"):
-        Model(simulator=still, planner="paper")
-
-
 def test_fingerprint_tells_models_apart() -> None:
     def one() -> None:
         sites.goals(), sites.alpha(), sites.strengths()
@@ -92,3 +85,4 @@ def test_fingerprint_tells_models_apart() -> None:
     assert prints[0]["prior_source"] != prints[1]["prior_source"]
     assert prints[0]["simulator"].endswith("still")
     assert Model().fingerprint() != Model(planner="paper").fingerprint()
+    assert Model(prior="relation_first").fingerprint()["prior"].endswith("relation_first")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,13 +52,13 @@ def test_values_may_depend_on_other_sites_inside_compiled_code() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(([],), "shape"), ((3.0,), "shape"), (([1.0, 2.0], [1.0]), "probabilities of shape")],
+    [
+        ({"values": []}, "shape"),
+        ({"values": 3.0}, "shape"),
+        ({"values": [1.0, 2.0], "probs": [1.0]}, "probabilities of shape"),
+        ({"values": VALUES, "probs": PROBS, "logits": PROBS}, "not both"),
+    ],
 )
-def test_what_is_no_list_of_values_is_refused(arguments: tuple[object, ...], message: str) -> None:
+def test_what_is_no_list_of_values_is_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        OneOf(*arguments)  # type: ignore[arg-type]
-
-
-def test_probs_and_logits_together_are_refused() -> None:
-    with pytest.raises(ValueError, match="not both"):
-        OneOf(VALUES, PROBS, logits=PROBS)
+        OneOf(**arguments)

@@ -22,8 +22,7 @@ from phase_ppl.models.effective import drawn_stated, log_prior_of_effective, sta
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
-from phase_ppl.models.space_prior import masses
-from phase_ppl.models.world_prior import WorldPrior, space_of_prior
+from phase_ppl.models.world_prior import WorldPrior, masses, space_of_prior
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
