@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.events_json import event_from_record, event_record
-from phase_ppl.dataset.events_netcdf import checksum, many, to_bytes
+from phase_ppl.dataset.events_netcdf import checksum, events_bytes
 from phase_ppl.dataset.generated import (
     BLOCKS,
     ENTRIES,
@@ -92,14 +91,6 @@ def _digest(content: Mapping[str, Any]) -> str:
 # --- the data set ------------------------------------------------------------------------------
 
 
-@dataclasses.dataclass
-class _Tally:
-    """How many simulations of a kind were kept, and why others were not."""
-
-    kept: int = 0
-    reasons: Counter[str] = dataclasses.field(default_factory=Counter)
-
-
 def assemble(
     out: Path,
     plan: Mapping[str, Any],
@@ -119,26 +110,30 @@ def assemble(
         slots: all of the plan.
         folder_of: slot -> the folder that has its part.
     """
-    draws = {cell: _Tally() for cell in plan["cells"]}
-    replans = {cell: _Tally() for cell in plan["cells"]}
+    cells = plan["cells"]
+    # of simulations, and of those of re-planned copies
+    kept = {replanned: dict.fromkeys(cells, 0) for replanned in (False, True)}
+    reasons: dict[bool, dict[str, Counter[str]]] = {
+        replanned: {cell: Counter() for cell in cells} for replanned in (False, True)
+    }
     given_up: list[str] = []
     sizes: list[int] = []
     single = len(slots) <= BLOCK
     entries: list[dict[str, Any]] = []
-    for block in _blocks(slots):
+    for start in range(0, len(slots), BLOCK):
         events: list[Event] = []
         entries = []
         refused: list[Event] = []
         told: list[dict[str, Any]] = []
-        for slot in block:
+        for slot in slots[start : start + BLOCK]:
             part = read_part(folder_of(slot), slot)
             events += part.events
             entries += part.entries
-            draws[slot.cell].kept += bool(part.events)
-            replans[slot.cell].kept += sum(bool(entry.get("replanned")) for entry in part.entries)
+            kept[False][slot.cell] += bool(part.events)
+            kept[True][slot.cell] += sum(bool(entry.get("replanned")) for entry in part.entries)
             given_up += [] if part.events else [slot.name]
             for draw, event in part.refused:
-                (replans if draw["replanned"] else draws)[slot.cell].reasons[draw["reason"]] += 1
+                reasons[draw["replanned"]][slot.cell][draw["reason"]] += 1
                 if event is not None:
                     refused.append(event)
                     told.append({"id": event.id, "cell": slot.cell, **draw})
@@ -146,15 +141,16 @@ def assemble(
             entry["checksum"] = checksum(event)
         place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
         if events:
-            write_bytes(place / EVENTS, (".nc",), to_bytes(many(events)))
+            write_bytes(place / EVENTS, (".nc",), events_bytes(events))
         if refused:
-            write_bytes(place / f"{REJECTED}.nc", (".nc",), to_bytes(many(refused)))
+            write_bytes(place / f"{REJECTED}.nc", (".nc",), events_bytes(refused))
             write_json(place / f"{REJECTED}.json", {"rejected": told})
         if not single:
             write_json(place / ENTRIES, {"entries": entries})
         sizes.append(len(events))
     if not sum(sizes):
         raise OutputError(f"{out}: no draw of any kind was kept")
+    replans = {cell: {"kept": n, "rejected": reasons[True][cell]} for cell, n in kept[True].items()}
     write_json(
         out / MANIFEST,
         {
@@ -162,19 +158,10 @@ def assemble(
             "plan": dict(plan),
             "versions": made_by[-1],
             "earlier_versions": made_by[:-1],
-            "kept": {cell: tally.kept for cell, tally in draws.items()},
-            "rejected": {cell: dict(tally.reasons) for cell, tally in draws.items()},
-            "replans": {
-                cell: {"kept": tally.kept, "rejected": dict(tally.reasons)}
-                for cell, tally in replans.items()
-                if plan["replans"]
-            },
+            "kept": kept[False],
+            "rejected": reasons[False],
+            "replans": replans if plan["replans"] else {},
             "given_up": given_up,
             **({"entries": entries} if single else {"blocks": sizes}),
         },
     )
-
-
-def _blocks(slots: Sequence[Slot]) -> Iterator[Sequence[Slot]]:
-    for start in range(0, len(slots), BLOCK):
-        yield slots[start : start + BLOCK]

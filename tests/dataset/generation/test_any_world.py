@@ -13,8 +13,8 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation import generate as module
-from phase_ppl.dataset.generation.any_world import make_in_any_world, uniform_roles
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
+from phase_ppl.dataset.generation.making import make, uniform_roles
 from phase_ppl.dataset.generation.plan import Plan
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
@@ -69,11 +69,11 @@ def test_interrupted_generation_goes_on_to_the_same_set(
         calls.append(slot)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return make_in_any_world(plan, slot)
+        return make(plan, slot)
 
     given = {"world": "solo", "roles": homewards, "frames": 40, **ONE_THREAD}
     whole = generate(tmp_path / "whole", 3, **given)
-    monkeypatch.setattr(module, "make_in_any_world", stopped)
+    monkeypatch.setattr(module, "make", stopped)
     with pytest.raises(GenerationInterrupted, match="2 of 3"):
         generate(tmp_path / "set", 3, **given)
     with pytest.raises(ppl.PhasePPLError, match="another plan: roles"):
