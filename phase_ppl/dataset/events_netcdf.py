@@ -42,6 +42,7 @@ from phase_ppl.dataset.documents import (
     naming,
     parse_document,
     per_name,
+    reading_bytes,
 )
 from phase_ppl.dataset.events_json import (
     EVENT_FORMAT,
@@ -283,7 +284,7 @@ def read(path: str | os.PathLike[str]) -> Entries:
     if tag == EVENTS_FORMAT:
         ids, places = _listed(dataset)
         return [
-            (name, lambda place=place: _checked_event(dataset.isel(place)))
+            (name, functools.partial(_checked_event, dataset, place))
             for name, place in zip(ids, places, strict=True)
         ]
     what = "has no format" if tag is None else f"has format {shown(tag)}"
@@ -343,7 +344,8 @@ def checksum(event: Event) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def _checked_event(dataset: xr.Dataset) -> Event:
+def _checked_event(dataset: xr.Dataset, place: Place | None = None) -> Event:
+    dataset = dataset.isel(place or {})
     event = event_from_dataset(dataset)
     if _CHECKSUM in dataset and dataset.variables[_CHECKSUM].values.tolist() != checksum(event):
         raise InvalidEventError(
@@ -351,20 +353,6 @@ def _checked_event(dataset: xr.Dataset) -> Event:
             f"written by save_event(event_from_dataset(dataset), path) or without {_CHECKSUM}"
         )
     return event
-
-
-def listing(path: str | os.PathLike[str]) -> Listing:
-    """Return what a file of several events holds, without reading the events."""
-    with _opened_dataset(path) as dataset:
-        tag = _format(dataset)
-        if tag != EVENTS_FORMAT:
-            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
-        for name, variable in dataset.variables.items():
-            if {"scale_factor", "add_offset"} & set(variable.encoding):
-                raise InvalidEventError(f"array {name} is packed, expected plain numbers")
-        ids, places = _listed(dataset)
-        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
-        return Listing(ids, places, dims)
 
 
 def event_at(file: h5py.File, listed: Listing, index: int) -> Event:
@@ -532,15 +520,22 @@ _State = tuple[int, int]
 
 
 @functools.lru_cache(maxsize=_LISTED_AT_MOST)
-def _listing(path: Path, state: _State) -> Listing:
-    """Return what a file holds that was in this state."""
-    return listing(path)
+def _listing(path: Path, _state: _State) -> Listing:
+    """Return what a file of several events holds that was in this state; no event is read."""
+    with _opened_dataset(path) as dataset:
+        tag = _format(dataset)
+        if tag != EVENTS_FORMAT:
+            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
+        for name, variable in dataset.variables.items():
+            if {"scale_factor", "add_offset"} & set(variable.encoding):
+                raise InvalidEventError(f"array {name} is packed, expected plain numbers")
+        ids, places = _listed(dataset)
+        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
+        return Listing(ids, places, dims)
 
 
 def _state(path: Path) -> _State:
     """Return what tells a file from another that was put in its place."""
-    try:
+    with reading_bytes("a file of events"):
         found = path.stat()
-    except OSError as error:
-        raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
     return found.st_mtime_ns, found.st_size

@@ -153,21 +153,15 @@ def _entries(path: PathLike, format: str | None) -> Entries:
 
             entries = events_netcdf.read(path)
         else:
-            entries = _of_document(read_document(path))
+            document = read_document(path)
+            tag, known = document.get("format"), ", ".join(map(repr, _READERS))
+            if tag is None:
+                raise InvalidEventError(f"is not an event file: it has no format, such as {known}")
+            if not isinstance(tag, str) or tag not in _READERS:
+                raise InvalidEventError(f"has format {shown(tag)}, expected one of {known}")
+            entries = _READERS[tag](document)
         check_ids([name for name, _ in entries])
     return entries
-
-
-def _of_document(document: Mapping[str, Any]) -> Entries:
-    tag = document.get("format")
-    if tag is None:
-        raise InvalidEventError(f"is not an event file: it has no format, such as {_FORMATS}")
-    if not isinstance(tag, str) or tag not in _READERS:
-        raise InvalidEventError(f"has format {shown(tag)}, expected one of {_FORMATS}")
-    return _READERS[tag](document)
-
-
-_FORMATS = ", ".join(repr(tag) for tag in _READERS)
 
 
 def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turning | None) -> Event:

@@ -189,12 +189,6 @@ def test_an_id_that_is_none_is_refused_in_one_line(tmp_path: Path, name: Any) ->
     assert re.search("(id|event) is ", refused(tmp_path / "one.nc"))
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    assert "no such file" in refused(tmp_path / "none.nc")
-    (tmp_path / "folder.nc").mkdir()
-    assert "is a folder" in refused(tmp_path / "folder.nc")
-
-
 def test_a_file_that_may_not_be_read_is_refused_with_the_reason(
     tmp_path: Path, one: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

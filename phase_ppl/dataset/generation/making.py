@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.dataset.generation.copies import Recording, recoloured, record, reflected
-from phase_ppl.dataset.generation.families import changed, described, family_and_variant
+from phase_ppl.dataset.generation.families import changed, family_and_variant
 from phase_ppl.dataset.generation.plan import (
     MOST_TRIES,
     REFLECTION_SHARES,
@@ -203,7 +203,7 @@ def _tried_in_phase(plan: Plan, made: Made, attempt: int) -> None:
             recording = _simulated(plan, made, other, rng, id, replanned=True)
             if recording is not None:
                 look = plan.looks[int(rng.choice(len(shares), p=shares))]
-                _keep(made, recording, again, look, described(change, situation))
+                _keep(made, recording, again, look, change.described(situation))
                 break
 
 

@@ -7,7 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.events_json import event_from_record, event_record
@@ -20,21 +20,13 @@ from phase_ppl.dataset.generated import (
     MANIFEST_SCHEMA,
     REJECTED,
 )
-from phase_ppl.dataset.generation.making import Made
+from phase_ppl.dataset.generation.making import Made, Rejected
 from phase_ppl.dataset.generation.plan import BLOCK, Slot
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_bytes, write_json
 
 PARTS: Final = "parts"
-
-
-class Part(NamedTuple):
-    """What became of a slot: events with their entries, and what was refused and why."""
-
-    events: list[Event]
-    entries: list[dict[str, Any]]
-    refused: list[tuple[dict[str, Any], Event | None]]
 
 
 def part_file(folder: Path, slot: Slot) -> Path:
@@ -45,11 +37,12 @@ def part_file(folder: Path, slot: Slot) -> Path:
 def write_part(folder: Path, made: Made, keep_rejected: bool) -> None:
     """Keep what became of a slot."""
     rejected: list[dict[str, Any]] = []
-    for draw in made.rejected:
-        record = {"id": draw.id, "reason": draw.reason, "replanned": draw.replanned}
-        rejected.append({**record, "measures": draw.found})
-        if keep_rejected and draw.event is not None:
-            rejected[-1]["event"] = event_record(draw.event)
+    for id, reason, event, measures, replanned in made.rejected:
+        rejected.append(
+            {"id": id, "reason": reason, "replanned": replanned, "measures": measures}
+        )
+        if keep_rejected and event is not None:
+            rejected[-1]["event"] = event_record(event)
     content = {
         "name": made.slot.name,
         "cell": made.slot.cell,
@@ -60,7 +53,7 @@ def write_part(folder: Path, made: Made, keep_rejected: bool) -> None:
     write_json(part_file(folder, made.slot), {"sha256": _digest(content), **content})
 
 
-def read_part(folder: Path, slot: Slot) -> Part:
+def read_part(folder: Path, slot: Slot) -> Made:
     """Return what is kept of a slot (InvalidEventError: it is damaged)."""
     source = part_file(folder, slot)
     content = read_json(source)
@@ -71,14 +64,14 @@ def read_part(folder: Path, slot: Slot) -> Part:
         if content["name"] != slot.name:
             raise InvalidEventError(f"it holds {shown(content['name'])}")
         events = [event_from_record(record) for record in content["events"]]
-        entries, refused = list(content["entries"]), []
+        made = Made(slot, events, list(content["entries"]), [])
         for draw in content["rejected"]:
             event = event_from_record(draw["event"]) if "event" in draw else None
-            kept = {key: draw[key] for key in ("reason", "replanned", "measures")}
-            refused.append((kept, event))
-        if [event.id for event in events] != [entry["id"] for entry in entries]:
+            told = draw["id"], draw["reason"], event, draw["measures"], draw["replanned"]
+            made.rejected.append(Rejected(*told))
+        if [event.id for event in events] != [entry["id"] for entry in made.entries]:
             raise InvalidEventError("its events and entries are not the same")
-        return Part(events, entries, refused)
+        return made
     except (KeyError, TypeError, PhasePPLError) as error:
         raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
 
@@ -132,11 +125,12 @@ def assemble(
             kept[False][slot.cell] += bool(part.events)
             kept[True][slot.cell] += sum(bool(entry.get("replanned")) for entry in part.entries)
             given_up += [] if part.events else [slot.name]
-            for draw, event in part.refused:
-                reasons[draw["replanned"]][slot.cell][draw["reason"]] += 1
+            for id, reason, event, measures, replanned in part.rejected:
+                reasons[replanned][slot.cell][reason] += 1
                 if event is not None:
                     refused.append(event)
-                    told.append({"id": event.id, "cell": slot.cell, **draw})
+                    draw = {"reason": reason, "replanned": replanned, "measures": measures}
+                    told.append({"id": id, "cell": slot.cell, **draw})
         for event, entry in zip(events, entries, strict=True):
             entry["checksum"] = checksum(event)
         place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
