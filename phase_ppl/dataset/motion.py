@@ -37,11 +37,16 @@ def speeds(trajectory: FloatArray) -> FloatArray:
     return np.asarray(steps * FRAMES_PER_SECOND)
 
 
+def last_motion(trajectory: FloatArray) -> int:
+    """Return the last frame in which something has moved; 0 where nothing ever does."""
+    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
+    return int(np.flatnonzero(steps > _MOVING).max(initial=-1)) + 1
+
+
 def moves_to_the_end(trajectory: FloatArray) -> bool:
     """Whether something still moves in the last frames, so that no rest was cut off."""
-    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
-    moving = np.flatnonzero(steps > _MOVING)
-    return bool(len(moving)) and len(steps) - 1 - int(moving[-1]) < TAIL
+    last = last_motion(trajectory)
+    return last > 0 and len(trajectory) - 1 - last < TAIL
 
 
 def seems_to_hold(trajectory: FloatArray, radius: FloatArray, n_agents: int = len(AGENTS)) -> Flags:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -199,10 +200,6 @@ def _moves(event: Event, held: FloatArray) -> dict[str, FloatArray]:
     return {name: np.asarray(given, np.float64) for name, given in numbers.items()}
 
 
-def _percentile_99(values: FloatArray) -> float:
-    return float(np.percentile(values, 99))
-
-
 _VALUES: Final[Mapping[str, tuple[str, Callable[[FloatArray], Any]]]] = {
     "frames_min": ("frames", np.min),
     "frames_median": ("frames", np.median),
@@ -213,7 +210,7 @@ _VALUES: Final[Mapping[str, tuple[str, Callable[[FloatArray], Any]]]] = {
         for suffix in ("", *(f"_{level}" for level in LEVELS))
         for name, of, how in (
             ("speed_mean", "speed", np.mean),
-            ("speed_p99", "speed", _percentile_99),
+            ("speed_p99", "speed", functools.partial(np.percentile, q=99)),
             ("speed_max", "speed", np.max),
             ("at_rest", "at_rest", np.mean),
         )

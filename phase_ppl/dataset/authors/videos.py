@@ -322,18 +322,11 @@ def _misfit(before: FloatArray, radius: float) -> FloatArray:
     between (after - 3) v and (after - 2) v beyond it. The fastest substep turns by a third of a
     full turn.
     """
-    fastest = full_turn(radius) / 3
-    misfit = np.zeros_like(before)
-    for state, (way, after) in enumerate(_PASSING.tolist()):
-        if way == 0:
-            continue
-        cut = 0.0 if way > 0 else -_TURN
-        beyond = way * (before[:, state] - cut)
-        low, high = sorted(((after - 3) * fastest, (after - 2) * fastest))
-        low, high = min(low, 0.0), max(high, 0.0)
-        off = np.maximum(np.maximum(low - beyond, beyond - high), 0.0)
-        misfit[:, state] = (_MISFIT * off) ** 2
-    return misfit
+    way, after = _PASSING.T
+    beyond = way * (before - np.where(way > 0, 0.0, -_TURN))
+    ends = np.stack([after - 3, after - 2, 0 * after]) * (full_turn(radius) / 3)
+    off = np.maximum(np.maximum(ends.min(axis=0) - beyond, beyond - ends.max(axis=0)), 0.0)
+    return np.where(way == 0, 0.0, (_MISFIT * off) ** 2)
 
 
 def _followed(
