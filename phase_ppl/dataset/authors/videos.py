@@ -333,13 +333,14 @@ def _followed(
     before: FloatArray, way: NDArray[np.int64], choices: list[NDArray[np.int64]], last: int
 ) -> FloatArray:
     """Return the angles of the best way, which ends in state ``last``."""
-    state, steps = last, []  # from the last frame on: the state, and the jump before it
+    steps = [(last, 0)]  # from the last frame on: the state, and the jump before it
     for best in reversed(choices):
+        state = steps[-1][0]
         former, jump = divmod(int(best[state]), len(_JUMPS))
-        steps.append((state, int(_JUMPS[jump])))
-        state = former
+        steps[-1] = state, int(_JUMPS[jump])
+        steps.append((former, 0))
     level, result = 0, []
-    for frame, (state, jump) in enumerate([(state, 0), *reversed(steps)]):
+    for frame, (state, jump) in enumerate(reversed(steps)):
         level += jump
         result.append(before[frame, state] + _TURN * level)
         level += int(way[state])

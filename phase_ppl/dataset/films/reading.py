@@ -175,7 +175,10 @@ def read_video(
     if scene is None:
         centres, halves = still.landmarks()
         given = dataclasses.replace(
-            given, walls=still.walls(), landmark_centres=centres, landmark_half_width=one_or_all(halves.tolist())
+            given,
+            walls=still.walls(),
+            landmark_centres=centres,
+            landmark_half_width=one_or_all(halves.tolist()),
         )
     else:
         still.check(scene)

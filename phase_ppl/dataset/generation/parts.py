@@ -38,9 +38,7 @@ def write_part(folder: Path, made: Made, keep_rejected: bool) -> None:
     """Keep what became of a slot."""
     rejected: list[dict[str, Any]] = []
     for id, reason, event, measures, replanned in made.rejected:
-        rejected.append(
-            {"id": id, "reason": reason, "replanned": replanned, "measures": measures}
-        )
+        rejected.append({"id": id, "reason": reason, "replanned": replanned, "measures": measures})
         if keep_rejected and event is not None:
             rejected[-1]["event"] = event_record(event)
     content = {

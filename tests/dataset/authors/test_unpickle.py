@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import copyreg
 import os
 import pickle
@@ -487,7 +486,12 @@ DAMAGED: dict[str, tuple[bytes, str]] = {
     ("content", "message"),
     [
         pytest.param(*case, id=f"{kind} {name}")
-        for kind, cases in {"call": CALLS, "array": STATES, "bomb": BOMBS, "damage": DAMAGED}.items()
+        for kind, cases in {
+            "call": CALLS,
+            "array": STATES,
+            "bomb": BOMBS,
+            "damage": DAMAGED,
+        }.items()
         for name, case in cases.items()
     ],
 )

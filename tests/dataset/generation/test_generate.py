@@ -305,9 +305,7 @@ def test_statistics_of_a_set_in_blocks_are_those_of_one_file(
     assert "family" in found["tables"]
 
 
-def test_a_set_is_loaded_by_its_folder_and_checked(
-    tmp_path: Path, whole: GeneratedEvents
-) -> None:
+def test_a_set_is_loaded_by_its_folder_and_checked(tmp_path: Path, whole: GeneratedEvents) -> None:
     shutil.copytree(whole.path, tmp_path / "set")
     found = ppl.load_events(tmp_path / "set")
     assert isinstance(found, GeneratedEvents)
