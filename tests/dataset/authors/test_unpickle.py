@@ -247,7 +247,7 @@ CALLS: dict[str, tuple[bytes, str]] = {
     "set": (b"\x80\x04\x8f.", "holds a set"),
     "reconstructor": (b"ccopy_reg\n_reconstructor\n.", "asks for 'copy_reg._reconstructor'"),
     "call_data": (b"]K\x01\x85R.", "makes no sense"),
-    "call_class": (b"cnumpy\nndarray\nK\x01\x85R.", "makes no sense"),
+    "call_class": (b"cnumpy\nndarray\nK\x01\x85R.", "as NumPy never does"),
     "call_array": (b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n)C\x01b\x87R)R.", ""),
     "call_list": (b"c_codecs\nencode\n]R.", "makes no sense"),
     "state_of_dict": (b"}}b.", "sets the state of what is no array"),
@@ -424,7 +424,7 @@ def test_room_is_never_made_for_places_that_are_not_used() -> None:
             b"\x80\x05\x96" + struct.pack("<Q", 2**33) + b"x.",  # so many bytes to follow
             b"\x80\x04\x8e" + struct.pack("<Q", 2**33) + b"x.",
         ):
-            refused(content)
+            complaint(content)
         assert tracemalloc.get_traced_memory()[1] < 2**20
     finally:
         tracemalloc.stop()
