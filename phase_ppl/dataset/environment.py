@@ -36,6 +36,7 @@ FEATURES: Final = ("x", "y", "cos", "sin", "vx", "vy", "spin")
 """Of a body in an observation: units, of its angle, units per simulated second, rad per second."""
 
 Observed = dict[str, Any]
+Infos = dict[str, dict[str, Any]]
 
 
 def env(
@@ -149,7 +150,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, Observed], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Observed], Infos]:
         """Begin an episode; return observations and infos by agent.
 
         Args:
@@ -190,13 +191,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
 
     def step(
         self, actions: Mapping[str, int]
-    ) -> tuple[
-        dict[str, Observed],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    ) -> tuple[dict[str, Observed], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """Let all agents act for a step.
 
         Args:
@@ -222,16 +217,10 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         self._frames.append(self._physics.step(doing))
         infos, over = self._infos(), len(self._frames) > self._steps
         rewards = {name: float(infos[name]["reached"]) for name in self.agents}
-        result = (
-            self._observations(),
-            rewards,
-            dict.fromkeys(self.agents, False),
-            dict.fromkeys(self.agents, over),
-            infos,
-        )
+        ended, cut = (dict.fromkeys(self.agents, flag) for flag in (False, over))
         if over:
             self.agents = []
-        return result
+        return self._observations(), rewards, ended, cut, infos
 
     def _observations(self) -> dict[str, Observed]:
         state, model = self._physics.state, self._model
@@ -260,7 +249,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
             }
         return found
 
-    def _infos(self) -> dict[str, dict[str, Any]]:
+    def _infos(self) -> Infos:
         infos = {}
         for agent, name in enumerate(self.possible_agents):
             literal = goal_literal(self._goals[agent], agent, self.world)

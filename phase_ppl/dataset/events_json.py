@@ -323,12 +323,17 @@ def truth_record(
     }
 
 
-def events_record(events: Sequence[Event]) -> dict[str, Any]:
-    """Return the JSON object of a file of several events."""
+def event_bytes(event: Event) -> bytes:
+    """Return the content of a file of one event."""
+    return to_text(event_record(event)).encode()
+
+
+def events_bytes(events: Sequence[Event]) -> bytes:
+    """Return the content of a file of several events."""
     records = [event_record(event) for event in events]
     for record in records:
         del record["format"]
-    return {"format": EVENTS_FORMAT, "events": records}
+    return to_text({"format": EVENTS_FORMAT, "events": records}).encode()
 
 
 def to_text(record: Mapping[str, Any], compact: bool = False) -> str:

@@ -35,7 +35,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.documents import check_ids, event_id, naming, parse_document, per_name
+from phase_ppl.dataset.documents import (
+    check_ids,
+    event_id,
+    in_front,
+    naming,
+    parse_document,
+    per_name,
+    reading_bytes,
+)
 from phase_ppl.dataset.events_json import (
     EVENT_FORMAT,
     EVENTS_FORMAT,
@@ -87,6 +95,7 @@ def event_dataset(event: Event) -> xr.Dataset:
     }
     if scene.resets_velocity:
         values[_RESETS] = _TEXT, np.int8(1)
+    documents: dict[str, Any] = {}
     if world == PHASE:
         for name in (*_GOALS, "relation", "scenario"):
             values[name] = _TEXT, getattr(event.truth, name, "")
@@ -94,12 +103,10 @@ def event_dataset(event: Event) -> xr.Dataset:
             force = getattr(event.truth, name, None)
             values[name] = _FORCE, np.nan if force is None else force
     else:
-        known = event.truth
         values["landmark_half_width"] = fields_of(world)["landmark_half_width"], scene.half_widths
-        values["world"] = _TEXT, to_text(world.to_dict(), compact=True)
-        values["truth"] = _TEXT, to_text(known.to_dict(), compact=True) if known else ""
-    for name in _DOCUMENTS:
-        content = getattr(event, name)
+        documents = {"world": world.to_dict(), "truth": event.truth and event.truth.to_dict()}
+    documents |= {name: getattr(event, name) for name in _DOCUMENTS}
+    for name, content in documents.items():
         values[name] = _TEXT, "" if content is None else to_text(dict(content), compact=True)
     seconds = np.arange(event.observation.n_frames) / FRAMES_PER_SECOND
     return xr.Dataset(
@@ -132,39 +139,33 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     if not isinstance(dataset, xr.Dataset):
         raise InvalidEventError(f"{shown(dataset)} is no xarray Dataset")
     _check_time(dataset)
-    text = _text(dataset, "world")
-    world = World.from_dict(_document("world", text)) if text else PHASE
+    given = _document(dataset, "world")
+    world = PHASE if given is None else World.from_dict(given)
     labels = labels_of(world)
     arrays = {"trajectory": TRAJECTORY, **fields_of(world)}
     found = {name: _values(dataset, name, field.dims, labels) for name, field in arrays.items()}
     found["radius"] = found["radius"].tolist()
+    if given is not None:
+        found["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
     tracks = np.moveaxis(found["trajectory"], 1, 0)
+    turning = _text(dataset, "turning", required=True)
     record: dict[str, Any] = {
+        "world": given,
+        "truth": None if given is None else _document(dataset, "truth"),
+        **{name: _document(dataset, name) for name in _DOCUMENTS},
         "id": _text(dataset, "event", required=True),
-        "scene": scene_record(
-            found, _text(dataset, "turning", required=True), _resets(dataset), world
-        ),
+        "scene": scene_record(found, turning, _resets(dataset), world),
         "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
-    if text:
-        record["scene"]["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
-        record["world"] = world.to_dict()
-        known = _text(dataset, "truth")
-        record["truth"] = _document("truth", known) if known else None
     goals = [_text(dataset, name) for name in _GOALS]
     if any(goals):
+        forces = (_force(dataset, name) for name in _STRENGTHS)
         record["truth"] = {
             "goals": dict(zip(AGENTS, goals, strict=True)),
             "relation": _text(dataset, "relation"),
             "scenario": _text(dataset, "scenario"),
-            "strengths": {
-                agent: _force(dataset, name) for agent, name in zip(AGENTS, _STRENGTHS, strict=True)
-            },
+            "strengths": dict(zip(AGENTS, forces, strict=True)),
         }
-    for name in _DOCUMENTS:
-        text = _text(dataset, name)
-        if text:
-            record[name] = _document(name, text)
     return event_from_record(record)
 
 
@@ -242,11 +243,10 @@ def _force(dataset: xr.Dataset, name: str) -> float | None:
     return None if isinstance(value, float) and np.isnan(value) else value
 
 
-def _document(name: str, text: str) -> dict[str, Any]:
-    try:
-        return parse_document(text.encode(errors="surrogatepass"))
-    except InvalidEventError as error:
-        raise InvalidEventError(f"{name}: {error}") from None
+def _document(dataset: xr.Dataset, name: str) -> dict[str, Any] | None:
+    text = _text(dataset, name)
+    with in_front(f"{name}: "):
+        return parse_document(text.encode(errors="surrogatepass")) if text else None
 
 
 # --- files -----------------------------------------------------------------------------------
@@ -279,11 +279,12 @@ def read(path: str | os.PathLike[str]) -> Entries:
         dataset = stored.load()
     tag = _format(dataset)
     if tag == EVENT_FORMAT:
-        return [(_id(dataset), functools.partial(_checked_event, dataset))]
+        name = event_id({"id": _text(dataset, "event", required=True)})
+        return [(name, functools.partial(_checked_event, dataset))]
     if tag == EVENTS_FORMAT:
         ids, places = _listed(dataset)
         return [
-            (name, functools.partial(_event_in, dataset, place))
+            (name, functools.partial(_checked_event, dataset, place))
             for name, place in zip(ids, places, strict=True)
         ]
     what = "has no format" if tag is None else f"has format {shown(tag)}"
@@ -297,21 +298,17 @@ def _opened_dataset(path: str | os.PathLike[str]) -> Iterator[xr.Dataset]:
         yield dataset
 
 
-def _event_in(dataset: xr.Dataset, place: Place) -> Event:
-    return _checked_event(dataset.isel(place))
-
-
 def _format(dataset: xr.Dataset) -> str | None:
     tag = dataset.attrs.get("format")
     return tag if isinstance(tag, str) else None  # an array would compare element by element
 
 
-def one(event: Event) -> xr.Dataset:
+def event_bytes(event: Event) -> bytes:
     """Return the content of a file of one event. Errors as for :func:`event_dataset`."""
-    return event_dataset(event).assign({_CHECKSUM: ((), checksum(event))})
+    return _to_bytes(_sealed(event))
 
 
-def many(events: Sequence[Event]) -> xr.Dataset:
+def events_bytes(events: Sequence[Event]) -> bytes:
     """Return the content of a file of several events. Errors as for :func:`event_dataset`."""
     other = next((e for e in events if e.scene.world != events[0].scene.world), None)
     if other is not None:
@@ -319,16 +316,20 @@ def many(events: Sequence[Event]) -> xr.Dataset:
             f"event {other.id!r} is of the world {other.scene.world.name}, the first one of "
             f"{events[0].scene.world.name}: a file holds events of one world"
         )
-    datasets = [one(event) for event in events]
+    datasets = [_sealed(event) for event in events]
     if any(_RESETS in dataset for dataset in datasets):
         datasets = [
             dataset if _RESETS in dataset else dataset.assign({_RESETS: ((), np.int8(0))})
             for dataset in datasets
         ]
-    return _packed(datasets)
+    return _to_bytes(_packed(datasets))
 
 
-def to_bytes(dataset: xr.Dataset) -> bytes:
+def _sealed(event: Event) -> xr.Dataset:
+    return event_dataset(event).assign({_CHECKSUM: ((), checksum(event))})
+
+
+def _to_bytes(dataset: xr.Dataset) -> bytes:
     """Return the bytes of a file (InvalidEventError: more than can be read again)."""
     # nothing but a strength is ever missing
     content = netcdf_bytes({"/": dataset}, {"_FillValue": None, "fletcher32": True})
@@ -343,7 +344,8 @@ def checksum(event: Event) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def _checked_event(dataset: xr.Dataset) -> Event:
+def _checked_event(dataset: xr.Dataset, place: Place | None = None) -> Event:
+    dataset = dataset.isel(place or {})
     event = event_from_dataset(dataset)
     if _CHECKSUM in dataset and dataset.variables[_CHECKSUM].values.tolist() != checksum(event):
         raise InvalidEventError(
@@ -351,20 +353,6 @@ def _checked_event(dataset: xr.Dataset) -> Event:
             f"written by save_event(event_from_dataset(dataset), path) or without {_CHECKSUM}"
         )
     return event
-
-
-def listing(path: str | os.PathLike[str]) -> Listing:
-    """Return what a file of several events holds, without reading the events."""
-    with _opened_dataset(path) as dataset:
-        tag = _format(dataset)
-        if tag != EVENTS_FORMAT:
-            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
-        for name, variable in dataset.variables.items():
-            if {"scale_factor", "add_offset"} & set(variable.encoding):
-                raise InvalidEventError(f"array {name} is packed, expected plain numbers")
-        ids, places = _listed(dataset)
-        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
-        return Listing(ids, places, dims)
 
 
 def event_at(file: h5py.File, listed: Listing, index: int) -> Event:
@@ -431,13 +419,6 @@ def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
     if not whole or int(lengths.sum()) != size:
         raise InvalidEventError(f"{counter} does not add up to the {size} along {dim}")
     return np.cumsum(lengths, dtype=np.int64)
-
-
-def _id(dataset: xr.Dataset) -> str:
-    """Return the id of the only event of a dataset."""
-    if "event" not in dataset.variables:
-        raise InvalidEventError("has no event, which is its id")
-    return event_id({"id": dataset.variables["event"].values.tolist()})
 
 
 # --- events that are read when they are asked for --------------------------------------------
@@ -539,15 +520,22 @@ _State = tuple[int, int]
 
 
 @functools.lru_cache(maxsize=_LISTED_AT_MOST)
-def _listing(path: Path, state: _State) -> Listing:
-    """Return what a file holds that was in this state."""
-    return listing(path)
+def _listing(path: Path, _state: _State) -> Listing:
+    """Return what a file of several events holds that was in this state; no event is read."""
+    with _opened_dataset(path) as dataset:
+        tag = _format(dataset)
+        if tag != EVENTS_FORMAT:
+            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
+        for name, variable in dataset.variables.items():
+            if {"scale_factor", "add_offset"} & set(variable.encoding):
+                raise InvalidEventError(f"array {name} is packed, expected plain numbers")
+        ids, places = _listed(dataset)
+        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
+        return Listing(ids, places, dims)
 
 
 def _state(path: Path) -> _State:
     """Return what tells a file from another that was put in its place."""
-    try:
+    with reading_bytes("a file of events"):
         found = path.stat()
-    except OSError as error:
-        raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
     return found.st_mtime_ns, found.st_size

@@ -22,8 +22,6 @@ events.nc, rejected.nc and rejected.json of these, and entries.json in place of 
 
 from __future__ import annotations
 
-import bisect
-import copy
 import functools
 import os
 from collections import Counter
@@ -77,20 +75,14 @@ class GeneratedEvents(StoredEvents):
         # a block without events has no file of them
         filled = [block for block, n in zip(self._blocks, sizes, strict=True) if n]
         super().__init__([folder / EVENTS for folder in filled or [self.path]], turning)
-        self._entries: Sequence[dict[str, Any]]
-        if sizes:
-            self._entries = _Entries(filled, self._starts, self._ids)
-            same = len(self._ids) == sum(sizes)
-        else:
-            self._entries = self.manifest["entries"]
-            same = self._ids == [entry["id"] for entry in self._entries]
-        if not same:
+        told = [entry["id"] for entry in self.manifest.get("entries", [])]
+        if len(self._ids) != sum(sizes) if sizes else self._ids != told:
             raise InvalidEventError(
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
             )
 
     def __repr__(self) -> str:
-        splits = Counter(entry["split"] for entry in self._entries)
+        splits = Counter(entry["split"] for entry in self.entries)
         told = ", ".join(f"{n} {name}" for name, n in splits.items())
         return f"<{len(self)} generated events of {self.path}: {told}>"
 
@@ -100,7 +92,19 @@ class GeneratedEvents(StoredEvents):
     @property
     def entries(self) -> Sequence[dict[str, Any]]:
         """What is known about how each of these events was made, in their order."""
-        return self._entries
+        if self._blocks:
+            return _Entries(self)
+        return [self.manifest["entries"][place] for place in self._places]
+
+    def _entry(self, index: int) -> dict[str, Any]:
+        """Return what is known about one of the events of a set in blocks."""
+        place = self._places[index]
+        number = self._number_of_file(place)
+        folder, within = self._files[number].parent, place - self._starts[number]
+        entries = _entries_of(folder / ENTRIES)
+        if within >= len(entries) or entries[within]["id"] != self._ids[place]:
+            raise InvalidEventError(f"{folder}: {EVENTS} and {ENTRIES} are not of the same events")
+        return entries[within]
 
     @property
     def cost(self) -> dict[str, Any]:
@@ -114,9 +118,9 @@ class GeneratedEvents(StoredEvents):
         Raises:
             InvalidEventError: there is none in it.
         """
-        found = [index for index, entry in enumerate(self._entries) if entry["split"] == name]
+        found = [index for index, entry in enumerate(self.entries) if entry["split"] == name]
         if not found:
-            known = sorted({entry["split"] for entry in self._entries})
+            known = sorted({entry["split"] for entry in self.entries})
             raise InvalidEventError(f"no events in split {name!r}; there are {known}")
         return self.chosen(found)
 
@@ -129,49 +133,26 @@ class GeneratedEvents(StoredEvents):
         folders = self._blocks or [self.path]
         return [draw for folder in folders for draw in _rejected(folder)]
 
-    def chosen(self, indices: Sequence[int]) -> Self:
-        """Return some of the events, in the order of the indices."""
-        found = super().chosen(indices)
-        known = self._entries
-        if isinstance(known, _Entries):
-            found._entries = known.chosen(indices)
-        else:
-            found._entries = [known[index] for index in indices]
-        return found
-
 
 class _Entries(Sequence[dict[str, Any]]):
-    """What is known about the events of blocks: read, a block at a time, when it is asked for."""
+    """What is known about the events of a set in blocks: read when asked for, a block at a time."""
 
-    def __init__(self, folders: Sequence[Path], starts: Sequence[int], ids: Sequence[str]) -> None:
-        self._folders, self._starts, self._ids = folders, starts, ids
-        self._places: Sequence[int] = range(len(ids))
-
-    def chosen(self, indices: Sequence[int]) -> Self:
-        found = copy.copy(self)
-        found._places = [self._places[index] for index in indices]
-        return found
+    def __init__(self, events: GeneratedEvents) -> None:
+        self._events = events
 
     @overload
     def __getitem__(self, index: int) -> dict[str, Any]: ...
 
     @overload
-    def __getitem__(self, index: slice) -> Self: ...
+    def __getitem__(self, index: slice) -> Sequence[dict[str, Any]]: ...
 
-    def __getitem__(self, index: int | slice) -> dict[str, Any] | Self:
+    def __getitem__(self, index: int | slice) -> dict[str, Any] | Sequence[dict[str, Any]]:
         if isinstance(index, slice):
-            return self.chosen(range(len(self))[index])
-        place = self._places[index]
-        number = bisect.bisect_right(self._starts, place) - 1
-        entries = _entries_of(self._folders[number] / ENTRIES)
-        within = place - self._starts[number]
-        if within >= len(entries) or entries[within]["id"] != self._ids[place]:
-            folder = self._folders[number]
-            raise InvalidEventError(f"{folder}: {EVENTS} and {ENTRIES} are not of the same events")
-        return entries[within]
+            return self._events[index].entries
+        return self._events._entry(index)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._events)
 
 
 @functools.lru_cache(maxsize=2)

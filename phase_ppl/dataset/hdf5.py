@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
-from phase_ppl.dataset.documents import MAX_BYTES, too_large
+from phase_ppl.dataset.documents import MAX_BYTES, reading_bytes, too_large
 from phase_ppl.world.errors import InvalidEventError
 
 if TYPE_CHECKING:
@@ -47,13 +47,11 @@ Groups = dict[str, "xr.Dataset"]  # path of a group, "/" of the root -> its cont
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:
     """Whether ``path`` is a file that begins like HDF5."""
-    try:
+    with reading_bytes("a file"):
         if not Path(path).is_file():  # a pipe could not be read a second time
             return False
         with open(path, "rb") as file:
             return file.read(len(SIGNATURE)) == SIGNATURE
-    except OSError as error:
-        raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
 
 
 # --- writing ---------------------------------------------------------------------------------

@@ -148,23 +148,20 @@ def _entries(path: PathLike, format: str | None) -> Entries:
 
             entries = videos.read(path)
         elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
-            entries = _netcdf().read(path)
+            # brings xarray
+            from phase_ppl.dataset import events_netcdf
+
+            entries = events_netcdf.read(path)
         else:
-            entries = _of_document(read_document(path))
+            document = read_document(path)
+            tag, known = document.get("format"), ", ".join(map(repr, _READERS))
+            if tag is None:
+                raise InvalidEventError(f"is not an event file: it has no format, such as {known}")
+            if not isinstance(tag, str) or tag not in _READERS:
+                raise InvalidEventError(f"has format {shown(tag)}, expected one of {known}")
+            entries = _READERS[tag](document)
         check_ids([name for name, _ in entries])
     return entries
-
-
-def _of_document(document: Mapping[str, Any]) -> Entries:
-    tag = document.get("format")
-    if tag is None:
-        raise InvalidEventError(f"is not an event file: it has no format, such as {_FORMATS}")
-    if not isinstance(tag, str) or tag not in _READERS:
-        raise InvalidEventError(f"has format {shown(tag)}, expected one of {_FORMATS}")
-    return _READERS[tag](document)
-
-
-_FORMATS = ", ".join(repr(tag) for tag in _READERS)
 
 
 def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turning | None) -> Event:
@@ -206,10 +203,7 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions hold something that JSON has no form for, or
             the id is no printable text.
     """
-    as_path(path)
-    with naming(path):
-        content = _netcdf().one(event) if _is_netcdf(path) else events_json.event_record(event)
-    _write(content, path)
+    _write(path, SUFFIXES, lambda: _format_of(path).event_bytes(event))
 
 
 def save_events(events: Sequence[Event], path: PathLike) -> None:
@@ -219,15 +213,13 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
         OutputError: the file cannot be written.
         InvalidEventError: no events, an id given twice, or as for :func:`save_event`.
     """
-    as_path(path)
     instance_of("events", events, Sequence, "a list of events")
     events = list(events)
     for event in events:
         instance_of("event", event, Event, "a phase_ppl.Event")
     with naming(path):
         check_ids([event.id for event in events])
-        content = _netcdf().many(events) if _is_netcdf(path) else events_json.events_record(events)
-    _write(content, path)
+    _write(path, SUFFIXES, lambda: _format_of(path).events_bytes(events))
 
 
 def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
@@ -258,45 +250,38 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
         return
     with naming(path):
         check_ids([event.id for event in events])
+    video: Callable[[Event], dict[str, Any]]
+    together: Callable[[list[dict[str, Any]]], bytes]
     if format == "phase-test":
         like = events[0].scene
-        videos = _each(events, path, functools.partial(phase_test.video, like=like))
-        with naming(path):
-            content = events_json.to_text(phase_test.document(videos, like)).encode()
+        video = functools.partial(phase_test.video, like=like)
+        together = functools.partial(phase_test.videos_bytes, scene=like)
     else:
         from phase_ppl.dataset.authors import videos as authors
 
-        content = authors.pickled(_each(events, path, authors.video))
-    write_bytes(path, suffixes, content)
-
-
-def _each(
-    events: Sequence[Event], path: PathLike, video: Callable[[Event], dict[str, Any]]
-) -> list[dict[str, Any]]:
+        video, together = authors.video, authors.pickled
     videos = []
     for event in events:
         with naming(path, event.id):
             videos.append(video(event))
-    return videos
+    _write(path, suffixes, lambda: together(videos))
 
 
-def _write(content: Any, path: PathLike) -> None:
-    """Write a JSON object, or a Dataset for NetCDF."""
-    check_output(path, SUFFIXES)  # what is wrong with the place is said before what is in it
+def _write(path: PathLike, suffixes: Sequence[str], content: Callable[[], bytes]) -> None:
+    check_output(path, suffixes)  # what is wrong with the place is said before what is in it
     with naming(path):
-        if _is_netcdf(path):
-            text = _netcdf().to_bytes(content)
-        else:
-            text = events_json.to_text(content).encode()
-    write_bytes(path, SUFFIXES, text)
+        made = content()
+    write_bytes(path, suffixes, made)
 
 
 def _is_netcdf(path: PathLike) -> bool:
     return Path(path).suffix.lower() == _NETCDF
 
 
-def _netcdf() -> ModuleType:
-    """Return the module for NetCDF, which brings xarray: only where it is needed."""
+def _format_of(path: PathLike) -> ModuleType:
+    """Return the module that writes a file; that for NetCDF brings xarray: only where needed."""
+    if not _is_netcdf(path):
+        return events_json
     from phase_ppl.dataset import events_netcdf
 
     return events_netcdf

@@ -37,11 +37,16 @@ def speeds(trajectory: FloatArray) -> FloatArray:
     return np.asarray(steps * FRAMES_PER_SECOND)
 
 
+def last_motion(trajectory: FloatArray) -> int:
+    """Return the last frame in which something has moved; 0 where nothing ever does."""
+    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
+    return int(np.flatnonzero(steps > _MOVING).max(initial=-1)) + 1
+
+
 def moves_to_the_end(trajectory: FloatArray) -> bool:
     """Whether something still moves in the last frames, so that no rest was cut off."""
-    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
-    moving = np.flatnonzero(steps > _MOVING)
-    return bool(len(moving)) and len(steps) - 1 - int(moving[-1]) < TAIL
+    last = last_motion(trajectory)
+    return last > 0 and len(trajectory) - 1 - last < TAIL
 
 
 def seems_to_hold(trajectory: FloatArray, radius: FloatArray, n_agents: int = len(AGENTS)) -> Flags:
@@ -78,34 +83,21 @@ def items_held(
             for point in GRAB_POINTS:
                 place = point * (radius[agent] + radius[item])
                 distance = np.linalg.norm(local - place, axis=1)
-                held = _lasting(_closed(distance < within))
+                held = _lasting(distance < within)
                 off[held, agent, which] = np.minimum(off[held, agent, which], distance[held])
     nearest = n_agents + off.argmin(axis=2)
     return np.where(np.isfinite(off.min(axis=2)), nearest, NOTHING)
 
 
-def _runs(flags: Flags) -> list[tuple[int, int]]:
-    """Return (start, end) of the runs of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
-
-
-def _closed(flags: Flags) -> Flags:
-    """Return the flags with short gaps between true values closed."""
-    result = flags.copy()
-    for start, end in _runs(~flags):
-        if start > 0 and end < len(flags) and end - start <= _GAP_FRAMES:
-            result[start:end] = True
-    return result
-
-
 def _lasting(flags: Flags) -> Flags:
-    """Return the flags without short runs of true values."""
-    result = flags.copy()
-    for start, end in _runs(flags):
-        if end - start < _HELD_FRAMES:
-            result[start:end] = False
-    return result
+    """Return the flags with short gaps between true values closed, then without short runs."""
+    from scipy import ndimage
+
+    # beside the ends there is nothing that a gap could be closed to
+    padded = np.pad(flags, _GAP_FRAMES + 1)
+    closed = ndimage.binary_closing(padded, np.ones(_GAP_FRAMES + 1))
+    lasting = ndimage.binary_opening(closed, np.ones(_HELD_FRAMES))
+    return np.asarray(lasting[_GAP_FRAMES + 1 : -_GAP_FRAMES - 1])
 
 
 # --- which way agents turn by themselves -----------------------------------------------------

@@ -27,6 +27,7 @@ from phase_ppl.dataset.events_json import (
     entries_of,
     read_observation,
     read_truth,
+    to_text,
     tracks_record,
     truth_record,
 )
@@ -120,9 +121,9 @@ def _newtons(level: Any) -> float | None:
 # --- writing ----------------------------------------------------------------------------------
 
 
-def document(videos: Sequence[Mapping[str, Any]], scene: Scene) -> dict[str, Any]:
-    """Return the JSON object of events, each as :func:`video` writes it, in the arena of one."""
-    return {
+def videos_bytes(videos: Sequence[Mapping[str, Any]], scene: Scene) -> bytes:
+    """Return the content of a file of events, each as :func:`video` has it, in a scene's arena."""
+    document = {
         "format": FORMAT,
         "n_videos": len(videos),
         "arena": arena_record(scene.arena),
@@ -135,6 +136,7 @@ def document(videos: Sequence[Mapping[str, Any]], scene: Scene) -> dict[str, Any
         "scenario_types": list(SCENARIOS),
         "videos": list(videos),
     }
+    return to_text(document).encode()
 
 
 def video(event: Event, like: Scene) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -158,9 +159,9 @@ def statistics(
     told = [entries.get(event.id, {}) for event in events]
     units = [str(entry.get("group", event.id)) for event, entry in zip(events, told, strict=True)]
     held, holding_from = _holding(events, told)
-    found = _Motion(units, len(world.agents))
-    for event, held_items in zip(events, held, strict=True):
-        found.add(event, held_items)
+    moves = [_moves(event, of_event) for event, of_event in zip(events, held, strict=True)]
+    numbers = {name: [of_event[name] for of_event in moves] for name in moves[0]}
+    values = {name: _value(numbers[of], units, how) for name, (of, how) in _VALUES.items()}
     return {
         "name": name,
         "events": len(events),
@@ -169,94 +170,81 @@ def statistics(
         "without_truth": sum(event.truth is None for event in events),
         "without_strength": sum(force is None for event in events for force in _strengths(event)),
         "tables": _tables(events, told, units),
-        "values": found.values(),
+        "values": {name: value for name, value in values.items() if value is not None},
         "holding_from": holding_from,
-        "histograms": found.histograms(),
+        "histograms": {
+            name: _histogram(numbers[name], FRAME_EDGES if name == "frames" else SPEED_EDGES)
+            for name in ("frames", "speed", *(f"speed_{level}" for level in LEVELS))
+        },
         "draws": None if manifest is None else _draws(manifest),
     }
 
 
-class _Motion:
-    """Numbers about how bodies move, gathered in one pass: name -> an array for each event.
-
-    ``units`` are, per event, the unit that it belongs to; units are what is resampled.
-    """
-
-    def __init__(self, units: Sequence[str], n_agents: int) -> None:
-        self._units, self._n_agents = units, n_agents
-        self._numbers: dict[str, list[FloatArray]] = {}
-
-    def add(self, event: Event, held: FloatArray) -> None:
-        """Take in an event, and how much of each frame each agent holds an item."""
-        track, n = event.observation.trajectory, self._n_agents
-        speed = speeds(track)
-        by_strength = {"": speed[:, :n]}
-        for level, name in zip(STRENGTH_LEVELS, LEVELS, strict=True):
-            of_level = [agent for agent, force in enumerate(_strengths(event)) if force == level]
-            by_strength[f"_{name}"] = speed[:, of_level]
-        numbers: dict[str, Any] = {
-            "frames": [len(track)],
-            "untrimmed": [moves_to_the_end(track)],
-            **{f"speed{suffix}": agents.ravel() for suffix, agents in by_strength.items()},
-            **{f"at_rest{suffix}": agents.ravel() < SLOW for suffix, agents in by_strength.items()},
-            "step": speed[:, :n].ravel() / FRAMES_PER_SECOND,
-            "items_move": speed[:, n:].ravel() >= SLOW,
-            "holding": held,
-        }
-        for name, given in numbers.items():
-            self._numbers.setdefault(name, []).append(np.asarray(given, np.float64))
-
-    def values(self) -> dict[str, dict[str, Any]]:
-        """Return name -> ``value``, ``se`` (None where there is none) and ``units``."""
-        suffixes = ("", *(f"_{level}" for level in LEVELS))
-        wanted: dict[str, tuple[str, Callable[[FloatArray], Any]]] = {
-            "frames_min": ("frames", np.min),
-            "frames_median": ("frames", np.median),
-            "frames_max": ("frames", np.max),
-            "untrimmed": ("untrimmed", np.mean),
-        }
-        for suffix in suffixes:
-            wanted[f"speed_mean{suffix}"] = f"speed{suffix}", np.mean
-            wanted[f"speed_p99{suffix}"] = f"speed{suffix}", _percentile_99
-            wanted[f"speed_max{suffix}"] = f"speed{suffix}", np.max
-            wanted[f"at_rest{suffix}"] = f"at_rest{suffix}", np.mean
-        wanted["step_median"] = "step", np.median
-        wanted["step_max"] = "step", np.max
-        for name in ("items_move", "holding"):
-            wanted[name] = name, np.mean
-        found = {name: self._value(self._numbers[of], how) for name, (of, how) in wanted.items()}
-        return {name: value for name, value in found.items() if value is not None}
-
-    def _value(
-        self, per_event: Sequence[FloatArray], function: Callable[[FloatArray], Any]
-    ) -> dict[str, Any] | None:
-        grouped: dict[str, list[FloatArray]] = {}
-        for unit, numbers in zip(self._units, per_event, strict=True):
-            if len(numbers):
-                grouped.setdefault(unit, []).append(numbers)
-        if not grouped:
-            return None
-        parts = [np.concatenate(arrays) for arrays in grouped.values()]
-        extreme = function in (np.min, np.max)  # whose error no resampling tells
-        return {
-            "value": float(function(np.concatenate(parts))),
-            "se": None if extreme else standard_error(parts, function),
-            "units": len(parts),
-        }
-
-    def histograms(self) -> dict[str, Any]:
-        """Return name -> ``edges`` and ``counts``."""
-        found = {}
-        for name in ("frames", "speed", *(f"speed_{level}" for level in LEVELS)):
-            edges = FRAME_EDGES if name == "frames" else SPEED_EDGES
-            inside = np.clip(np.concatenate(self._numbers[name]), edges[0], edges[-1])
-            counts = np.histogram(inside, edges)[0]
-            found[name] = {"edges": list(edges), "counts": counts.tolist()}
-        return found
+def _moves(event: Event, held: FloatArray) -> dict[str, FloatArray]:
+    """Return numbers about how bodies move; ``held``: how much of each frame each agent holds."""
+    track, n = event.observation.trajectory, len(event.scene.world.agents)
+    speed = speeds(track)
+    agents = {"": speed[:, :n].ravel()}
+    for level, name in zip(STRENGTH_LEVELS, LEVELS, strict=True):
+        of_level = [agent for agent, force in enumerate(_strengths(event)) if force == level]
+        agents[f"_{name}"] = speed[:, of_level].ravel()
+    numbers: dict[str, Any] = {
+        "frames": [len(track)],
+        "untrimmed": [moves_to_the_end(track)],
+        **{f"speed{suffix}": of_agents for suffix, of_agents in agents.items()},
+        **{f"at_rest{suffix}": of_agents < SLOW for suffix, of_agents in agents.items()},
+        "step": agents[""] / FRAMES_PER_SECOND,
+        "items_move": speed[:, n:].ravel() >= SLOW,
+        "holding": held,
+    }
+    return {name: np.asarray(given, np.float64) for name, given in numbers.items()}
 
 
-def _percentile_99(values: FloatArray) -> float:
-    return float(np.percentile(values, 99))
+_VALUES: Final[Mapping[str, tuple[str, Callable[[FloatArray], Any]]]] = {
+    "frames_min": ("frames", np.min),
+    "frames_median": ("frames", np.median),
+    "frames_max": ("frames", np.max),
+    "untrimmed": ("untrimmed", np.mean),
+    **{
+        f"{name}{suffix}": (f"{of}{suffix}", how)
+        for suffix in ("", *(f"_{level}" for level in LEVELS))
+        for name, of, how in (
+            ("speed_mean", "speed", np.mean),
+            ("speed_p99", "speed", functools.partial(np.percentile, q=99)),
+            ("speed_max", "speed", np.max),
+            ("at_rest", "at_rest", np.mean),
+        )
+    },
+    "step_median": ("step", np.median),
+    "step_max": ("step", np.max),
+    "items_move": ("items_move", np.mean),
+    "holding": ("holding", np.mean),
+}
+"""Value -> the numbers of which it is, and how."""
+
+
+def _value(
+    per_event: Sequence[FloatArray], units: Sequence[str], how: Callable[[FloatArray], Any]
+) -> dict[str, Any] | None:
+    """Return ``value``, ``se`` (None where there is none) and ``units``, which are resampled."""
+    grouped: dict[str, list[FloatArray]] = {}
+    for unit, numbers in zip(units, per_event, strict=True):
+        if len(numbers):
+            grouped.setdefault(unit, []).append(numbers)
+    if not grouped:
+        return None
+    parts = [np.concatenate(arrays) for arrays in grouped.values()]
+    extreme = how in (np.min, np.max)  # whose error no resampling tells
+    return {
+        "value": float(how(np.concatenate(parts))),
+        "se": None if extreme else standard_error(parts, how),
+        "units": len(parts),
+    }
+
+
+def _histogram(per_event: Sequence[FloatArray], edges: Sequence[int]) -> dict[str, Any]:
+    inside = np.clip(np.concatenate(per_event), edges[0], edges[-1])
+    return {"edges": list(edges), "counts": np.histogram(inside, edges)[0].tolist()}
 
 
 def standard_error(
@@ -289,10 +277,8 @@ def _holding(
             for event, held in zip(events, recorded, strict=True)
         ]
         return known, "recorded"
-    seen = [
-        seems_to_hold(e.observation.trajectory, e.scene.radius, n_agents).ravel() for e in events
-    ]
-    return [np.asarray(flags, np.float64) for flags in seen], "geometry"
+    seen = (seems_to_hold(e.observation.trajectory, e.scene.radius, n_agents) for e in events)
+    return [flags.ravel().astype(np.float64) for flags in seen], "geometry"
 
 
 def _tables(
@@ -321,8 +307,7 @@ def _tables(
             "item_size": size[n:],
         }
         if event.truth is not None:
-            goals = _goals(event.truth)
-            scenarios = _scenarios(event.truth)
+            goals, scenarios = _goals_and_scenarios(event.truth)
             of_event.update(
                 relation=[relation for relation, _ in scenarios],
                 scenario=[name for _, name in scenarios],
@@ -344,23 +329,17 @@ def _tables(
     return found
 
 
-def _goals(truth: Truth | Roles) -> Sequence[int]:
-    """Return (agent,) effective goals."""
-    if isinstance(truth, Roles):
-        return truth.effective_goals
-    return [goal_index(goal) for goal in (truth.goal_red, truth.goal_green)]
-
-
-def _scenarios(truth: Truth | Roles) -> list[tuple[str, str]]:
-    """Return relation and scenario of every pair of agents."""
+def _goals_and_scenarios(truth: Truth | Roles) -> tuple[Sequence[int], list[tuple[str, str]]]:
+    """Return (agent,) effective goals, and relation and scenario of every pair of agents."""
     if not isinstance(truth, Roles):
-        return [(truth.relation, truth.scenario)]
+        pair = truth.relation, truth.scenario
+        return [goal_index(goal) for goal in (truth.goal_red, truth.goal_green)], [pair]
     goals = truth.effective_goals
     names = [
         scenario(goals[one], goals[other], truth.world, (one, other))
         for one, other in itertools.combinations(range(len(goals)), 2)
     ]
-    return [(RELATION_OF_SCENARIO[name], name) for name in names]
+    return goals, [(RELATION_OF_SCENARIO[name], name) for name in names]
 
 
 def goal_type(goal: str | int, world: World = PHASE_WORLD) -> str:

@@ -24,7 +24,8 @@ from phase_ppl.world.errors import (
     PhasePPLError,
     UnknownNameError,
 )
-from tests.dataset.test_phase_test import video, write
+from phase_ppl.world.names import ENTITIES
+from tests.dataset.test_phase_test import put, video, write
 from tests.world.examples import make_event
 
 
@@ -115,9 +116,11 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
     assert load_event(path).id == "example"
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    assert "no such file" in refused(tmp_path / "none.json")
-    assert "is a folder, expected an event file" in refused(tmp_path)
+@pytest.mark.parametrize("suffix", [".json", ".nc"])
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path, suffix: str) -> None:
+    assert "no such file" in refused(tmp_path / f"none{suffix}")
+    (tmp_path / f"folder{suffix}").mkdir()
+    assert "is a folder, expected an event file" in refused(tmp_path / f"folder{suffix}")
     (tmp_path / "file").touch()
     assert "cannot be read: Not a directory" in refused(tmp_path / "file" / "x.json")
 
@@ -133,9 +136,11 @@ def test_a_file_that_is_too_large_is_refused(
     assert "is larger than" in refused(path)
 
 
+ONE_FRAME = {name: [[10.0, 10.0, 0.0]] for name in ENTITIES}
 VALUES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
     "no_trajectories": (("trajectories",), None, "trajectories is None, expected an object"),
     "no_entity": (("trajectories",), {}, "trajectories has no red agent and no green agent and"),
+    "one_frame": (("trajectories",), ONE_FRAME, "trajectory has 1 frame(s), expected at least 2"),
     "lengths": (
         ("trajectories", "blue item"),
         [[12.0, 8.0, 0.0]] * 3,
@@ -164,35 +169,29 @@ VALUES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
     "goals": (("truth", "goals"), {}, "truth.goals has no red agent and no green agent"),
     "judgments": (("judgments",), 3, "judgments is 3, expected an object"),
     "id": (("id",), 7, "id is 7, expected a string"),
+    "reset": (("scene", "resets_velocity"), "yes", "resets_velocity is 'yes', expected true or"),
+    "reset_number": (("scene", "resets_velocity"), 1, "resets_velocity is 1, expected true or"),
 }
 NAMES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
     "goal": (("truth", "goals", "red agent"), "Get blue ball to red lm", "unknown goal 'Get blue"),
     "turning": (("scene", "turning"), "left", "unknown turning 'left'; allowed: 'both', 'ccw'"),
     "turning_list": (("scene", "turning"), ["cw"], "unknown turning ['cw']"),
     "entity": (("trajectories", "blue ball"), [], "unknown field of trajectories 'blue ball'"),
+    "field": (("turnin",), "cw", "unknown field of an event 'turnin'"),
+    "field_of_scene": (("scene", "turnin"), "cw", "of scene 'turnin'; did you mean 'turning'"),
+    "body": (("scene", "radius", "turnin"), "cw", "unknown field of scene.radius 'turnin'"),
 }
 
 
 @pytest.mark.parametrize("case", [*VALUES, *NAMES])
 def test_a_wrong_value_is_named_with_the_file(tmp_path: Path, case: str) -> None:
     where, value, message = {**VALUES, **NAMES}[case]
-    record: Any = event_record(make_event(id="event"))
-    part = record
-    for step in where[:-1]:
-        part = part[step]
-    part[where[-1]] = value
+    record = event_record(make_event(id="event"))
+    put(record, where, value)
     path = tmp_path / "event.json"
     path.write_text(json.dumps(record))
     kind: type[Exception] = UnknownNameError if case in NAMES else InvalidEventError
     assert message in refused(path, kind)
-
-
-def test_a_single_frame_is_no_event(tmp_path: Path) -> None:
-    record = event_record(make_event())
-    record["trajectories"] = {name: rows[:1] for name, rows in record["trajectories"].items()}
-    path = tmp_path / "event.json"
-    path.write_text(json.dumps(record))
-    assert "trajectory has 1 frame(s), expected at least 2" in refused(path)
 
 
 def test_one_of_several_videos_must_be_named(tmp_path: Path) -> None:

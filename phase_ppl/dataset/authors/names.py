@@ -142,29 +142,20 @@ def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
     """Return a name that :func:`parse_name` takes apart again."""
     found = _ID.fullmatch(id)
     head = f"{found[1]}{found[2]}_0" if found and place == place_in_id(id) else f"{id}_0_0"
-    name = f"{head}_F8_{place}{_parameters(truth)}_A0_0_C0_0_MCTS_L{n_frames - 1}"
+    parameters = alphas = ""
     if truth is not None:
-        name += "_R" + "_".join(str(alpha) for alpha in _alphas(truth))
-    name += ".mp4"
+        goals = "_".join(
+            str(list(goal_numbers(goal, holder)))
+            for holder, goal in enumerate((truth.goal_red, truth.goal_green))
+        )
+        red, green = map(strength_level, (truth.strength_red, truth.strength_green))
+        parameters = f"_G{goals}_ST{red}_{green}"
+        of_red = of_green = 0.0
+        if truth.scenario == "opposing":  # whoever wants that something is not so hinders
+            positive = goal_literal(goal_index(truth.goal_red), 0).positive
+            of_red, of_green = (0.0, -ALPHA) if positive else (-ALPHA, 0.0)
+        alphas = f"_R{of_red}_{of_green}"
+    name = f"{head}_F8_{place}{parameters}_A0_0_C0_0_MCTS_L{n_frames - 1}{alphas}.mp4"
     if parse_name(name) != Recorded(id, place, truth):
         raise InvalidEventError(f"{name!r} would not say all of its id, place and truth")
     return name
-
-
-def _parameters(truth: Truth | None) -> str:
-    if truth is None:
-        return ""
-    goals = "_".join(
-        str(list(goal_numbers(goal, holder)))
-        for holder, goal in enumerate((truth.goal_red, truth.goal_green))
-    )
-    red, green = (strength_level(force) for force in (truth.strength_red, truth.strength_green))
-    return f"_G{goals}_ST{red}_{green}"
-
-
-def _alphas(truth: Truth) -> tuple[float, float]:
-    """Return what the names of the authors' recordings give for such goals, red first."""
-    if truth.scenario != "opposing":
-        return 0.0, 0.0
-    positive = goal_literal(goal_index(truth.goal_red), 0).positive
-    return (0.0, -ALPHA) if positive else (-ALPHA, 0.0)

@@ -134,9 +134,8 @@ class Mapping:
         shift = ends[0] - factor * corners[0]
         self.scale = float(factor.mean())
         self._affine = (factor[0], 0.0, shift[0], 0.0, factor[1], shift[1])
-        same = (0, 0, *film.samples[0].size) == (0, 0, *self._size)
         off = np.abs(ends - corners).max()
-        self._is_own = bool(same and off < 0.1)
+        self._is_own = bool(film.samples[0].size == self._size and off < 0.1)
 
     def __call__(self, frame: Image.Image) -> NDArray[np.uint8]:
         """Return (height, width, 3) a frame as it would be had the painter drawn it."""
@@ -193,7 +192,7 @@ def _lines(
     padded = np.pad(lightest, ((3 * thick, 3 * thick), (0, 0)), constant_values=255)
 
     def middle(edge: int, inwards: int) -> float:
-        first = edge + 3 * thick - 2 * thick if inwards > 0 else edge + 3 * thick - 4 * thick
+        first = edge + inwards * thick
         band = padded[max(first, 0) : first + 6 * thick, inside].astype(float)
         dark = np.maximum(255 - band, 0.0)
         plain = (band[0] > _WHITE) & (band[-1] > _WHITE)

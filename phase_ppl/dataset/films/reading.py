@@ -27,7 +27,7 @@ from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.observation import MIN_FRAMES, SHOWN_SECONDS_PER_FRAME, Observation
 from phase_ppl.world.picture import trail_colour
 from phase_ppl.world.progress import counted
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import PHASE, Scene, World, one_or_all
 
 _PANELS: Final = 6
 _COLUMNS: Final = 3
@@ -175,7 +175,10 @@ def read_video(
     if scene is None:
         centres, halves = still.landmarks()
         given = dataclasses.replace(
-            given, walls=still.walls(), landmark_centres=centres, landmark_half_width=_same(halves)
+            given,
+            walls=still.walls(),
+            landmark_centres=centres,
+            landmark_half_width=one_or_all(halves.tolist()),
         )
     else:
         still.check(scene)
@@ -213,11 +216,6 @@ def _given(scene: Scene | None, layout: str | World | None) -> Scene:
     start = np.tile([(x0 + x1) / 2, (y0 + y1) / 2, 0.0], (len(layout.entities), 1))
     size = min(x1 - x0, y1 - y0) / 16
     return Scene(start, np.full(len(layout.entities), size), [], world=layout)  # type: ignore[arg-type]
-
-
-def _same(values: FloatArray) -> float | FloatArray:
-    """Return the value that all have, or all of them."""
-    return float(values[0]) if len(set(values.tolist())) == 1 else values
 
 
 def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatArray:

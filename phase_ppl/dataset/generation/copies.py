@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.situation import Situation
+from phase_ppl.dataset.motion import last_motion
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
@@ -21,8 +22,6 @@ from phase_ppl.world.goals import goal_literal, literal_goal
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING, Predicate
 from phase_ppl.world.scene import Scene, Turning
-
-AT_REST: Final = 0.02  # units per frame below which nothing is said to move
 
 AFTER_MOTION: Final = 8
 """Frames kept after the last motion, as in the original recordings: 2 s of video."""
@@ -66,9 +65,7 @@ def record(situation: Situation, simulator: JointSimulator, frames: int, seed: i
 
 def after_motion(trajectory: FloatArray) -> int:
     """Return how many frames of a (time, entity, coord) trajectory to keep."""
-    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
-    last = int(np.flatnonzero(steps > AT_REST).max(initial=-1)) + 1
-    return min(len(trajectory), max(SHORTEST, last + 1 + AFTER_MOTION))
+    return min(len(trajectory), max(SHORTEST, last_motion(trajectory) + 1 + AFTER_MOTION))
 
 
 # --- reflections and colours -----------------------------------------------------------------

@@ -321,10 +321,10 @@ def independent(draw: Draw, variant: str) -> Situation:
 # strength one id further. Where it was not offered such a choice, its rules do not hold, and there
 # is none.
 
-STEPS: Final = {"up": 1, "down": -1}
+_STEPS: Final = (1, -1)
 """How far ids of sizes and strengths are moved; ids are not turned over at the ends."""
 
-MOST_CHANGES: Final = max(map(len, LAYOUTS_OF_A_KIND)) - 1 + len(STEPS)
+MOST_CHANGES: Final = max(map(len, LAYOUTS_OF_A_KIND)) - 1 + len(_STEPS)
 """Changes that any situation has at most."""
 
 
@@ -337,8 +337,11 @@ class Change(NamedTuple):
     @property
     def name(self) -> str:
         """A short name, such as "layout-17" or "ids-up"."""
-        ways = {step: way for way, step in STEPS.items()}
-        return f"ids-{ways[self.ids]}" if self.ids else f"layout-{self.layout}"
+        return {0: f"layout-{self.layout}", 1: "ids-up", -1: "ids-down"}[self.ids]
+
+    def described(self, before: Situation) -> dict[str, Any]:
+        """Return as plain data how it differs from the situation that was drawn first."""
+        return {"ids_moved_by": self.ids} if self.ids else {"layout_before": before.layout}
 
 
 def changed(
@@ -352,7 +355,7 @@ def changed(
     changes = [
         *(Change(layout) for kind in kinds for layout in kind
           if layout != situation.layout and layout in family.layouts),
-        *(Change(situation.layout, step) for step in STEPS.values()),
+        *(Change(situation.layout, step) for step in _STEPS),
     ]  # fmt: skip
     found = ((change, _redrawn(family, variant, situation, change)) for change in changes)
     return [(change, other) for change, other in found if other is not None]
@@ -414,10 +417,3 @@ class _Redraw(Draw):
             if tuple(self._start[entity, :2]) not in places:
                 return
         yield self._start
-
-
-def described(change: Change, situation: Situation) -> dict[str, Any]:
-    """Return as plain data how a change differs from the situation that was drawn first."""
-    if change.ids:
-        return {"ids_moved_by": change.ids}
-    return {"layout_before": situation.layout}

@@ -13,8 +13,7 @@ from typing import Any, Final, overload
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import COST, MANIFEST, PLAN, GeneratedEvents
-from phase_ppl.dataset.generation.any_world import make_in_any_world
-from phase_ppl.dataset.generation.making import Made, make
+from phase_ppl.dataset.generation.making import make
 from phase_ppl.dataset.generation.parts import (
     PARTS,
     assemble,
@@ -40,7 +39,7 @@ from phase_ppl.world.worlds import named
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
 
 
-class DatasetBuilder:
+class _Builder:
     """The folder of a data set that is being made.
 
     ``slots`` are those to be made here: all of the plan, or the share of a ``shard``. ``damaged``
@@ -54,71 +53,98 @@ class DatasetBuilder:
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        path: Path,
         plan: Plan,
         *,
         keep_rejected: bool,
         resume: bool,
-        other_versions: bool = False,
-        shard: Shard | None = None,
+        other_versions: bool,
+        shard: Shard | None,
     ) -> None:
-        self.path, self.plan = Path(path), plan
-        self.slots = plan.slots() if shard is None else shard.of_all(plan.slots())
+        self.path, self._plan, self._keep_rejected = path, plan, keep_rejected
+        self._slots = plan.slots() if shard is None else shard.of_all(plan.slots())
         record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
         if shard is not None:
             record[SHARD] = str(shard)
-        target = self.path / PLAN
-        made_by: list[dict[str, Any]] = []
+        target = path / PLAN
+        self._made_by: list[dict[str, Any]] = []
         if target.exists():
             if not resume:
-                raise OutputError(
-                    f"{self.path} holds a data set already; resume it, or name another"
-                )
+                raise OutputError(f"{path} holds a data set already; resume it, or name another")
             stored = read_json(target)
-            made_by = stored.pop("versions", [{}])
+            self._made_by = stored.pop("versions", [{}])
             apart = differences(stored, record)
             if apart:
-                raise OutputError(
-                    f"{self.path} holds a data set of another plan: {'; '.join(apart)}"
-                )
-        writable_folder(self.path / PARTS)
-        self._keep_rejected = keep_rejected
-        self.damaged: list[str] = []
-        self._finished = (self.path / MANIFEST).is_file()
-        self._missing = {} if self._finished else self._look_for_missing()
-        self._made_by = made_by
+                raise OutputError(f"{path} holds a data set of another plan: {'; '.join(apart)}")
+        writable_folder(path / PARTS)
+        self._damaged: list[str] = []
+        self._finished = (path / MANIFEST).is_file()
+        self._missing = [] if self._finished else [s for s in self._slots if not self._is_made(s)]
         if self._missing:
-            self._made_by = versions_so_far(made_by, self.path, other_versions)
+            self._made_by = versions_so_far(self._made_by, path, other_versions)
             write_json(target, {**record, "versions": self._made_by})
 
-    def _look_for_missing(self) -> dict[int, Slot]:
-        missing = {}
-        for slot in self.slots:
-            if part_file(self.path, slot).is_file():
-                try:
-                    read_part(self.path, slot)
-                    continue
-                except InvalidEventError:
-                    self.damaged.append(slot.name)
-            missing[slot.number] = slot
-        return missing
+    def _is_made(self, slot: Slot) -> bool:
+        if not part_file(self.path, slot).is_file():
+            return False
+        try:
+            read_part(self.path, slot)
+        except InvalidEventError:
+            self._damaged.append(slot.name)
+            return False
+        return True
 
-    def missing(self) -> list[Slot]:
-        """Return the slots that are not finished."""
-        return list(self._missing.values())
+    def make(
+        self, n_workers: int | None, executor: Executor | None, progress: bool | None
+    ) -> dict[str, Any]:
+        """Make what is missing; return what that cost."""
+        from tqdm.auto import tqdm
 
-    def add(self, made: Made) -> None:
-        """Keep what became of a slot."""
-        write_part(self.path, made, self._keep_rejected)
-        del self._missing[made.slot.number]
+        clock = time.perf_counter()
+        total, left = len(self._slots), len(self._missing)
+        failures: list[str] = []
+        bar = tqdm(
+            total=total,
+            initial=total - left,
+            desc="events",
+            unit="event",
+            disable=None if progress is None else not progress,
+            dynamic_ncols=True,
+        )
+        made = results(make, self._plan, self._missing, n_workers, "the plan", executor)
+        try:
+            with contextlib.closing(made), bar:
+                for slot, result in made:
+                    if isinstance(result, Failure):
+                        failures.append(f"{slot.cell}, number {slot.number}: {result.reason}")
+                    else:
+                        write_part(self.path, result, self._keep_rejected)
+                        left -= 1
+                    bar.update()
+        except KeyboardInterrupt:
+            raise GenerationInterrupted(
+                f"interrupted with {left} of {total} events to be made; resume goes on"
+            ) from None
+        except SimulationError as error:
+            raise SimulationError(
+                f"{error}: {left} of {total} events are still to be made; the others are kept in "
+                f"{self.path}, and resume goes on"
+            ) from None
+        if failures:
+            raise SimulationError(
+                f"{len(failures)} events could not be made, the first: {failures[0]}; the others "
+                f"are kept in {self.path}"
+            )
+        seconds = time.perf_counter() - clock
+        return {"seconds": seconds, "workers": n_workers, "made_now": len(self._missing)}
 
     def finish(self, cost: Mapping[str, Any]) -> GeneratedEvents:
         """Put the parts together and return the data set."""
         if not self._finished:
-            plan = self.plan.to_dict()
-            assemble(self.path, plan, self._made_by, self.slots, lambda _: self.path)
-            write_json(self.path / COST, {**cost, "made_anew": self.damaged})
-        for slot in self.slots:
+            plan = self._plan.to_dict()
+            assemble(self.path, plan, self._made_by, self._slots, lambda _: self.path)
+            write_json(self.path / COST, {**cost, "made_anew": self._damaged})
+        for slot in self._slots:
             part_file(self.path, slot).unlink(missing_ok=True)
         for half in (self.path / PARTS).glob(".part-*"):  # of a process that was killed
             half.unlink(missing_ok=True)
@@ -253,63 +279,13 @@ def generate(  # type: ignore[misc]
     slots = slots_of(workers, executor)
     share = None if shard is None else Shard.named(shard)
     with locked(writable_folder(out)):
-        builder = DatasetBuilder(
-            out,
+        builder = _Builder(
+            Path(out),
             plan,
             keep_rejected=keep_rejected,
             resume=resume,
             other_versions=other_versions,
             shard=share,
         )
-        cost = _run(builder, slots, executor, progress)
+        cost = builder.make(slots, executor, progress)
         return builder.finish(cost) if share is None else builder.path
-
-
-def _run(
-    builder: DatasetBuilder,
-    n_workers: int | None,
-    executor: Executor | None,
-    progress: bool | None,
-) -> dict[str, Any]:
-    """Make what is missing; return what that cost."""
-    from tqdm.auto import tqdm
-
-    clock = time.perf_counter()
-    missing, total = builder.missing(), len(builder.slots)
-    failures: list[str] = []
-    bar = tqdm(
-        total=total,
-        initial=total - len(missing),
-        desc="events",
-        unit="event",
-        disable=None if progress is None else not progress,
-        dynamic_ncols=True,
-    )
-    how = make if builder.plan.world == PHASE else make_in_any_world
-    made = results(how, builder.plan, missing, n_workers, "the plan", executor)
-    try:
-        with contextlib.closing(made), bar:
-            for slot, result in made:
-                if isinstance(result, Failure):
-                    failures.append(f"{slot.cell}, number {slot.number}: {result.reason}")
-                else:
-                    builder.add(result)
-                bar.update()
-    except KeyboardInterrupt:
-        left = len(builder.missing())
-        raise GenerationInterrupted(
-            f"interrupted with {left} of {total} events to be made; resume goes on"
-        ) from None
-    except SimulationError as error:
-        left = len(builder.missing())
-        raise SimulationError(
-            f"{error}: {left} of {total} events are still to be made; the others are kept in "
-            f"{builder.path}, and resume goes on"
-        ) from None
-    if failures:
-        raise SimulationError(
-            f"{len(failures)} events could not be made, the first: {failures[0]}; the others are "
-            f"kept in {builder.path}"
-        )
-    seconds = time.perf_counter() - clock
-    return {"seconds": seconds, "workers": n_workers, "made_now": len(missing)}

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.copies import Recording, recoloured, record, reflected
-from phase_ppl.dataset.generation.families import changed, described, family_and_variant
-from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look, Plan, Slot
+from phase_ppl.dataset.generation.families import changed, family_and_variant
+from phase_ppl.dataset.generation.plan import (
+    MOST_TRIES,
+    REFLECTION_SHARES,
+    UNCHANGED,
+    Look,
+    Plan,
+    Slot,
+)
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.physics.actions import DIRECTIONS
-from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import instance_of
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.geometry import touches
-from phase_ppl.world.goals import goal_literal, is_true
-from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.goals import goal_literal, is_true, possible_goals
+from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, company
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import PHASE, Scene, World
 
 NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met
 MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push without any effect
@@ -29,31 +40,23 @@ Measures = Mapping[str, Any]
 
 def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> str | None:
     """Return why a recording does not show its scenario; None where it does."""
-    positive = [
-        goal_literal(goal, agent).positive for agent, goal in enumerate(hypothesis.effective_goals)
-    ]
-    if any(start and wanted for start, wanted in zip(found["at_start"], positive, strict=True)):
+    wanted = [goal_literal(goal, agent) for agent, goal in enumerate(hypothesis.effective_goals)]
+    if any(start and one.positive for start, one in zip(found["at_start"], wanted, strict=True)):
         return "a goal is true at the start"
     if max(found["stuck"]) > MAX_STUCK:
         return "an agent is stuck"
-    if scenario in ("collaborative", "competing") and not _both_touch(hypothesis, found):
+    # whoever wants an item somewhere has to touch it
+    both_touch = all(
+        one.subject < len(AGENTS) or ENTITIES[one.subject] in items
+        for one, items in zip(wanted, found["touched"], strict=True)
+    )
+    if scenario in ("collaborative", "competing") and not both_touch:
         return "not both touch the item"
     if scenario in ("collaborative", "independent") and not all(found["at_end"]):
         return "a goal is not reached"
     if scenario == "opposing" and found["closest"] >= NEAR:
         return "the agents never come near each other"
     return None
-
-
-def _both_touch(hypothesis: Hypothesis, found: Measures) -> bool:
-    """Whether each agent touches the item that its goal is about, if it is about one."""
-    wanted = [
-        goal_literal(goal, agent).subject for agent, goal in enumerate(hypothesis.effective_goals)
-    ]
-    return all(
-        item < len(AGENTS) or ENTITIES[item] in items
-        for item, items in zip(wanted, found["touched"], strict=True)
-    )
 
 
 # --- what can be seen in a recording ---------------------------------------------------------
@@ -80,9 +83,6 @@ def measures(recording: Recording) -> dict[str, Any]:
     * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
     """
     track, scene = recording.trajectory, recording.scene
-    goals = recording.hypothesis.effective_goals
-    literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
-    truth = np.array([[is_true(lit, frame, scene) for lit in literals] for frame in track])
     apart = np.linalg.norm(track[:, 0, :2] - track[:, 1, :2], axis=1) / scene.radius[:2].sum()
     items = range(BLUE_ITEM, BLUE_ITEM + len(ITEMS))
     touched = [
@@ -91,33 +91,53 @@ def measures(recording: Recording) -> dict[str, Any]:
         for agent in range(len(AGENTS))
     ]  # fmt: skip
     steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
+    pushes = np.isin(recording.actions[1:], PUSHES) & (steps[:, : len(AGENTS)] < STILL)
     return {
-        "frames": len(track),
-        "at_start": truth[0].tolist(),
-        "ever": truth.any(axis=0).tolist(),
-        "at_end": truth[-1].tolist(),
+        **_of_goals(track, scene, recording.hypothesis),
         "closest": float(apart.min()),
         "met": sum(touches(0, 1, frame, scene.radius) for frame in track),
         "touched": touched,
         "held": (recording.held >= 0).mean(axis=0).tolist(),
         "moved": steps.sum(axis=0).tolist(),
         "stuck": [
-            longest_run(np.isin(recording.actions[1:, agent], PUSHES) & (steps[:, agent] < STILL))
-            for agent in range(len(AGENTS))
+            max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
+            for of_agent in pushes.T.tolist()
         ],
     }
 
 
-def longest_run(flags: NDArray[np.bool_]) -> int:
-    """Return the length of the longest run of true values."""
-    padded = np.concatenate([[False], flags, [False]]).astype(np.int8)
-    edges = np.flatnonzero(np.diff(padded))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+def _of_goals(track: FloatArray, scene: Scene, wanted: Hypothesis | Roles) -> dict[str, Any]:
+    """Return how long it took, and per agent whether its effective goal is true, and when."""
+    literals = [
+        goal_literal(goal, agent, scene.world) for agent, goal in enumerate(wanted.effective_goals)
+    ]
+    truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
+    return {
+        "frames": len(track),
+        "at_start": truth[0].tolist(),
+        "ever": truth.any(axis=0).tolist(),
+        "at_end": truth[-1].tolist(),
+    }
+
+
+def measures_elsewhere(event: Event) -> dict[str, Any]:
+    """Return facts about an event of another world than PHASE, as :func:`measures`.
+
+    ``frames``, ``at_start``, ``ever``, ``at_end``, ``moved``, and ``reached`` [agent]: whether it
+    has a goal of its own that became true.
+    """
+    track = event.observation.trajectory
+    found = _of_goals(track, event.scene, event.truth)
+    own = zip(event.truth.stated, found["at_start"], found["at_end"], strict=True)
+    steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
+    reached = [goal is not None and end and not start for goal, start, end in own]
+    return {**found, "reached": reached, "moved": steps.sum(axis=0).tolist()}
 
 
 # --- making ----------------------------------------------------------------------------------
 
 REPLAN_TRIES: Final = 3  # simulations of a changed situation after which it is given up
+_SLOTS: Final = 10**5
 
 
 class Rejected(NamedTuple):
@@ -141,33 +161,35 @@ class Made(NamedTuple):
 
 
 def make(plan: Plan, slot: Slot) -> Made:
-    """Draw and simulate situations of a slot until one shows what it should."""
-    family, variant = family_and_variant(slot.cell)
-    simulator = JointSimulator(plan.planner)
+    """Draw and simulate situations of a slot until one shows what it should.
+
+    In PHASE a situation is one of a family, and its event has copies; in another world it is a
+    random scene with roles.
+    """
     made = Made(slot, [], [], [])
-
-    def simulated(
-        situation: Situation, rng: np.random.Generator, id: str, *, replanned: bool = False
-    ) -> Recording | None:
-        """Return the recording of a situation if it is to be kept, and note it if not."""
-        recording = record(situation, simulator, plan.frames, int(rng.integers(2**31)))
-        found = measures(recording)
-        reason = reason_against(family.scenario, recording.hypothesis, found)
-        if reason is None:
-            return recording
-        made.rejected.append(Rejected(id, reason, event_of(recording, id), found, replanned))
-        return None
-
+    tried = _tried_in_phase if plan.world == PHASE else _tried_elsewhere
     for attempt in range(plan.max_tries):
-        rng = np.random.default_rng([plan.seed, 0, slot.number, attempt])
-        situation = family.draw(rng, variant, plan.turning)
-        recording = simulated(situation, rng, f"{slot.name}-{attempt}")
-        if recording is not None:
-            for look in _looks(plan, rng):
-                _keep(made, recording, attempt, look)
+        tried(plan, made, attempt)
+        if made.events:
             break
-    if not (made.events and plan.replans):
-        return made
+    return made
+
+
+def _tried_in_phase(plan: Plan, made: Made, attempt: int) -> None:
+    """Draw a situation of a family; keep its recording, and copies of it, if it is good."""
+    slot = made.slot
+    family, variant = family_and_variant(slot.cell)
+    rng = np.random.default_rng([plan.seed, 0, slot.number, attempt])
+    situation = family.draw(rng, variant, plan.turning)
+    recording = _simulated(plan, made, situation, rng, f"{slot.name}-{attempt}")
+    if recording is None:
+        return
+    shares = np.array([REFLECTION_SHARES[look.reflection] for look in plan.looks])
+    shares /= shares.sum()
+    for index in rng.choice(len(shares), 1 + plan.copies, replace=False, p=shares):
+        _keep(made, recording, attempt, plan.looks[index])
+    if not plan.replans:
+        return
     # numbers of their own: the event and its other copies are the same without them
     rng = np.random.default_rng([plan.seed, 2, slot.number])
     changes = changed(family, variant, situation)
@@ -176,14 +198,34 @@ def make(plan: Plan, slot: Slot) -> Made:
         if len(made.events) == wanted:
             break
         change, other = changes[place]
-        for attempt in range(REPLAN_TRIES):
-            id = f"{slot.name}-{change.name}-{attempt}"
-            recording = simulated(other, rng, id, replanned=True)
+        for again in range(REPLAN_TRIES):
+            id = f"{slot.name}-{change.name}-{again}"
+            recording = _simulated(plan, made, other, rng, id, replanned=True)
             if recording is not None:
-                look = plan.looks[int(rng.choice(len(plan.looks), p=_shares(plan)))]
-                _keep(made, recording, attempt, look, described(change, situation))
+                look = plan.looks[int(rng.choice(len(shares), p=shares))]
+                _keep(made, recording, again, look, change.described(situation))
                 break
-    return made
+
+
+def _simulated(
+    plan: Plan,
+    made: Made,
+    situation: Situation,
+    rng: np.random.Generator,
+    id: str,
+    *,
+    replanned: bool = False,
+) -> Recording | None:
+    """Return the recording of a situation if it is to be kept, and note it if not."""
+    simulator = JointSimulator(plan.planner)
+    recording = record(situation, simulator, plan.frames, int(rng.integers(2**31)))
+    found = measures(recording)
+    family, _ = family_and_variant(made.slot.cell)
+    reason = reason_against(family.scenario, recording.hypothesis, found)
+    if reason is None:
+        return recording
+    made.rejected.append(Rejected(id, reason, event_of(recording, id), found, replanned))
+    return None
 
 
 def _keep(
@@ -196,7 +238,9 @@ def _keep(
     """Add an event, or a copy of it, to what was made."""
     slot = made.slot
     id = f"{slot.name}.{len(made.events)}" if made.events else slot.name
-    shown = _with_look(recording, look)
+    if look.reflection != UNCHANGED:
+        recording = reflected(recording, look.reflection)
+    shown = recoloured(recording, agents=look.agents, items=look.items)
     made.events.append(event_of(shown, id))
     family, variant = family_and_variant(slot.cell)
     made.entries.append(
@@ -220,24 +264,56 @@ def _keep(
     )
 
 
-def _looks(plan: Plan, rng: np.random.Generator) -> list[Look]:
-    """Return how the event and its copies look, all different."""
-    chosen = rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=_shares(plan))
-    return [plan.looks[index] for index in chosen]
-
-
-def _shares(plan: Plan) -> FloatArray:
-    shares = np.array([REFLECTION_SHARES[look.reflection] for look in plan.looks])
-    return np.asarray(shares / shares.sum())
-
-
-def _with_look(recording: Recording, look: Look) -> Recording:
-    if look.reflection != UNCHANGED:
-        recording = reflected(recording, look.reflection)
-    return recoloured(recording, agents=look.agents, items=look.items)
-
-
 def event_of(recording: Recording, id: str) -> Event:
     """Return a recording as an event with its truth."""
     truth = Truth.of(recording.hypothesis)
     return Event(recording.scene, Observation(recording.trajectory), id=id, truth=truth)
+
+
+def _tried_elsewhere(plan: Plan, made: Made, attempt: int) -> None:
+    """Draw a scene with roles; keep its event if an agent reaches a goal of its own."""
+    slot, world = made.slot, plan.world
+    seed, id = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt, f"{slot.name}-{attempt}"
+    roles = (plan.roles or uniform_roles)(world, seed)
+    if roles is None:
+        made.rejected.append(Rejected(id, "roles that are not wanted", None, {}, False))
+        return
+    instance_of("what roles returned", roles, Roles, "phase_ppl's Roles, or None")
+    if roles.world != world:
+        raise InvalidSettingError(
+            f"roles returned those of the world {roles.world.name!r}, not {world.name!r}"
+        )
+    if not roles.is_possible:
+        made.rejected.append(Rejected(id, "nobody can act on such roles", None, {}, False))
+        return
+    scene = dataclasses.replace(world.random_scene(seed), turning=plan.turning)
+    event = simulate(scene, roles, frames=plan.frames, seed=seed, planner=plan.planner, id=id)
+    found = measures_elsewhere(event)
+    if not any(found["reached"]):
+        event = dataclasses.replace(event, thoughts=None)
+        made.rejected.append(Rejected(id, "no goal is reached", event, found, False))
+        return
+    made.events.append(dataclasses.replace(event, id=slot.name, thoughts=None))
+    made.entries.append(
+        {
+            "id": slot.name,
+            "group": slot.name,
+            "split": slot.split,
+            "world": world.name,
+            "attempt": attempt,
+            "seed": seed,
+            "roles": roles.to_dict(),
+            "measures": found,
+        }
+    )
+
+
+def uniform_roles(world: World, seed: int) -> Roles:
+    """Return roles of which all goals are alike, and all ways to help or hinder (Appendix 4B)."""
+    rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
+    ways = company(len(world.agents))
+    social = len(ways) > 1 and rng.random() < SOCIAL
+    towards = ways[int(rng.integers(1, len(ways))) if social else 0]
+    own = [int(rng.choice(possible_goals(agent, world))) for agent in range(len(towards))]
+    stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
+    return Roles(world, stated, towards, tuple(rng.uniform(*STRENGTH_RANGE, len(own)).tolist()))

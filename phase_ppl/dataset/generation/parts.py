@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.events_json import event_from_record, event_record
-from phase_ppl.dataset.events_netcdf import checksum, many, to_bytes
+from phase_ppl.dataset.events_netcdf import checksum, events_bytes
 from phase_ppl.dataset.generated import (
     BLOCKS,
     ENTRIES,
@@ -21,21 +20,13 @@ from phase_ppl.dataset.generated import (
     MANIFEST_SCHEMA,
     REJECTED,
 )
-from phase_ppl.dataset.generation.making import Made
+from phase_ppl.dataset.generation.making import Made, Rejected
 from phase_ppl.dataset.generation.plan import BLOCK, Slot
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_bytes, write_json
 
 PARTS: Final = "parts"
-
-
-class Part(NamedTuple):
-    """What became of a slot: events with their entries, and what was refused and why."""
-
-    events: list[Event]
-    entries: list[dict[str, Any]]
-    refused: list[tuple[dict[str, Any], Event | None]]
 
 
 def part_file(folder: Path, slot: Slot) -> Path:
@@ -46,11 +37,10 @@ def part_file(folder: Path, slot: Slot) -> Path:
 def write_part(folder: Path, made: Made, keep_rejected: bool) -> None:
     """Keep what became of a slot."""
     rejected: list[dict[str, Any]] = []
-    for draw in made.rejected:
-        record = {"id": draw.id, "reason": draw.reason, "replanned": draw.replanned}
-        rejected.append({**record, "measures": draw.found})
-        if keep_rejected and draw.event is not None:
-            rejected[-1]["event"] = event_record(draw.event)
+    for id, reason, event, measures, replanned in made.rejected:
+        rejected.append({"id": id, "reason": reason, "replanned": replanned, "measures": measures})
+        if keep_rejected and event is not None:
+            rejected[-1]["event"] = event_record(event)
     content = {
         "name": made.slot.name,
         "cell": made.slot.cell,
@@ -61,7 +51,7 @@ def write_part(folder: Path, made: Made, keep_rejected: bool) -> None:
     write_json(part_file(folder, made.slot), {"sha256": _digest(content), **content})
 
 
-def read_part(folder: Path, slot: Slot) -> Part:
+def read_part(folder: Path, slot: Slot) -> Made:
     """Return what is kept of a slot (InvalidEventError: it is damaged)."""
     source = part_file(folder, slot)
     content = read_json(source)
@@ -72,14 +62,14 @@ def read_part(folder: Path, slot: Slot) -> Part:
         if content["name"] != slot.name:
             raise InvalidEventError(f"it holds {shown(content['name'])}")
         events = [event_from_record(record) for record in content["events"]]
-        entries, refused = list(content["entries"]), []
+        made = Made(slot, events, list(content["entries"]), [])
         for draw in content["rejected"]:
             event = event_from_record(draw["event"]) if "event" in draw else None
-            kept = {key: draw[key] for key in ("reason", "replanned", "measures")}
-            refused.append((kept, event))
-        if [event.id for event in events] != [entry["id"] for entry in entries]:
+            told = draw["id"], draw["reason"], event, draw["measures"], draw["replanned"]
+            made.rejected.append(Rejected(*told))
+        if [event.id for event in events] != [entry["id"] for entry in made.entries]:
             raise InvalidEventError("its events and entries are not the same")
-        return Part(events, entries, refused)
+        return made
     except (KeyError, TypeError, PhasePPLError) as error:
         raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
 
@@ -90,14 +80,6 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 
 # --- the data set ------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass
-class _Tally:
-    """How many simulations of a kind were kept, and why others were not."""
-
-    kept: int = 0
-    reasons: Counter[str] = dataclasses.field(default_factory=Counter)
 
 
 def assemble(
@@ -119,42 +101,48 @@ def assemble(
         slots: all of the plan.
         folder_of: slot -> the folder that has its part.
     """
-    draws = {cell: _Tally() for cell in plan["cells"]}
-    replans = {cell: _Tally() for cell in plan["cells"]}
+    cells = plan["cells"]
+    # of simulations, and of those of re-planned copies
+    kept = {replanned: dict.fromkeys(cells, 0) for replanned in (False, True)}
+    reasons: dict[bool, dict[str, Counter[str]]] = {
+        replanned: {cell: Counter() for cell in cells} for replanned in (False, True)
+    }
     given_up: list[str] = []
     sizes: list[int] = []
     single = len(slots) <= BLOCK
     entries: list[dict[str, Any]] = []
-    for block in _blocks(slots):
+    for start in range(0, len(slots), BLOCK):
         events: list[Event] = []
         entries = []
         refused: list[Event] = []
         told: list[dict[str, Any]] = []
-        for slot in block:
+        for slot in slots[start : start + BLOCK]:
             part = read_part(folder_of(slot), slot)
             events += part.events
             entries += part.entries
-            draws[slot.cell].kept += bool(part.events)
-            replans[slot.cell].kept += sum(bool(entry.get("replanned")) for entry in part.entries)
+            kept[False][slot.cell] += bool(part.events)
+            kept[True][slot.cell] += sum(bool(entry.get("replanned")) for entry in part.entries)
             given_up += [] if part.events else [slot.name]
-            for draw, event in part.refused:
-                (replans if draw["replanned"] else draws)[slot.cell].reasons[draw["reason"]] += 1
+            for id, reason, event, measures, replanned in part.rejected:
+                reasons[replanned][slot.cell][reason] += 1
                 if event is not None:
                     refused.append(event)
-                    told.append({"id": event.id, "cell": slot.cell, **draw})
+                    draw = {"reason": reason, "replanned": replanned, "measures": measures}
+                    told.append({"id": id, "cell": slot.cell, **draw})
         for event, entry in zip(events, entries, strict=True):
             entry["checksum"] = checksum(event)
         place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
         if events:
-            write_bytes(place / EVENTS, (".nc",), to_bytes(many(events)))
+            write_bytes(place / EVENTS, (".nc",), events_bytes(events))
         if refused:
-            write_bytes(place / f"{REJECTED}.nc", (".nc",), to_bytes(many(refused)))
+            write_bytes(place / f"{REJECTED}.nc", (".nc",), events_bytes(refused))
             write_json(place / f"{REJECTED}.json", {"rejected": told})
         if not single:
             write_json(place / ENTRIES, {"entries": entries})
         sizes.append(len(events))
     if not sum(sizes):
         raise OutputError(f"{out}: no draw of any kind was kept")
+    replans = {cell: {"kept": n, "rejected": reasons[True][cell]} for cell, n in kept[True].items()}
     write_json(
         out / MANIFEST,
         {
@@ -162,19 +150,10 @@ def assemble(
             "plan": dict(plan),
             "versions": made_by[-1],
             "earlier_versions": made_by[:-1],
-            "kept": {cell: tally.kept for cell, tally in draws.items()},
-            "rejected": {cell: dict(tally.reasons) for cell, tally in draws.items()},
-            "replans": {
-                cell: {"kept": tally.kept, "rejected": dict(tally.reasons)}
-                for cell, tally in replans.items()
-                if plan["replans"]
-            },
+            "kept": kept[False],
+            "rejected": reasons[False],
+            "replans": replans if plan["replans"] else {},
             "given_up": given_up,
             **({"entries": entries} if single else {"blocks": sizes}),
         },
     )
-
-
-def _blocks(slots: Sequence[Slot]) -> Iterator[Sequence[Slot]]:
-    for start in range(0, len(slots), BLOCK):
-        yield slots[start : start + BLOCK]

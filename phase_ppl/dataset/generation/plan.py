@@ -20,7 +20,7 @@ import numpy as np
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.families import MOST_CHANGES, family_and_variant
 from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.world.checks import check_memory, instance_of, whole_number
+from phase_ppl.world.checks import check_memory, instance_of, number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.identity import qualified_name, source_hash, stable
@@ -124,13 +124,10 @@ class Plan:
     def __post_init__(self) -> None:
         for given in ("cells", "splits"):
             instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
-        if self.world == PHASE:
-            if self.roles is not None:
-                raise InvalidSettingError(
-                    "roles are for other worlds: families draw those of PHASE"
-                )
-        else:
+        if self.world != PHASE:
             self._check_elsewhere()
+        elif self.roles is not None:
+            raise InvalidSettingError("roles are for other worlds: families draw those of PHASE")
         for cell, n in self.cells.items():
             if self.world == PHASE:
                 family_and_variant(cell)
@@ -138,26 +135,23 @@ class Plan:
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
         for name, share in self.splits.items():
-            number = isinstance(share, int | float) and not isinstance(share, bool)
-            if not (number and 0 <= share < math.inf):
+            if not 0 <= number_or_nan(share) < math.inf:
                 raise InvalidSettingError(f"split {name}={shown(share)}, expected a share >= 0")
         if not sum(self.splits.values()) > 0:
             raise InvalidSettingError("the splits have no shares")
         if self.turning not in TURNINGS:
             raise unknown_name("turning", self.turning, TURNINGS)
-        whole_number("copies", self.copies, 0)
-        whole_number("replans", self.replans, 0)
+        least = {"copies": 0, "replans": 0, "frames": 2, "seed": 0, "max_tries": 1}
+        for name, minimum in least.items():
+            whole_number(name, getattr(self, name), minimum)
         if self.replans > MOST_CHANGES:
             raise InvalidSettingError(
                 f"replans={self.replans}, but a situation has at most {MOST_CHANGES} changes"
             )
-        whole_number("frames", self.frames, 2)
-        whole_number("seed", self.seed, 0)
         n, each = sum(self.cells.values()), 1 + self.copies + self.replans
         together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
         what = f"a plan of {n * each} events of {self.frames} frames"
         check_memory(what, n * _SLOT_BYTES + together)
-        whole_number("max_tries", self.max_tries, 1)
         object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
         most = len(self.looks) - 1
         if self.copies > most:
@@ -168,18 +162,13 @@ class Plan:
 
     def _check_elsewhere(self) -> None:
         """Refuse what knows PHASE only."""
-        families = [cell for cell in self.cells if cell != cell_of(self.world)]
-        for what, given in (
-            (f"the family {next(iter(families), '')!r}", families),
-            (f"copies={self.copies}", self.copies),
-            (f"replans={self.replans}", self.replans),
-            ("reflect=True", self.reflect),
-            ("recolour=True", self.recolour),
-        ):
-            if given:
-                raise InvalidSettingError(
-                    f"{what} is for the world PHASE only, not {self.world.name!r}"
-                )
+        odd = [f"the family {cell!r}" for cell in self.cells if cell != cell_of(self.world)]
+        names = ("copies", "replans", "reflect", "recolour")
+        odd += [f"{name}={getattr(self, name)}" for name in names if getattr(self, name)]
+        if odd:
+            raise InvalidSettingError(
+                f"{odd[0]} is for the world PHASE only, not {self.world.name!r}"
+            )
         whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
         if self.roles is not None and not callable(self.roles):
             raise InvalidSettingError(

@@ -8,10 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.geometry import agent_outline, is_agent, shapes_meet
+from phase_ppl.world.geometry import agent_outline, is_agent, penetration, shapes_meet
 from phase_ppl.world.goals import literal_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES, Literal, Predicate
@@ -45,12 +44,12 @@ NARROW: Final = 2.5
 """Width of the narrowest doors, units: only agents of the smallest size drive through them."""
 
 
-def walls_of(layout: int) -> NDArray[np.float64]:
+def walls_of(layout: int) -> FloatArray:
     """Return the (n, 2, 2) inner walls of a layout, units."""
     return walls_of_lengths(LAYOUTS[layout])
 
 
-def walls_of_lengths(lengths: Sequence[float]) -> NDArray[np.float64]:
+def walls_of_lengths(lengths: Sequence[float]) -> FloatArray:
     """Return the (n, 2, 2) inner walls of lengths up, left, down and right of the centre, units."""
     x0, x1, y0, y1 = ARENA
     centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
@@ -240,26 +239,10 @@ def overlaps(
     pairs = itertools.combinations(entities, 2)
     if any(shapes_meet(first, second, start, radius, n_agents=n_agents) for first, second in pairs):
         return True
+    discs = ((start[entity, None, :2], float(radius[entity])) for entity in entities[n_agents:])
+    agents = ((agent_outline(start[e], float(radius[e])), 0.0) for e in entities[:n_agents])
     return any(
-        _meets_wall(entity < n_agents, start[entity], float(radius[entity]), wall)
-        for entity in entities
+        penetration(outline, wall, rounding) > 0
+        for outline, rounding in (*agents, *discs)
         for wall in walls
     )
-
-
-def _meets_wall(is_agent: bool, pose: FloatArray, radius: float, wall: FloatArray) -> bool:
-    """Whether a shape meets a wall, taken as a segment."""
-    low, high = wall.min(axis=0), wall.max(axis=0)
-    if not is_agent:
-        nearest = np.clip(pose[:2], low, high)
-        return bool(np.linalg.norm(nearest - pose[:2]) < radius)
-    outline = agent_outline(pose, radius)
-    if (outline.max(axis=0) < low).any() or (outline.min(axis=0) > high).any():
-        return False
-    # two convex shapes are apart if an edge of one of them separates them
-    edges = np.roll(outline, -1, axis=0) - outline
-    for axis in np.column_stack([-edges[:, 1], edges[:, 0]]):
-        along, of_wall = outline @ axis, wall @ axis
-        if along.max() < of_wall.min() or of_wall.max() < along.min():
-            return False
-    return True

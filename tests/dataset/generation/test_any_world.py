@@ -12,10 +12,8 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
-from phase_ppl.dataset.generation import generate as module
-from phase_ppl.dataset.generation.any_world import make_in_any_world, uniform_roles
-from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
-from phase_ppl.dataset.generation.plan import Plan
+from phase_ppl.dataset.generation.generate import generate
+from phase_ppl.dataset.generation.making import uniform_roles
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
 from phase_ppl.world.hypothesis import Roles
@@ -60,29 +58,13 @@ def test_kept_are_events_in_which_a_goal_of_ones_own_is_reached(made: GeneratedE
     assert verify(made.path) == []
 
 
-def test_interrupted_generation_goes_on_to_the_same_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = []
-
-    def stopped(plan: Plan, slot: Any) -> Any:
-        calls.append(slot)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return make_in_any_world(plan, slot)
-
+def test_roles_of_ones_own_are_drawn_and_part_of_the_plan(tmp_path: Path) -> None:
     given = {"world": "solo", "roles": homewards, "frames": 40, **ONE_THREAD}
-    whole = generate(tmp_path / "whole", 3, **given)
-    monkeypatch.setattr(module, "make_in_any_world", stopped)
-    with pytest.raises(GenerationInterrupted, match="2 of 3"):
-        generate(tmp_path / "set", 3, **given)
-    with pytest.raises(ppl.PhasePPLError, match="another plan: roles"):
-        generate(tmp_path / "set", 3, **{**given, "roles": ppl.roles.draw}, resume=True)
-    found = generate(tmp_path / "set", 3, **given, resume=True)
-    assert len(calls) == 4
-    assert found.entries == whole.entries
+    found = generate(tmp_path / "set", 3, **given)
     assert {event.truth.goals["red agent"] for event in found} == {"Get red agent to home"}
     assert found.manifest["rejected"]["solo"]["roles that are not wanted"] >= 1
+    with pytest.raises(ppl.PhasePPLError, match="another plan: roles"):
+        generate(tmp_path / "set", 3, **{**given, "roles": ppl.roles.draw}, resume=True)
 
 
 def test_a_prior_of_ones_own_is_drawn_from_and_recorded(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -304,9 +305,8 @@ def test_statistics_of_a_set_in_blocks_are_those_of_one_file(
     assert "family" in found["tables"]
 
 
-@pytest.mark.usefixtures("anything_goes")
-def test_a_set_is_loaded_by_its_folder_and_checked(tmp_path: Path) -> None:
-    generate(tmp_path / "set", cells=CELLS, **QUICK)
+def test_a_set_is_loaded_by_its_folder_and_checked(tmp_path: Path, whole: GeneratedEvents) -> None:
+    shutil.copytree(whole.path, tmp_path / "set")
     found = ppl.load_events(tmp_path / "set")
     assert isinstance(found, GeneratedEvents)
     assert found[0].id == found.entries[0]["id"]
@@ -394,23 +394,21 @@ def test_bad_settings_are_named_before_anything_is_written(
     assert not (tmp_path / "set").exists()
 
 
-@pytest.mark.usefixtures("anything_goes")
 def test_models_are_evaluated_on_a_split(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    whole: GeneratedEvents, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = generate(tmp_path / "set", cells={"chasing": 5}, **QUICK)
-    found = ppl.evaluate(tmp_path / "set", "last_frame", split="test", workers=1, progress=False)
-    assert found.metrics["n_events"] == len(made.split("test")) == 1
-    arguments = ["evaluate", str(tmp_path / "set"), "--model", "last_frame", "--split"]
+    found = ppl.evaluate(whole.path, "last_frame", split="test", workers=1, progress=False)
+    assert found.metrics["n_events"] == len(whole.split("test")) == 1
+    arguments = ["evaluate", str(whole.path), "--model", "last_frame", "--split"]
     assert main([*arguments, "test", "--quiet"]) == 0
     assert "1 of 1 events" in capsys.readouterr().out
     assert main([*arguments, "dev", "--quiet"]) == 2
-    everything = ppl.evaluate(made, "last_frame", workers=1, progress=False)
+    everything = ppl.evaluate(whole, "last_frame", workers=1, progress=False)
     assert everything.metrics["n_events"] == 5
     with pytest.raises(InvalidEventError, match="'dev'"):
-        ppl.evaluate(made, "last_frame", split="dev", workers=1)
+        ppl.evaluate(whole, "last_frame", split="dev", workers=1)
     with pytest.raises(InvalidEventError, match="only generated"):
-        ppl.evaluate(list(made), "last_frame", split="test", workers=1)
+        ppl.evaluate(list(whole), "last_frame", split="test", workers=1)
 
 
 @pytest.mark.usefixtures("anything_goes")

@@ -12,7 +12,7 @@ from phase_ppl.dataset.generation.families import (
     family_and_variant,
     register_family,
 )
-from phase_ppl.dataset.generation.making import MAX_STUCK, longest_run, measures, reason_against
+from phase_ppl.dataset.generation.making import MAX_STUCK, measures, reason_against
 from phase_ppl.dataset.generation.situation import (
     LAYOUTS,
     SIZES,
@@ -269,13 +269,6 @@ def test_an_agent_that_pushes_a_wall_for_long_is_stuck() -> None:
     longer = recording(np.concatenate([made.trajectory, made.trajectory[-1:].repeat(2, 0)]),
                        green="Get green agent to green lm")  # fmt: skip
     assert verdict(longer, "independent") == "an agent is stuck"
-
-
-@pytest.mark.parametrize(
-    ("flags", "length"), [([], 0), ([0, 0], 0), ([1], 1), ([1, 1, 0, 1], 2), ([0, 1, 1, 1], 3)]
-)
-def test_longest_run(flags: list[int], length: int) -> None:
-    assert longest_run(np.array(flags, bool)) == length
 
 
 def test_recordings_end_soon_after_the_last_motion() -> None:
