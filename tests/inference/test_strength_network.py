@@ -20,6 +20,7 @@ from strength_training import (
     draw_scene,
     main,
     needs_torch,
+    quality,
     simulate_events,
     train,
     training_examples,
@@ -37,7 +38,6 @@ from phase_ppl.inference.proposals.strength import (
     estimated_strengths,
     estimator_name,
     observed_jitter,
-    quality,
     shipped_network,
     window_features,
 )

@@ -35,7 +35,7 @@ from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.runs.length import Length, Pace, Tally
-from phase_ppl.inference.runs.run import Run, compiled, compiled_given, fields_of, make_kernel
+from phase_ppl.inference.runs.run import Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
@@ -523,7 +523,7 @@ class Sampler:
 
     def _settings(self) -> dict[str, Any]:
         run = self._run
-        simple = fields_of(run.settings) | {"strength": estimator_name(run.settings.strength)}
+        simple = vars(run.settings) | {"strength": estimator_name(run.settings.strength)}
         del simple["beta"]  # the model's likelihood has it
         return {
             "kernel": {"name": run.info.name, **run.options},
@@ -545,15 +545,9 @@ class Sampler:
         wanted = statistics.frames + statistics.frames_saved
         return {
             "budget": self._length.budget and str(self._length.budget),
-            "simulations": statistics.simulations,
-            "frames": statistics.frames,
-            "frames_saved": statistics.frames_saved,  # by stopping simulations early
+            **dataclasses.asdict(statistics),
             "frames_saved_share": statistics.frames_saved / wanted if wanted else 0.0,
-            "failures": statistics.failures,
-            "retries": statistics.retries,
             "seconds": seconds,
-            "seconds_simulating": statistics.seconds_simulating,  # summed over workers
-            "seconds_waiting": statistics.seconds_waiting,
             "seconds_overhead": seconds - statistics.seconds_waiting,
             "workers": self._runner.workers,
             "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
