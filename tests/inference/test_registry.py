@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.racing import Racing
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.registry import KERNELS, described, kernel_info, register_kernel
-from phase_ppl.inference.settings import SimpleSettings, frames, simulations
+from phase_ppl.inference.settings import SimpleSettings, frames, seconds, simulations
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import TableRunner, table_errors, table_guide, table_program
@@ -136,8 +137,13 @@ def test_settings_out_of_range_are_refused_by_name(wrong: Any) -> None:
         SimpleSettings(**wrong)
 
 
-@pytest.mark.parametrize("budget", [simulations, frames])
-@pytest.mark.parametrize("n", [0, -3, 2.5, "60", True])
+@pytest.mark.parametrize(
+    ("budget", "n"),
+    [
+        *itertools.product((simulations, frames), (0, -3, 2.5, "60", True)),
+        *itertools.product((seconds,), (0, -1, float("nan"), float("inf"), "60", True)),
+    ],
+)
 def test_budgets_that_are_none_are_refused(budget: Any, n: Any) -> None:
     with pytest.raises(InvalidSettingError, match=f"{budget.__name__}="):
         budget(n)
