@@ -25,6 +25,7 @@ def program() -> EventProgram:
 
 def test_a_kernel_says_what_it_is() -> None:
     info = kernel_info("local_mh")
+    assert described(info.factory) is info
     assert (info.validity, info.sims_per_step) == ("exact", 1)
     assert info.options == ("rule", "early_reject")
 
@@ -105,11 +106,6 @@ def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
         described(lambda program: NUTS(program)).make(program)
     with pytest.raises(InvalidSettingError, match=r"makes None: .*does the function return it"):
         described(lambda program: None).make(program)  # type: ignore[arg-type,return-value]
-
-
-def test_a_registered_kernel_is_itself_by_its_factory_too() -> None:
-    info = kernel_info("local_mh")
-    assert described(info.factory) is info
 
 
 # --- settings ----------------------------------------------------------------------------------

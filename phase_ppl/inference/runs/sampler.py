@@ -34,7 +34,7 @@ from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
-from phase_ppl.inference.runs.length import Length, Pace, Tally
+from phase_ppl.inference.runs.length import Length, Pace
 from phase_ppl.inference.runs.run import Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
@@ -216,7 +216,6 @@ class Sampler:
         self._init, self._step = compiled(run.recipe)
         self._state: Any = None
         self._particles: list[Columns] = []  # the initial ones, and those after every iteration
-        self._tally = Tally()
         self._written = -1
         self._rivals_from: int | None = None  # the iteration that they count as
         self._n_rivals = 0  # simulations of them
@@ -255,19 +254,19 @@ class Sampler:
         with on_cpu():
             blank = self._init.shapes(self._keys(), self._data)
         self._state, self._particles = saved.state(blank), list(saved.particles)
-        before = Tally.of(saved.records, saved.done - 1)
-        if saved.done and self._length.is_spent(before):
+        began, recent = self._options.began, saved.recent
+        pace = self._pace = Pace(self._length, began, seconds=saved.seconds, recent=recent)
+        pace.count(saved.records, saved.done - 1)
+        if saved.done and pace.is_spent:
             raise InvalidSettingError(
                 f"a budget of {self._length.budget} is too small: {saved.path} went on after "
-                f"{before.simulations} simulations of {before.frames} frames"
+                f"{pace.simulations} simulations of {pace.frames} frames"
             )
-        self._tally = Tally.of(saved.records, saved.done, before)
+        pace.count(saved.records, saved.done)
         self._runner.statistics = dataclasses.replace(saved.statistics)
         self._calls = saved.calls + 1
-        began, recent = self._options.began, saved.recent
-        self._pace = Pace(self._length, began, seconds=saved.seconds, recent=recent)
         # rivals are those of the answer, which will be another
-        last = saved.done + (not self._pace.another(saved.done, self._tally))
+        last = saved.done + (not pace.goes_on)
         for record in saved.records:
             if record.iteration <= last:
                 self._bridge.remember(record)
@@ -287,7 +286,7 @@ class Sampler:
                     self._start(seconds)
                 left = _OVERTIME * seconds + 1.0 - self._pace.seconds
                 runner.deadline = time.perf_counter() + left
-                while self._pace.another(self._done, self._tally):
+                while self._pace.goes_on:
                     bar.reach(self._simulations())
                     bar.expect(self._expected())
                     self._iterate(lambda: self._step(self._state, self._data))
@@ -329,7 +328,7 @@ class Sampler:
         self._state = state
         self._particles.append(particles)
         self._pace.end(initial=initial)
-        self._tally = Tally.of(self._bridge.records, self._done, self._tally)
+        self._pace.count(self._bridge.records, self._done)
         self._keep()
 
     def _try_rivals(self, bar: Progress) -> None:
@@ -444,17 +443,17 @@ class Sampler:
     def _simulations(self) -> int:
         """Return the simulations until now: the most there can be, where those do not decide."""
         if self._length.counts:
-            return self._tally.simulations
+            return self._pace.simulations
         return self._length.at_most(self._done) + self._n_rivals
 
     def _expected(self) -> int:
         """Return how many simulations there will be in the end, as far as one can tell."""
-        spent = self._tally
+        spent = self._pace
         if self._length.counts:
             each = spent.frames / spent.simulations if spent.frames else self._n_frames
             total = min(self._length.limit("simulations"), self._length.limit("frames") / each)
             return max(math.ceil(total), spent.simulations)
-        return self._length.at_most(self._pace.expected(max(self._done, 0)))
+        return self._length.at_most(spent.expected)
 
     def _keep(self, records: Sequence[Record] | None = None) -> None:
         """Write the file, if there is to be one that is not up to date.
