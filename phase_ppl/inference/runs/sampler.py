@@ -145,16 +145,23 @@ def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Po
     """Do a run, or what is left of it, and return its posterior."""
     with contextlib.closing(_open_runner(run, options)) as runner:
         sampler = Sampler(run, options, runner, saved)
-        ended = sampler.advance()
-    posterior = sampler.posterior(interrupted=ended is not None)
-    if isinstance(ended, KeyboardInterrupt | Cancelled):
-        raise Interrupted(posterior) from None
-    if ended is not None:
-        with contextlib.suppress(AttributeError):  # of a class without room for it
-            ended.posterior = posterior  # type: ignore[attr-defined]
-            if posterior is not None:
-                ended.add_note("What was done until then is the attribute posterior of this error.")
-        raise ended
+        try:
+            sampler.advance()
+        except (KeyboardInterrupt, Cancelled):
+            # in case that it came while the file was being written; the posterior comes first
+            with contextlib.suppress(OutputError):
+                sampler.keep()
+            raise Interrupted(sampler.posterior(interrupted=True)) from None
+        except Exception as error:
+            posterior = sampler.posterior(interrupted=True)
+            with contextlib.suppress(AttributeError):  # of a class without room for it
+                error.posterior = posterior  # type: ignore[attr-defined]
+                if posterior is not None:
+                    error.add_note(
+                        "What was done until then is the attribute posterior of this error."
+                    )
+            raise
+    posterior = sampler.posterior(interrupted=False)
     assert posterior is not None, "a run that ended well has at least its initial particles"
     return posterior
 
@@ -274,14 +281,15 @@ class Sampler:
             self._rivals_from = last
         self._bridge.iteration = self._written = saved.done
 
-    def advance(self) -> BaseException | None:
-        """Do what is left of the run; return what ended it before its end, or None."""
+    def advance(self) -> None:
+        """Do what is left of the run."""
         batch = self._run.chains * self._length.sims_per_step
         before = 0 if self._done < 0 else self._simulations()
         seconds, runner = self._length.limit("seconds"), self._runner
         with Progress(self._expected(), self._options.progress, done=before, batch=batch) as bar:
             runner.on_result = bar.one_more
-            try:
+            # the iteration that is under way when time is over does not count
+            with contextlib.suppress(OutOfTime):
                 if self._done < 0:
                     self._start(seconds)
                 left = _OVERTIME * seconds + 1.0 - self._pace.seconds
@@ -294,16 +302,6 @@ class Sampler:
                 self._try_rivals(bar)
                 bar.expect(self._simulations())
                 bar.reach(self._simulations())
-            except OutOfTime:  # the iteration that was under way does not count
-                return None
-            except (KeyboardInterrupt, Cancelled) as stop:
-                # in case that it came while the file was being written; the posterior comes first
-                with contextlib.suppress(OutputError):
-                    self._keep()
-                return stop
-            except Exception as error:
-                return error
-        return None
 
     def _start(self, seconds: float) -> None:
         """Make the initial particles, none of which may take longer than all the seconds."""
@@ -329,7 +327,7 @@ class Sampler:
         self._particles.append(particles)
         self._pace.end(initial=initial)
         self._pace.count(self._bridge.records, self._done)
-        self._keep()
+        self.keep()
 
     def _try_rivals(self, bar: Progress) -> None:
         """Simulate the rivals of the leading goals that no simulation has tried.
@@ -363,7 +361,7 @@ class Sampler:
             if not rivals:
                 break
         self._written = -1
-        self._keep(self._bridge.records)
+        self.keep(self._bridge.records)
 
     def _simulate_goals(
         self, goals: NDArray[np.int64], log_floor: NDArray[np.float32], *place: int
@@ -455,7 +453,7 @@ class Sampler:
             return max(math.ceil(total), spent.simulations)
         return self._length.at_most(spent.expected)
 
-    def _keep(self, records: Sequence[Record] | None = None) -> None:
+    def keep(self, records: Sequence[Record] | None = None) -> None:
         """Write the file, if there is to be one that is not up to date.
 
         With all ``records``, or those of what is complete.
