@@ -90,14 +90,6 @@ class SimpleSettings:
                 )
 
 
-def probability(name: str, value: object) -> float:
-    """Return ``value`` if it is a number in [0, 1]."""
-    number = number_or_nan(value)
-    if not 0 <= number <= 1:
-        raise InvalidSettingError(f"{name}={shown(value)}, expected a number in [0, 1]")
-    return number
-
-
 BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.seconds(n)"
 
 
