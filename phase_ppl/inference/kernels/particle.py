@@ -109,7 +109,9 @@ class EventKernel(MCMCKernel, Generic[State]):
 
     def _sample_fn(self, state: State) -> State:
         """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
-        return as_batch_of_one(self._step, state) if is_prng_key(state.rng_key) else self._step(state)
+        if is_prng_key(state.rng_key):
+            return as_batch_of_one(self._step, state)
+        return self._step(state)
 
     @abstractmethod
     def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> State:
