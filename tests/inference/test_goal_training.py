@@ -139,7 +139,8 @@ def test_features_do_not_depend_on_which_landmark_it_is() -> None:
 
 def test_one_frame_of_motion_is_enough() -> None:
     short = Observation(moving(_0=(16.0, 12.0)).trajectory[:2])
-    assert np.isfinite(np.asarray(bottom_up_tables(SCENE, short, SimpleSettings()).goal_logits)).all()
+    tables = bottom_up_tables(SCENE, short, SimpleSettings())
+    assert np.isfinite(np.asarray(tables.goal_logits)).all()
 
 
 @pytest.mark.parametrize("agent", [RED, GREEN])
