@@ -33,6 +33,7 @@ from tests.inference.toy import SCENE, START, few_goals, moving, never_called, t
 
 RED, GREEN = 0, 1
 
+
 def distances(observation: Observation, **more: Any) -> BottomUpTables:
     """The paper's form of the proposal."""
     return bottom_up_tables(SCENE, observation, SimpleSettings(proposal="paper", **more))

@@ -236,6 +236,7 @@ def _histogram(driven: FloatArray) -> FloatArray:
 
 # --- estimators -----------------------------------------------------------------------------------
 
+
 class StrengthEstimates(NamedTuple):
     """Normal distributions of the agents' strengths, to be cut to the range of strengths."""
 
