@@ -23,14 +23,13 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.proposals.strength import estimated_strengths
-from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.proposals.strength import Estimator, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS, effective_goals, goal_literal
@@ -80,10 +79,25 @@ def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
     return BottomUpTables(longer(goal), longer(strength), longer(strength_sd), social)
 
 
+class Settings(Protocol):
+    """What decides the tables, of :class:`~phase_ppl.inference.settings.SimpleSettings`."""
+
+    @property
+    def window(self) -> int: ...
+    @property
+    def proposal(self) -> str: ...
+    @property
+    def gamma(self) -> float: ...
+    @property
+    def sign(self) -> str: ...
+    @property
+    def strength(self) -> str | Estimator: ...
+
+
 def bottom_up_tables(
     scene: Scene,
     observation: Observation,
-    settings: SimpleSettings,
+    settings: Settings,
     progress: bool | None = None,
 ) -> BottomUpTables:
     """Return the tables of an event under some settings.
