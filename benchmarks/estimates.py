@@ -60,7 +60,7 @@ def offsets(world: str) -> FloatArray:
     base = level * rng.gamma(4.0, 0.25, (N_GOALS, N_GOALS, 1))
     if world == "noisy":  # as in videos, what is proposed more often fits better
         seen = walking_event()
-        tables = bottom_up_tables(seen.scene, seen.observation)
+        tables = bottom_up_tables(seen.scene, seen.observation, ppl.SimpleSettings())
         for agent, axis in ((0, 1), (1, 0)):
             logits = np.asarray(tables.goal_logits)[-1, 0, agent]
             fit = np.clip(logits - logits.max(), -4.0, 0.0) / 4.0

@@ -15,8 +15,8 @@ from typing import Any
 import common
 import numpy as np
 
-from phase_ppl.inference.proposals.tables import FORMS, Form, bottom_up_tables
-from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.proposals.tables import bottom_up_tables
+from phase_ppl.inference.settings import FORMS, Form, SimpleSettings
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, effective_goals
@@ -30,7 +30,7 @@ def probabilities(event: Event, form: Form) -> np.ndarray:
     """Return (window + 1,) probabilities that the true effective goals are proposed."""
     assert event.truth is not None
     truth = GOALS.index(event.truth.goal_red), GOALS.index(event.truth.goal_green)
-    tables = bottom_up_tables(event.scene, event.observation, form=form)
+    tables = bottom_up_tables(event.scene, event.observation, SimpleSettings(proposal=form))
     logits = np.asarray(tables.goal_logits)
     if tables.alpha_logits is None:
         logits = np.repeat(logits[:, None], len(ALPHAS), axis=1)

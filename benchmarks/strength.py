@@ -12,16 +12,14 @@ from typing import Any
 
 import common
 import numpy as np
-from strength_training import blurred
+from strength_training import Quality, blurred, quality
 
 from phase_ppl.inference.proposals.strength import (
     ESTIMATORS,
     Estimator,
-    Quality,
     StrengthEstimates,
     StrengthNetwork,
     estimated_strengths,
-    quality,
 )
 from phase_ppl.inference.proposals.tables import window_count, window_length
 from phase_ppl.world.event import Event

@@ -16,6 +16,7 @@ import argparse
 import dataclasses
 import functools
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
@@ -31,7 +32,6 @@ from phase_ppl.inference.proposals.strength import (
     SD_RANGE,
     StrengthEstimates,
     StrengthNetwork,
-    quality,
     window_features,
 )
 from phase_ppl.models.neural import needs_torch, threads
@@ -375,6 +375,43 @@ def _negative_log_density(torch: Any, outputs: Any, strength: Any) -> Any:
     cdf = torch.special.ndtr
     mass = cdf((high - mean) / sd) - cdf((low - mean) / sd)
     return (0.5 * ((strength - mean) / sd) ** 2 + torch.log(sd * mass)).mean() + _HALF_LOG_2PI
+
+
+_GRID: Final = np.linspace(*STRENGTH_RANGE, 901)
+
+
+class Quality(NamedTuple):
+    """How good estimates are, as proposals from normal distributions cut to the range."""
+
+    share: float  # of estimates among all
+    rmse: float  # of the proposals' mean, newtons; of the prior's mean where there is no estimate
+    # mean log density of the true strength; without an estimate that of the uniform prior, -6.11
+    log_density: float
+    log_mixture: float  # the same, of a mixture with a tenth of the prior, as in SIMPLE's proposal
+    # share of the estimates that are no farther off than their standard deviation; nan without any
+    coverage: float
+
+
+def quality(estimates: StrengthEstimates, strength: FloatArray) -> Quality:
+    """Return how good estimates are, given the true strengths (of the same shape), newtons."""
+    known = ~np.isnan(estimates.mean).ravel()
+    mean = np.where(known, estimates.mean.ravel(), 0.0)[:, None]
+    sd = np.where(known, estimates.sd.ravel(), math.inf)[:, None]  # cut, that is uniform
+    truth = strength.ravel()[:, None]
+    density = np.exp(-0.5 * ((_GRID - mean) / sd) ** 2)
+    mass = np.trapezoid(density, _GRID, axis=1)
+    middle = np.trapezoid(density * _GRID, _GRID, axis=1) / mass
+    log_density = -0.5 * ((truth - mean) / sd)[:, 0] ** 2 - np.log(mass)
+    log_prior = -math.log(STRENGTH_RANGE[1] - STRENGTH_RANGE[0])
+    mixture = np.logaddexp(log_density + math.log(0.9), log_prior + math.log(0.1))
+    inside = (np.abs(truth - mean) <= sd)[known]
+    return Quality(
+        share=float(known.mean()),
+        rmse=float(np.sqrt(((middle - truth[:, 0]) ** 2).mean())),
+        log_density=float(log_density.mean()),
+        log_mixture=float(mixture.mean()),
+        coverage=float(inside.mean()) if known.any() else math.nan,
+    )
 
 
 def _by_cell(network: StrengthNetwork, validation: Examples) -> list[dict[str, float]]:

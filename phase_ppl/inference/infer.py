@@ -263,16 +263,18 @@ def resume(
         saved.identity["seed"],
     )
     _check_same(saved, run)
+    before = saved.asked
     if iterations is None and budget is None:
-        iterations, budget = saved.target["iterations"], saved.target["budget"]
-    weights = saved.asked["weights"] if weights is None else weights
-    burn_in = saved.asked["burn_in"] if burn_in is None else burn_in
-    before = saved.failures
+        iterations, budget = before["iterations"], before["budget"]
     if on_failure is None:
         on_failure = str(before["on_failure"])
         retries = before["retries"] if retries is None else retries
-    if simulation_seconds is None:
-        simulation_seconds = before["simulation_seconds"]
+    given: dict[str, Any] = {
+        "simulation_seconds": simulation_seconds,
+        "burn_in": burn_in,
+        "weights": weights,
+    }
+    others = {name: before[name] if value is None else value for name, value in given.items()}
     changed = (on_failure, retries) != (before["on_failure"], before["retries"])
     if changed and saved.statistics.failures:
         raise InvalidSettingError(
@@ -288,15 +290,13 @@ def resume(
         budget=budget,
         on_failure=on_failure,
         retries=retries,
-        simulation_seconds=simulation_seconds,
         workers=workers,
         executor=executor,
         progress=progress,
         checkpoint=path,
-        burn_in=burn_in,
-        weights=weights,
         versions=versions,
         began=began,
+        **others,
     )
     with locked(path):
         return sample(run, options, saved)

@@ -100,7 +100,6 @@ def enumerate_goals(
     ``per_pair`` times each, with strengths and a simulator seed of their own; an even number, at
     most 32.
     """
-    check_per_pair(per_pair)
     rng = np.random.default_rng(seed)
     which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.pairs])
     hypotheses = [
@@ -123,15 +122,6 @@ def enumerate_goals(
     log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
     log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
     return of_masses(plan.pairs, log_mass, usable.reshape(which.shape))
-
-
-def check_per_pair(per_pair: object) -> None:
-    """Raise InvalidSettingError if so many simulations of each pair cannot be made."""
-    number = whole_number("per_pair", per_pair)
-    if number % 2 or number > _POOL:
-        raise InvalidSettingError(
-            f"per_pair={number}, expected an even number of at most {_POOL}, for there to be halves"
-        )
 
 
 def of_masses(
@@ -245,8 +235,12 @@ def _per_pair(reference: tuple[Any, ...]) -> int:
         raise InvalidSettingError(
             f'reference={shown(reference)}, expected ("enumeration", {{"per_pair": n}})'
         )
-    check_per_pair(options["per_pair"])
-    return int(options["per_pair"])
+    number = whole_number("per_pair", options["per_pair"])
+    if number % 2 or number > _POOL:
+        raise InvalidSettingError(
+            f"per_pair={number}, expected an even number of at most {_POOL}, for there to be halves"
+        )
+    return number
 
 
 def reference_of(
@@ -266,33 +260,28 @@ def reference_of(
     of what all chains have in common, such as what none of them has found. None where there are no
     halves.
     """
+
+    def said(
+        description: str, found: Mapping[str, Any], simulations: int, halves: Sequence[Halves]
+    ) -> dict[str, Any]:
+        return {
+            "description": description,
+            "marginals": dict(found),
+            "simulations": simulations,
+            "error": error_of(halves),
+        }
+
     if asked.enumeration and is_stepwise(model.likelihood):
         table = filter_event(event, model, seed=seed, threads=workers, progress=False)
-        return {
-            "description": "the sum over a table of all hypotheses",
-            "marginals": marginals(table),
-            "simulations": 0,
-            "error": None,
-        }
+        return said("the sum over a table of all hypotheses", marginals(table), 0, [])
     if asked.enumeration:
-        plan = plan_enumeration(model, seed)
+        plan, each = plan_enumeration(model, seed), asked.per_pair
         if asked.kernel is None or _affordable(plan, asked, event):
-            found = enumerate_goals(
-                event,
-                model,
-                plan,
-                per_pair=asked.per_pair,
-                seed=seed,
-                workers=workers,
-                executor=executor,
-            )
-            pairs, each = len(plan.pairs), asked.per_pair
-            return {
-                "description": f"enumeration of {pairs} pairs of goals, {each} simulations each",
-                "marginals": of_pairs(found.probability),
-                "simulations": found.simulations,
-                "error": error_of([(of_pairs(one), of_pairs(two)) for one, two in found.halves]),
-            }
+            options: dict[str, Any] = {"seed": seed, "workers": workers, "executor": executor}
+            found = enumerate_goals(event, model, plan, per_pair=each, **options)
+            words = f"enumeration of {len(plan.pairs)} pairs of goals, {each} simulations each"
+            halves = [(of_pairs(one), of_pairs(two)) for one, two in found.halves]
+            return said(words, of_pairs(found.probability), found.simulations, halves)
     if asked.given is not None:
         post = asked.given
         words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
@@ -306,12 +295,7 @@ def reference_of(
             f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as "
             "far as its chains have mixed"
         )
-    return {
-        "description": words,
-        "marginals": dict(marginals(post)),
-        "simulations": int(post.cost["simulations"]),
-        "error": error_of(_halves_of(post)),
-    }
+    return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
 
 
 def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:

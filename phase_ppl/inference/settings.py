@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
-from phase_ppl.inference.proposals.tables import (
-    FORMS,
-    SIGNS,
-    BottomUpTables,
-    Form,
-    Sign,
-    bottom_up_tables,
-)
 from phase_ppl.world.checks import nonnegative_number, number_or_nan, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
-from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import PHASE, World
+
+Sign = Literal["intended", "printed"]
+Form = Literal["learned", "paper", "closed_loop"]
+
+SIGNS: Final = get_args(Sign)
+FORMS: Final = get_args(Form)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,32 +88,6 @@ class SimpleSettings:
                     f"{name}={value!r} was learned in PHASE and knows no other world, such as "
                     f"{world.name!r}: expected SimpleSettings({name}={usual!r})"
                 )
-
-    def tables(
-        self, scene: Scene, observation: Observation, progress: bool | None = None
-    ) -> BottomUpTables:
-        """Return what the windows of an observation suggest under these settings.
-
-        ``progress`` says whether to show a bar where that takes long.
-        """
-        return bottom_up_tables(
-            scene,
-            observation,
-            window=self.window,
-            form=self.proposal,
-            gamma=self.gamma,
-            sign=self.sign,
-            strength=self.strength,
-            progress=progress,
-        )
-
-
-def probability(name: str, value: object) -> float:
-    """Return ``value`` if it is a number in [0, 1]."""
-    number = number_or_nan(value)
-    if not 0 <= number <= 1:
-        raise InvalidSettingError(f"{name}={shown(value)}, expected a number in [0, 1]")
-    return number
 
 
 BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.seconds(n)"

@@ -7,13 +7,10 @@ It is a black box: inference sees its frames only.
 from __future__ import annotations
 
 import contextlib
-import contextvars
 import ctypes
 import dataclasses
 import functools
 import math
-import os
-import queue
 import threading
 import time
 import traceback
@@ -180,11 +177,21 @@ def in_time(
         return work()
     if limit <= 0:
         return failed(too_long(limit))
-    try:
-        helper = _idle.pop()
-    except IndexError:
-        helper = _Helper()
-    done = helper.begin(work)
+    done: Future[Result] = Future()
+    ending = threading.Lock()  # held while a thread is ended, lest it ends by itself meanwhile
+
+    def serve() -> None:
+        try:
+            result = work()
+        except BaseException as error:
+            done.set_exception(error)
+        else:
+            done.set_result(result)
+        with ending:
+            return
+
+    thread = threading.Thread(target=serve, name="phase_ppl-simulation", daemon=True)
+    thread.start()
     try:
         seconds = max(0.0, min(limit, deadline - time.perf_counter()))
         wait([done, *stop], seconds if seconds < math.inf else None, FIRST_COMPLETED)
@@ -196,50 +203,10 @@ def in_time(
             raise OutOfTime("the time of the run is over")
         return failed(too_long(limit))
     finally:
-        if done.done():
-            _idle.append(helper)
-        else:
-            helper.give_up()
-
-
-class _Helper:
-    """A thread that does one thing after the other, until it is given up."""
-
-    def __init__(self) -> None:
-        self._tasks: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None]
-        self._tasks = queue.SimpleQueue()
-        self._thread = threading.Thread(
-            target=self._serve, name="phase_ppl-simulation", daemon=True
-        )
-        self._thread.start()
-
-    def begin(self, work: Callable[[], Result]) -> Future[Result]:
-        done: Future[Result] = Future()
-        self._tasks.put((work, done))
-        return done
-
-    def give_up(self) -> None:
-        self._tasks.put(None)  # should it be done with its work just now
-        number = ctypes.c_ulong(self._thread.ident or 0)
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
-
-    def _serve(self) -> None:
-        while (task := self._tasks.get()) is not None:
-            work, done = task
-            try:
-                # settings of this thread, such as NumPy's for errors, do not outlive the work
-                result = contextvars.copy_context().run(work)
-            except BaseException as error:
-                done.set_exception(error)
-            else:
-                done.set_result(result)
-            del task, work, done  # what they hold on to may be large
-
-
-_idle: list[_Helper] = []
-"""Helpers with nothing to do: to start a thread for every simulation takes longer than a toy."""
-
-os.register_at_fork(after_in_child=_idle.clear)
+        with ending:
+            if not done.done():
+                number = ctypes.c_ulong(thread.ident or 0)
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
 
 
 def simulate_together(

@@ -136,11 +136,6 @@ def _warm_up_in_turn(thing: Any) -> None:
 # --- in the parent ---------------------------------------------------------------------------
 
 
-def new_token() -> str:
-    """Return a name for what tasks of this process work with."""
-    return f"{os.getpid()}-{secrets.token_hex(8)}"
-
-
 def slots_of(workers: int | None, executor: Executor | None) -> int | None:
     """Return how many tasks run at a time; None: that is for the executor to say.
 
@@ -151,23 +146,47 @@ def slots_of(workers: int | None, executor: Executor | None) -> int | None:
     return None if executor is not None and workers is None else number_of_workers(workers)
 
 
+def pool_for(
+    thing: Any, what: str, slots: int | None, executor: Executor | None, warms_up: bool
+) -> OwnWorkers | BorrowedExecutor:
+    """Return what gets tasks that work with a thing done, ``slots`` at a time.
+
+    Args:
+        thing: what all tasks work with; pickled here and now.
+        what: name of the thing in error messages.
+        slots: worker processes, or tasks to give the executor at a time, None: all.
+        executor: somebody's; None: own processes.
+        warms_up: whether the thing has something to do once, for all.
+
+    Raises:
+        InvalidSettingError: the thing cannot be sent to processes.
+    """
+    try:
+        packed = cloudpickle.dumps(thing)
+    except Exception as error:
+        raise InvalidSettingError(
+            f"{what} cannot be sent to worker processes ({described(error)}); workers=1 needs none"
+        ) from error
+    token = f"{os.getpid()}-{secrets.token_hex(8)}"
+    if executor is not None:
+        return BorrowedExecutor(executor, slots, token, packed)
+    return OwnWorkers(slots or 1, token, packed, warms_up)
+
+
 class OwnWorkers:
     """Worker processes that live until they are closed; the tasks' thing is known by a token.
 
     loky's processes know functions from ``__main__``, notebooks and lambdas, and need no guard
-    around the main module. One worker runs ``warm_up``, a function of the thing, before the first
-    task; ``slots`` tasks run at a time. A pool that broke starts anew with the next task
-    (``restarts``).
+    around the main module. One worker warms the thing up before the first task; ``slots`` tasks run
+    at a time. A pool that broke starts anew with the next task (``restarts``).
     """
 
     restarts: Final = True
 
-    def __init__(
-        self, workers: int, token: str, packed: bytes, warm_up: Callable[[Any], None] | None
-    ) -> None:
+    def __init__(self, workers: int, token: str, packed: bytes, warms_up: bool) -> None:
         self.slots: int | None = 0
         self._most, self._token, self._packed = workers, token, packed
-        self._warm_up = warm_up
+        self._warms_up = warms_up
         self._closed = False
         self._lock = threading.RLock()
         self._executor: Any = None
@@ -182,8 +201,8 @@ class OwnWorkers:
 
     def warm_up(self) -> Future[Any] | None:
         """Begin what one worker does for all; None where there is nothing to do."""
-        function, self._warm_up = self._warm_up, None
-        return None if function is None else self.submit(function, ())
+        due, self._warms_up = self._warms_up, False
+        return self.submit(_warm_up, ()) if due else None
 
     def submit(
         self, function: Callable[..., Any], arguments: tuple[Any, ...], with_thing: bool = False
@@ -257,14 +276,9 @@ def _kill(pid: int | None) -> None:
 
 
 class BorrowedExecutor:
-    """Somebody else's executor (PEP 3148); it is never shut down.
+    """Somebody else's executor (PEP 3148), such as dask's; it is never shut down.
 
-    Args:
-        executor: such as ``concurrent.futures.ProcessPoolExecutor``, or that of a
-            ``dask.distributed`` client or of ``mpi4py.futures``.
-        slots: how many tasks to give it at a time; None: all.
-        token: names what they work with.
-        packed: it, pickled.
+    It gets ``slots`` tasks at a time, None: all; what they work with is sent where it is not known.
     """
 
     restarts: Final = False
@@ -317,7 +331,7 @@ def mapped(
 
 Thing = TypeVar("Thing")
 Job = TypeVar("Job")
-RUNS: Final = 2  # how often a job of ``results`` is tried whose worker process dies
+RUNS: Final = 2  # how often a job is tried whose worker process dies
 
 AT_ONCE: Final = 1000
 """Jobs of ``results`` that an executor is given at a time, since waiting takes longer for more."""
@@ -360,14 +374,13 @@ class Dispatch(Generic[Job]):
         jobs: Sequence[Job],
         arguments: Callable[[Job], tuple[Any, ...]],
         failed: Callable[[Job, str, BaseException | None], Any],
-        max_retries: int,
         stop: Future[None] | None = None,
         limit: Callable[[], float] = lambda: math.inf,
         deadline: float = math.inf,
     ) -> None:
         self.retries = 0
         self._pool, self._function, self._arguments = pool, function, arguments
-        self._failed, self._max_retries = failed, max_retries
+        self._failed = failed
         self._stop: Future[None] = Future() if stop is None else stop
         self._limit, self._deadline = limit, deadline
         self._hung: set[int] = set()
@@ -466,7 +479,7 @@ class Dispatch(Generic[Job]):
             raise SimulationError(f"the executor is broken: {error}") from error
         task.losses += 1
         # what is raised in a worker of ours would be raised again
-        if task.losses > self._max_retries or (self._pool.restarts and not died):
+        if task.losses >= RUNS or (self._pool.restarts and not died):
             return False
         self.retries += 1
         (self._suspects if self._pool.restarts else self._waiting).append(task)
@@ -544,21 +557,14 @@ def results(
             yield job, _attempt(thing, function, job)
         return
     # processes even for a single job, which may be the one that kills its process
-    try:
-        packed = cloudpickle.dumps(thing)
-    except Exception as error:
-        raise InvalidSettingError(
-            f"{what} cannot be sent to worker processes ({described(error)}); workers=1 needs none"
-        ) from error
-    token = new_token()
-    pool: OwnWorkers | BorrowedExecutor
-    if executor is None:
-        warm_up = _warm_up if hasattr(thing, "warm_up") else None
-        pool = OwnWorkers(number_of_workers(workers), token, packed, warm_up)
-    else:
-        pool = BorrowedExecutor(executor, workers or AT_ONCE, token, packed)
+    slots = number_of_workers(workers) if executor is None else workers or AT_ONCE
+    pool = pool_for(thing, what, slots, executor, hasattr(thing, "warm_up"))
     dispatch = Dispatch(
-        pool, _attempt, jobs, lambda job: (function, job), _given_up, max_retries=RUNS - 1
+        pool,
+        _attempt,
+        jobs,
+        lambda job: (function, job),
+        lambda job, reason, error: Failure(reason, error),
     )
     try:
         with contextlib.closing(dispatch.results()) as found:
@@ -576,10 +582,6 @@ def _attempt(thing: Any, function: Callable[[Any, Any], Any], job: Any) -> Any:
         return function(thing, job)
     except (Exception, SystemExit) as error:
         return Failure(described(error), error)
-
-
-def _given_up(job: Any, reason: str, error: BaseException | None) -> Failure:
-    return Failure(reason, error)
 
 
 def _warm_up(thing: Any) -> None:

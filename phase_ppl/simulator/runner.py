@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
 from typing import Any, Final, NamedTuple
 
-import cloudpickle
 import numpy as np
 
 from phase_ppl.simulator.contract import (
@@ -29,7 +28,7 @@ from phase_ppl.simulator.processes import (
     CannotLoad,
     Dispatch,
     OwnWorkers,
-    new_token,
+    pool_for,
     slots_of,
 )
 from phase_ppl.world.arrays import FloatArray
@@ -103,7 +102,9 @@ class Work(NamedTuple):
 class Runner:
     """Runs simulations of one observed event.
 
-    The results are the same for any number of workers, in the order of the requests.
+    The results are the same for any number of workers, in the order of the requests. A simulation
+    whose worker died is run again, once; what raises in the simulator would raise again, and is a
+    failure at once.
 
     Args:
         simulator: what to run; may be defined anywhere, also in ``__main__`` or a notebook. One
@@ -114,17 +115,15 @@ class Runner:
             ``executor``, how many simulations to give it at a time; None: all.
         executor: any PEP 3148 executor instead of own workers. It is not shut down, and what it
             has begun goes on after a cancel, unheeded.
-        max_retries: how often a simulation is run again whose worker died. What raises in the
-            simulator is a failure at once, as it would raise again.
         on_failure: "reject": a failed simulation is a result, without likelihood; "raise": the
             first one ends the run; "retry": it is run again with a fresh seed, which follows from
             its own, and is a failed result only if that fails as well.
         retries: how often "retry" runs a simulation again; by default 3.
         simulation_seconds: what takes longer is a failed simulation; None: nothing is. One that
             cannot be ended, as it is in the midst of compiled code, goes on unheeded.
-        on_result: called in this process as each simulation finishes, not before the last retry.
 
     Attributes:
+        on_result: called in this process as each simulation finishes, not before the last retry.
         statistics: what the simulations have cost so far.
         workers: number of processes; None where an executor decides.
         scene: as given.
@@ -135,8 +134,8 @@ class Runner:
         on_failure, retries: as given; retries are 0 without "retry".
 
     Raises:
-        InvalidSettingError: ``workers``, ``max_retries`` or ``retries`` is out of range, or the
-            simulator cannot be called, or not be sent to workers.
+        InvalidSettingError: ``workers`` or ``retries`` is out of range, or the simulator cannot be
+            called, or not be sent to workers.
         UnknownNameError: an unknown ``on_failure``.
     """
 
@@ -148,11 +147,9 @@ class Runner:
         *,
         workers: int | None = None,
         executor: Executor | None = None,
-        max_retries: int = 1,
         on_failure: str = "reject",
         retries: int | None = None,
         simulation_seconds: float | None = None,
-        on_result: Callable[[SimulationResult], None] | None = None,
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
@@ -164,29 +161,17 @@ class Runner:
         self.patience = self.deadline = math.inf
         self._cut = False
         self.statistics = Statistics()
-        self.on_result = on_result
+        self.on_result: Callable[[SimulationResult], None] | None = None
         self.scene = scene
         self._work = Work(simulator, scene, np.array(observation.positions))
         self._together = hasattr(simulator, "simulate_batch") and executor is None
-        self._max_retries = whole_number("max_retries", max_retries, 0)
         self._stop: Future[None] = Future()
         self._one_run = threading.Lock()
         self._attempts_left = self.retries
         self._pool: OwnWorkers | BorrowedExecutor | None = None
-        if executor is not None:
-            self._pool = BorrowedExecutor(executor, slots, *self._packed_work())
-        elif (self.workers or 1) > 1 and not self._together:
-            warm_up = Work.warm_up if hasattr(simulator, "warm_up") else None
-            self._pool = OwnWorkers(self.workers or 1, *self._packed_work(), warm_up)
-
-    def _packed_work(self) -> tuple[str, bytes]:
-        try:
-            return new_token(), cloudpickle.dumps(self._work)
-        except Exception as error:
-            raise InvalidSettingError(
-                f"simulator={shown(self._work.simulator)} cannot be sent to worker processes "
-                f"({type(error).__name__}: {error}); workers=1 needs none"
-            ) from error
+        if executor is not None or ((slots or 1) > 1 and not self._together):
+            what, warms_up = f"simulator={shown(simulator)}", hasattr(simulator, "warm_up")
+            self._pool = pool_for(self._work, what, slots, executor, warms_up)
 
     def __enter__(self) -> Runner:
         return self
@@ -269,11 +254,6 @@ class Runner:
         error_ceilings: Sequence[float] | None,
     ) -> list[Request]:
         ceilings = [math.inf] * len(seeds) if error_ceilings is None else error_ceilings
-        if not len(hypotheses) == len(seeds) == len(ceilings):
-            raise InvalidSettingError(
-                f"{len(hypotheses)} hypotheses, {len(seeds)} seeds and {len(ceilings)} error "
-                "ceilings, expected as many of each"
-            )
         for ceiling in ceilings:
             if math.isnan(ceiling):
                 raise InvalidSettingError("an error ceiling is nan, expected a number or inf")
@@ -325,7 +305,6 @@ class Runner:
             requests,
             lambda request: (*request, self._limit()),
             self._failed,
-            self._max_retries,
             self._stop,
             self._limit,
             self.deadline,

@@ -19,7 +19,12 @@ from jax import random
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import distances, of_truth
 from phase_ppl.inference.proposals.guide import bottom_up_guide
-from phase_ppl.inference.proposals.tables import BottomUpTables, goal_distances, window_count
+from phase_ppl.inference.proposals.tables import (
+    BottomUpTables,
+    bottom_up_tables,
+    goal_distances,
+    window_count,
+)
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models import roles
 from phase_ppl.models.bridge import SimulatorBridge
@@ -234,9 +239,7 @@ def test_goals_that_come_closer_are_proposed() -> None:
     way = distance[-1, 0] - distance[0, 0]
     truth = SOLO.goal_index(TRUE_GOAL)
     assert way.argmin() == truth
-    tables = ppl.SimpleSettings(proposal="paper", strength="analytic").tables(
-        event.scene, event.observation
-    )
+    tables = bottom_up_tables(event.scene, event.observation, ppl.SimpleSettings.of(SOLO))
     logits = np.asarray(tables.goal_logits)[:-1, 0]
     assert (logits.argsort(axis=1)[:, ::-1][:, :8] == truth).any(axis=1).all()
 

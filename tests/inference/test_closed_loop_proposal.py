@@ -40,9 +40,8 @@ def event(request: pytest.FixtureRequest) -> Event:
 
 @pytest.fixture(scope="module")
 def tables(event: Event) -> BottomUpTables:
-    return bottom_up_tables(
-        event.scene, event.observation, form="closed_loop", window=WINDOW, strength="analytic"
-    )
+    settings = ppl.SimpleSettings(proposal="closed_loop", window=WINDOW, strength="analytic")
+    return bottom_up_tables(event.scene, event.observation, settings)
 
 
 def prior_of_ways(event: Event) -> Any:

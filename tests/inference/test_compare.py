@@ -295,11 +295,6 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "none": ({"kernels": []}, InvalidSettingError, "empty"),
     "twice": ({"kernels": ["prior_mh", "prior_mh"]}, InvalidSettingError, "called 'prior_mh'"),
     "option": (
-        {"kernels": ["prior_mh", ("prior_mh", {"speed": 3})]},
-        InvalidSettingError,
-        "called|speed",
-    ),
-    "later": (
         {"kernels": {"a": "prior_mh", "b": ("prior_mh", {"speed": 3})}},
         InvalidSettingError,
         "b: .*speed",

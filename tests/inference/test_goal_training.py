@@ -19,12 +19,14 @@ from phase_ppl.inference.proposals.tables import (
     goal_weights,
     joint_logits,
 )
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, goal_index
 from phase_ppl.world.hypothesis import ALPHAS, scenario
 from phase_ppl.world.names import AGENTS, LANDMARKS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+from tests.inference.toy import SCENE, START, moving
 
 
 def telling_examples(n: int) -> Examples:
@@ -78,19 +80,8 @@ def test_training_writes_weights_and_a_report(
 
 # --- features -------------------------------------------------------------------------------------
 
-START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 11, 0]], float)
-SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
 RED, GREEN = 0, 1
 N_FRAMES = 21
-
-
-def motion(**towards: tuple[float, float]) -> Observation:
-    """Entities named by their index go straight to places: ``_0=(x, y)``; the others rest."""
-    frames = np.repeat(START[None], N_FRAMES, axis=0)
-    for name, place in towards.items():
-        entity = int(name[1:])
-        frames[:, entity, :2] = np.linspace(START[entity, :2], place, N_FRAMES)
-    return Observation(frames)
 
 
 def feature(observation: Observation, name: str, goal: str, agent: int = RED) -> float:
@@ -99,7 +90,7 @@ def feature(observation: Observation, name: str, goal: str, agent: int = RED) ->
 
 
 def most_probable(observation: Observation, agent: int) -> str:
-    tables = bottom_up_tables(SCENE, observation)
+    tables = bottom_up_tables(SCENE, observation, SimpleSettings())
     alone = np.asarray(tables.goal_logits)[-1, ALPHAS.index((0, 0)), agent]
     return GOALS[int(alone.argmax())]
 
@@ -112,7 +103,7 @@ def test_every_goal_has_a_kind() -> None:
 
 
 def test_an_agent_that_pushes_an_item_is_seen_to_touch_it() -> None:
-    pushed = motion(_2=(9.0, 18.5)).trajectory.copy()
+    pushed = moving(_2=(9.0, 18.5)).trajectory.copy()
     pushed[:, RED, :2] = pushed[:, 2, :2] - np.array([1.4, 1.0])
     goal = f"Get blue item to {LANDMARKS[0]}"
     assert feature(Observation(pushed), "share of time touching the subject", goal) == 1
@@ -123,15 +114,15 @@ def test_an_agent_that_pushes_an_item_is_seen_to_touch_it() -> None:
 def test_way_towards_an_item_is_the_agents_own() -> None:
     goal = "Get pink item to red lm"
     name = "agent's way towards the subject"
-    assert feature(motion(_0=(16.0, 12.0)), name, goal) > 0
-    assert feature(motion(_3=(10.0, 10.0)), name, goal) == 0
+    assert feature(moving(_0=(16.0, 12.0)), name, goal) > 0
+    assert feature(moving(_3=(10.0, 10.0)), name, goal) == 0
 
 
 def test_features_do_not_depend_on_which_landmark_it_is() -> None:
     # the scene turned by half a circle has landmarks 0 and 2, 1 and 3 exchanged
     turned = START * [-1, -1, 1] + [32, 24, 0]
     scene = Scene(turned, SCENE.radius)
-    there = motion(_0=(15.7, 12.6), _2=(12.3, 12.7)).trajectory
+    there = moving(_0=(15.7, 12.6), _2=(12.3, 12.7)).trajectory
     back = there * np.array([-1, -1, 1]) + np.array([32, 24, 0])
     first, last = np.array([0]), np.array([N_FRAMES - 1])
     one = goal_features(SCENE, Observation(there), first, last)
@@ -147,8 +138,9 @@ def test_features_do_not_depend_on_which_landmark_it_is() -> None:
 
 
 def test_one_frame_of_motion_is_enough() -> None:
-    short = Observation(motion(_0=(16.0, 12.0)).trajectory[:2])
-    assert np.isfinite(np.asarray(bottom_up_tables(SCENE, short).goal_logits)).all()
+    short = Observation(moving(_0=(16.0, 12.0)).trajectory[:2])
+    tables = bottom_up_tables(SCENE, short, SimpleSettings())
+    assert np.isfinite(np.asarray(tables.goal_logits)).all()
 
 
 @pytest.mark.parametrize("agent", [RED, GREEN])
@@ -156,7 +148,7 @@ def test_an_agent_that_walks_to_a_landmark_and_stays_is_taken_to_want_that(agent
     place = 23.5, 19.5
     nearest = np.linalg.norm(SCENE.landmark_centres - place, axis=1).argmin()
     wanted = f"Get {AGENTS[agent]} to {LANDMARKS[nearest]}"
-    assert most_probable(motion(**{f"_{agent}": place}), agent) == wanted
+    assert most_probable(moving(**{f"_{agent}": place}), agent) == wanted
 
 
 def test_tables_are_those_of_the_joint_distribution() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import _thread
+import dataclasses
 import json
 import time
 import warnings
@@ -148,6 +149,37 @@ def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str
     assert captured.out == ""
     infer(progress=False)
     assert capsys.readouterr().err == ""
+
+
+# --- what of an event counts -------------------------------------------------------------------
+
+
+def test_scrambling_truth_judgments_id_and_predictions_changes_no_byte(
+    post: ppl.Posterior,
+) -> None:
+    scrambled = dataclasses.replace(
+        EVENT,
+        id="other",
+        truth=ppl.Truth("get away from green agent", "Get pink item to blue lm"),
+        judgments={"friendly": 99},
+        predictions={"someone": {"relation": "neutral"}},
+    )
+    for event in (scrambled, dataclasses.replace(EVENT, id="", truth=None)):
+        other = infer_event(event)
+        assert other.settings == post.settings
+        assert_same_draws(post.tree, other.tree)
+
+
+def test_another_observation_does_change_the_posterior(post: ppl.Posterior) -> None:
+    moved = np.array(EVENT.observation.trajectory)
+    moved[3:, 0, 0] += 2.0
+    other = infer_event(dataclasses.replace(EVENT, observation=ppl.Observation(moved)))
+    errors = [found.tree["simulations"]["total_error"].values for found in (post, other)]
+    assert not np.array_equal(*errors)
+
+
+def infer_event(event: ppl.Event) -> ppl.Posterior:
+    return ppl.infer(event, MODEL, **{**runs.OPTIONS, "kernel": None, "iterations": ITERATIONS})
 
 
 # --- other kernels and models ------------------------------------------------------------------

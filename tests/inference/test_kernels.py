@@ -26,6 +26,7 @@ from phase_ppl.inference.kernels.local_mh import (
     log_window_choice,
 )
 from phase_ppl.inference.kernels.metropolis import log_ratio
+from phase_ppl.inference.kernels.racing import Racing
 from phase_ppl.inference.runs.run import Run
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
@@ -232,6 +233,7 @@ def test_enumeration_simulates_every_other_goal_once_and_one_hypothesis_more() -
         (RandomWalkMH, {"scale": float("nan")}, InvalidSettingError),
         (MixtureMH, {"local_share": 1.5}, InvalidSettingError),
         (MixtureMH, {"local_share": "half"}, InvalidSettingError),
+        (Racing, {"sigma": -1.0}, InvalidSettingError),
     ],
 )
 def test_an_option_that_cannot_be_is_refused(kernel: Any, options: Any, error: Any) -> None:

@@ -17,7 +17,7 @@ import phase_ppl as ppl
 from phase_ppl.inference.registry import KernelInfo, kernel_info
 from phase_ppl.inference.runs import length, sampler
 from phase_ppl.inference.runs.checkpoint import Checkpoint
-from phase_ppl.inference.runs.length import IDLE, Length, Pace, Tally
+from phase_ppl.inference.runs.length import IDLE, Length, Pace
 from phase_ppl.inference.settings import Budget
 from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.runner import Runner
@@ -62,19 +62,24 @@ def take(pace: Pace, clock: Clock, seconds: float, *, initial: bool = False) -> 
     pace.end(initial=initial)
 
 
+def after(pace: Pace, done: int) -> Pace:
+    """Return it where so many iterations are done."""
+    pace.done = done
+    return pace
+
+
 def test_a_number_of_iterations_is_kept_whatever_the_time(clock: Clock) -> None:
     fixed = paced(clock, None)
     take(fixed, clock, 1e6, initial=True)
-    again = [fixed.another(done, Tally()) for done in range(5)]
-    assert again == [True, True, True, False, False]
+    assert [after(fixed, done).goes_on for done in range(5)] == [True, True, True, False, False]
 
 
 def test_the_initial_particles_are_the_first_guess_and_then_forgotten(clock: Clock) -> None:
     timed = paced(clock, ppl.seconds(50), sims_per_step=2)
     take(timed, clock, 10, initial=True)  # so an iteration of two simulations takes 20
-    assert timed.expected(0) == 2
+    assert after(timed, 0).expected == 2
     take(timed, clock, 5)
-    assert timed.expected(1) == 1 + 7
+    assert after(timed, 1).expected == 1 + 7
 
 
 def test_uneven_iterations_count_by_the_mean_of_the_last_three(clock: Clock) -> None:
@@ -82,16 +87,16 @@ def test_uneven_iterations_count_by_the_mean_of_the_last_three(clock: Clock) -> 
     take(timed, clock, 10, initial=True)
     for seconds in (30, 2, 9, 10):
         take(timed, clock, seconds)
-    assert timed.expected(4) == 4 + 5  # 39 s are left, 7 each
+    assert after(timed, 4).expected == 4 + 5  # 39 s are left, 7 each
     take(timed, clock, 36)
-    assert not timed.another(5, Tally())
+    assert not after(timed, 5).goes_on
 
 
 def test_what_was_spent_before_counts(clock: Clock) -> None:
     timed = paced(clock, ppl.seconds(60), seconds=45.0, recent=[8.0, 7.0])
-    assert timed.expected(3) == 5
+    assert after(timed, 3).expected == 5
     clock.now += 8
-    assert not timed.another(4, Tally())
+    assert not after(timed, 4).goes_on
     assert timed.seconds == 53
 
 
@@ -126,13 +131,8 @@ def test_a_run_of_seconds_goes_on_with_what_is_left_of_them(tmp_path: Any) -> No
     assert ppl.resume(path, EVENT, MODEL, **same).settings["iterations"] == 1
     longer = ppl.resume(path, EVENT, MODEL, budget=ppl.seconds(16), **same)
     assert longer.settings["iterations"] == 3
-    assert Checkpoint(path).target == {"iterations": None, "budget": ppl.seconds(16)}
-
-
-@pytest.mark.parametrize("n", [0, -1, float("nan"), float("inf"), "60", True])
-def test_seconds_that_are_none_are_refused(n: Any) -> None:
-    with pytest.raises(InvalidSettingError, match="seconds="):
-        ppl.seconds(n)
+    asked = Checkpoint(path).asked
+    assert (asked["iterations"], asked["budget"]) == (None, ppl.seconds(16))
 
 
 def test_a_bare_number_is_no_budget() -> None:
@@ -146,23 +146,32 @@ def test_a_bare_number_is_no_budget() -> None:
 @pytest.mark.parametrize("unit", ["simulations", "frames"])
 def test_a_budget_is_spent_by_what_was_counted(clock: Clock, unit: str) -> None:
     given = paced(clock, getattr(ppl, unit)(100), sims_per_step=34)
-    other = {"simulations": 10**6, "frames": 10**6, "last": 3}
-    tallies = [Tally(**{**other, unit: n}) for n in (0, 99, 100, 130)]
-    assert [given.another(3, tally) for tally in tallies] == [True, True, False, False]
-    assert not given.another(500, Tally(1, 1, last=500 - IDLE))
+    given.done, given.simulations, given.frames = 3, 10**6, 10**6
+    goes_on = []
+    for n in (0, 99, 100, 130):
+        setattr(given, unit, n)
+        goes_on.append(given.goes_on)
+    assert goes_on == [True, True, False, False]
+    given.simulations = given.frames = 1
+    assert after(given, IDLE - 1).goes_on
+    assert not after(given, IDLE).goes_on
 
 
-def test_a_count_taken_up_again_is_the_same() -> None:
+def test_a_count_taken_up_again_is_the_same(clock: Clock) -> None:
     with Runner(walkers, EVENT.scene, EVENT.observation, workers=1) as runner:
         (result,) = runner.run([Hypothesis(0, 3)], [1])
     records: list[Record] = []
-    tally = Tally()
+    kept = paced(clock, None)
     for iteration, n in enumerate((3, 0, 2, 0, 0)):
         records += [Record(result, {}, 0.0, chain=0, iteration=iteration)] * n
-        tally = Tally.of(records, iteration, tally)
-        assert Tally.of(records, iteration) == tally
-    assert tally == Tally(5, 5 * 14, last=2)
-    assert Tally.of(records, 1) == Tally(3, 3 * 14, last=0)
+        anew = paced(clock, None)
+        for one in (kept, anew):
+            one.count(records, iteration)
+        assert (kept.simulations, kept.frames) == (anew.simulations, anew.frames)
+    assert (kept.simulations, kept.frames) == (5, 5 * 14)
+    before = paced(clock, None)
+    before.count(records, 1)
+    assert (before.simulations, before.frames) == (3, 3 * 14)
 
 
 @pytest.fixture(scope="module")

@@ -18,32 +18,25 @@ from phase_ppl.inference.proposals.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.proposals.strength import StrengthEstimates
 from phase_ppl.inference.proposals.tables import (
     BottomUpTables,
-    Form,
     bottom_up_tables,
     window_count,
     window_length,
 )
+from phase_ppl.inference.settings import Form, SimpleSettings
 from phase_ppl.models import priors, sites
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-from tests.inference.toy import few_goals, never_called, table_guide
+from tests.inference.toy import SCENE, START, few_goals, moving, never_called, table_guide
 
-START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 12, 0]], float)
-SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
 RED, GREEN = 0, 1
 
-distances = functools.partial(bottom_up_tables, form="paper")
-"""The paper's form of the proposal."""
 
-
-def moving(entity: int, towards: tuple[float, float], n_frames: int = 21) -> Observation:
-    """One entity goes straight to a place, the others rest."""
-    frames = np.repeat(START[None], n_frames, axis=0)
-    frames[:, entity, :2] = np.linspace(START[entity, :2], towards, n_frames)
-    return Observation(frames)
+def distances(observation: Observation, **more: Any) -> BottomUpTables:
+    """The paper's form of the proposal."""
+    return bottom_up_tables(SCENE, observation, SimpleSettings(proposal="paper", **more))
 
 
 def logit(tables: BottomUpTables, goal: str, window: int = -1, agent: int = RED) -> float:
@@ -53,13 +46,13 @@ def logit(tables: BottomUpTables, goal: str, window: int = -1, agent: int = RED)
 @pytest.mark.parametrize(("n_frames", "length", "count"), [(2, 1, 1), (11, 10, 1), (50, 10, 40)])
 def test_windows_cover_all_frames(n_frames: int, length: int, count: int) -> None:
     assert (window_length(n_frames, 10), window_count(n_frames, 10)) == (length, count)
-    tables = distances(SCENE, moving(2, (20.0, 6.0), n_frames))
+    tables = distances(moving(n_frames, _2=(20.0, 6.0)))
     assert tables.goal_logits.shape == (count + 1, 2, 36)
     assert tables.strength.shape == tables.strength_sd.shape == (count + 1, 2)
 
 
 def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
-    tables = distances(SCENE, moving(2, (23.5, 4.5)))
+    tables = distances(moving(_2=(23.5, 4.5)))
     mine = [goal for goal in GOALS if goal.startswith("Get blue item")]
     assert max(mine, key=lambda goal: logit(tables, goal)) == "Get blue item to red lm"
 
@@ -67,44 +60,44 @@ def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
 def test_progress_counts_as_well_as_closeness() -> None:
     there = np.repeat(START[None], 21, axis=0)
     there[:, 2, :2] = 20.0, 8.0
-    resting = distances(SCENE, Observation(there))
-    arriving = distances(SCENE, moving(2, (20.0, 8.0)))
+    resting = distances(Observation(there))
+    arriving = distances(moving(_2=(20.0, 8.0)))
     goal = "Get blue item to red lm"
     assert logit(arriving, goal) > logit(resting, goal) + 1
 
 
 def test_window_is_judged_by_its_own_motion() -> None:
-    tables = distances(SCENE, moving(2, (23.5, 4.5), 41))
+    tables = distances(moving(41, _2=(23.5, 4.5)))
     goal = "Get blue item to red lm"
     assert logit(tables, goal, 30) > logit(tables, goal, 0)
 
 
 def test_goal_about_the_other_agent_is_judged_by_the_other_agent() -> None:
-    tables = distances(SCENE, moving(1, (23.5, 4.5)))
+    tables = distances(moving(_1=(23.5, 4.5)))
     goal = "Get green agent to red lm"
     assert logit(tables, goal, agent=RED) == logit(tables, goal, agent=GREEN)
     assert logit(tables, goal) > logit(tables, "Get red agent to red lm")
 
 
 def test_chase_is_judged_by_the_distance_between_the_agents() -> None:
-    closer = distances(SCENE, moving(0, (18.0, 8.0)))
-    farther = distances(SCENE, moving(0, (6.5, 21.0)))
+    closer = distances(moving(_0=(18.0, 8.0)))
+    farther = distances(moving(_0=(6.5, 21.0)))
     assert logit(closer, "get to green agent") > logit(farther, "get to green agent")
     away = "get away from green agent"
     assert logit(farther, away) > logit(closer, away)
 
 
 def test_being_far_is_no_reason_to_believe_in_getting_away() -> None:
-    tables = distances(SCENE, moving(2, (23.5, 4.5)))
+    tables = distances(moving(_2=(23.5, 4.5)))
     reached = logit(tables, "Get blue item to red lm")
     for landmark in ("blue lm", "green lm", "yellow lm"):
         assert logit(tables, f"Get blue item away from {landmark}") < reached
 
 
 def test_printed_sign_prefers_far_goals() -> None:
-    observation = moving(2, (23.5, 4.5))
-    intended = distances(SCENE, observation)
-    printed = distances(SCENE, observation, sign="printed")
+    observation = moving(_2=(23.5, 4.5))
+    intended = distances(observation)
+    printed = distances(observation, sign="printed")
     possible = ~sites.SELF_REFERRING
     for tables, sign in ((intended, -1), (printed, 1)):
         scores = np.asarray(tables.goal_logits)[:, possible]
@@ -112,7 +105,7 @@ def test_printed_sign_prefers_far_goals() -> None:
 
 
 def test_goals_that_name_their_holder_are_never_proposed() -> None:
-    tables = distances(SCENE, moving(2, (23.5, 4.5)))
+    tables = distances(moving(_2=(23.5, 4.5)))
     assert (np.asarray(tables.goal_logits)[:, sites.SELF_REFERRING] < -1e20).all()
 
 
@@ -127,8 +120,9 @@ def red_is_known(scene: Scene, observation: Observation, windows: np.ndarray) ->
 
 def guide_of(prior: Callable[[], Any], form: Form = "learned") -> Mixture:
     """A guide with an estimate of the red strength, none of the green one."""
-    observation = moving(2, (23.5, 4.5))
-    tables = bottom_up_tables(SCENE, observation, form=form, strength=red_is_known)
+    observation = moving(_2=(23.5, 4.5))
+    settings = SimpleSettings(proposal=form, strength=red_is_known)
+    tables = bottom_up_tables(SCENE, observation, settings)
     model = Model(prior=prior, simulator=never_called)
     return bottom_up_guide(prior, model.sites, tables, prior_share=0.1)
 

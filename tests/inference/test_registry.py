@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.racing import Racing
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.registry import KERNELS, described, kernel_info, register_kernel
-from phase_ppl.inference.settings import SimpleSettings, frames, simulations
+from phase_ppl.inference.settings import SimpleSettings, frames, seconds, simulations
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import TableRunner, table_errors, table_guide, table_program
@@ -24,6 +25,7 @@ def program() -> EventProgram:
 
 def test_a_kernel_says_what_it_is() -> None:
     info = kernel_info("local_mh")
+    assert described(info.factory) is info
     assert (info.validity, info.sims_per_step) == ("exact", 1)
     assert info.options == ("rule", "early_reject")
 
@@ -106,11 +108,6 @@ def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
         described(lambda program: None).make(program)  # type: ignore[arg-type,return-value]
 
 
-def test_a_registered_kernel_is_itself_by_its_factory_too() -> None:
-    info = kernel_info("local_mh")
-    assert described(info.factory) is info
-
-
 # --- settings ----------------------------------------------------------------------------------
 
 
@@ -136,8 +133,13 @@ def test_settings_out_of_range_are_refused_by_name(wrong: Any) -> None:
         SimpleSettings(**wrong)
 
 
-@pytest.mark.parametrize("budget", [simulations, frames])
-@pytest.mark.parametrize("n", [0, -3, 2.5, "60", True])
+@pytest.mark.parametrize(
+    ("budget", "n"),
+    [
+        *itertools.product((simulations, frames), (0, -3, 2.5, "60", True)),
+        *itertools.product((seconds,), (0, -1, float("nan"), float("inf"), "60", True)),
+    ],
+)
 def test_budgets_that_are_none_are_refused(budget: Any, n: Any) -> None:
     with pytest.raises(InvalidSettingError, match=f"{budget.__name__}="):
         budget(n)

@@ -249,11 +249,6 @@ REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
         {"prior": few_goals, "iterations": 6, "chains": 16},
         "iterations=6.*takes 10",
     ),
-    "budget": (
-        "enumerate",
-        {"prior": few_goals, "budget": ppl.simulations(100), "chains": 16},
-        "100.*too small.*176",
-    ),
     "target": ("smc", {"target": 1.0}, "target=1.0"),
     "move": ("smc", {"move": "prior"}, "prior_mh"),
 }

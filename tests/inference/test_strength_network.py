@@ -20,6 +20,7 @@ from strength_training import (
     draw_scene,
     main,
     needs_torch,
+    quality,
     simulate_events,
     train,
     training_examples,
@@ -37,7 +38,6 @@ from phase_ppl.inference.proposals.strength import (
     estimated_strengths,
     estimator_name,
     observed_jitter,
-    quality,
     shipped_network,
     window_features,
 )
@@ -169,7 +169,7 @@ def test_every_estimator_takes_the_shortest_observations() -> None:
     for name in ESTIMATORS:
         for n_frames in (2, 3):
             seen = Observation(TRAJECTORY[:n_frames])
-            tables = bottom_up_tables(EVENT.scene, seen, strength=name)
+            tables = bottom_up_tables(EVENT.scene, seen, SimpleSettings(strength=name))
             assert np.isnan(tables.strength).all() or np.isfinite(tables.strength).all()
             np.testing.assert_array_equal(np.isnan(tables.strength), np.isnan(tables.strength_sd))
 
@@ -224,7 +224,8 @@ def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     shipped_network.cache_clear()
     for name in bundled_events():
         event = load_bundled(name)
-        assert np.isfinite(bottom_up_tables(event.scene, event.observation).strength_sd).any()
+        tables = bottom_up_tables(event.scene, event.observation, SimpleSettings())
+        assert np.isfinite(tables.strength_sd).any()
 
 
 # --- the slot ----------------------------------------------------------------------------------
@@ -232,8 +233,7 @@ def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_settings_take_names_functions_and_networks() -> None:
     mine = StrengthNetwork(no_weights())
-    assert SimpleSettings(strength=mine).strength is mine
-    tables = bottom_up_tables(EVENT.scene, EVENT.observation, strength=mine)
+    tables = bottom_up_tables(EVENT.scene, EVENT.observation, SimpleSettings(strength=mine))
     np.testing.assert_allclose(tables.strength, 375.0)
     assert estimator_name(mine).endswith("StrengthNetwork")
     assert estimator_name("analytic") == "analytic"

@@ -238,6 +238,19 @@ def walkers(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> I
             frame[literal.subject, :2] = np.clip(frame[literal.subject, :2], 6.5, 21.5)
 
 
+START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 12, 0]], float)
+SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
+
+
+def moving(n_frames: int = 21, **towards: tuple[float, float]) -> Observation:
+    """Entities named by their index go straight to places: ``_0=(x, y)``; the others rest."""
+    frames = np.repeat(START[None], n_frames, axis=0)
+    for name, place in towards.items():
+        entity = int(name[1:])
+        frames[:, entity, :2] = np.linspace(START[entity, :2], place, n_frames)
+    return Observation(frames)
+
+
 def walking_event(n_frames: int = 14) -> Event:
     start = np.array([[8, 10, 0.3], [20, 8, 1.0], [14, 16, 0], [18, 12, 0]], float)
     scene = Scene(start, np.array([0.8, 1.2, 1.01, 0.8]))

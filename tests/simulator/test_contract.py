@@ -141,14 +141,13 @@ def test_a_decided_simulation_is_closed_at_once() -> None:
     assert result.total_error == 6.0
 
 
-def test_a_sum_that_equals_the_ceiling_goes_on() -> None:
-    assert simulate(toys.slide, error_ceiling=6.0).frames_simulated == 5
-
-
-def test_beyond_the_ceiling_in_its_last_frame_a_simulation_is_complete() -> None:
-    result = simulate(toys.slide, error_ceiling=27.5)
-    assert result.completed
-    assert result.total_error == 28.0
+@pytest.mark.parametrize(("ceiling", "frames"), [(6.0, 5), (27.5, N_FRAMES)])
+def test_it_goes_on_at_the_ceiling_and_is_complete_beyond_it_in_its_last_frame(
+    ceiling: float, frames: int
+) -> None:
+    result = simulate(toys.slide, error_ceiling=ceiling)
+    assert (result.frames_simulated, result.completed) == (frames, frames == N_FRAMES)
+    assert result.total_error == sum(range(frames))
 
 
 @pytest.mark.parametrize("ceiling", [-1.0, -np.inf])

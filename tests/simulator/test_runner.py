@@ -16,16 +16,12 @@ from phase_ppl.simulator import processes
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.processes import OwnWorkers
 from phase_ppl.simulator.runner import Runner
-from phase_ppl.world.errors import InvalidSettingError, SimulationError
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from phase_ppl.world.observation import Observation
 from tests.simulator import toys
-from tests.simulator.toys import AT_REST, GO, HELP, N_FRAMES, SCENE, WEAK
+from tests.simulator.toys import AT_REST, GO, HELP, N_FRAMES, SCENE, WEAK, runner
 
 REQUESTS: Any = ([GO, HELP, WEAK, GO, HELP], [1, 2, 3, 4, 2], [np.inf, np.inf, 0.9, 0.9, 0.5])
-
-
-def runner(simulator: Any, **more: Any) -> Runner:
-    return Runner(simulator, SCENE, AT_REST, **more)
 
 
 def assert_same(first: list[SimulationResult], second: list[SimulationResult]) -> None:
@@ -65,8 +61,11 @@ def test_results_come_in_the_order_of_the_requests(tmp_path: Path) -> None:
     assert finished == [WEAK, GO]
 
 
-def test_identical_requests_are_run_once_and_share_their_result(tmp_path: Path) -> None:
-    with runner(toys.CountsRuns(tmp_path), workers=1) as one:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_identical_requests_are_run_once_and_share_their_result(
+    workers: int, tmp_path: Path
+) -> None:
+    with runner(toys.CountsRuns(tmp_path), workers=workers) as one:
         results = one.run([GO, GO, WEAK, GO, GO], [1, 1, 1, 2, 1], [5, 5, 5, 5, 6])
     assert results[0] is results[1]
     assert results[0] is not results[4]
@@ -130,29 +129,28 @@ def test_an_executor_is_sent_the_work_only_where_it_is_not_known(tmp_path: Path)
     assert len(list(tmp_path.iterdir())) == 1
 
 
-class BreaksOnce(futures.ThreadPoolExecutor):
-    """Loses its first task, as dask does when a machine goes away."""
+class Breaks(futures.ThreadPoolExecutor):
+    """Loses a red agent's tasks so often, as dask does when a machine goes away."""
 
-    lost = 0
+    def __init__(self, losses: int) -> None:
+        super().__init__(1)
+        self.losses = losses
 
     def submit(self, *task: Any, **more: Any) -> Any:
-        if self.lost == 0:
-            self.lost = 1
+        if self.losses and GO in task[-1]:
+            self.losses -= 1
             future: futures.Future[Any] = futures.Future()
             future.set_exception(OSError("machine gone"))
             return future
         return super().submit(*task, **more)
 
 
-@pytest.mark.parametrize(("max_retries", "failures"), [(0, 1), (1, 0)])
-def test_what_an_executor_loses_is_run_again(max_retries: int, failures: int) -> None:
-    with (
-        BreaksOnce(1) as executor,
-        runner(toys.drift, executor=executor, max_retries=max_retries) as other,
-    ):
+@pytest.mark.parametrize(("losses", "failures"), [(1, 0), (2, 1)])
+def test_what_an_executor_loses_is_run_again_once(losses: int, failures: int) -> None:
+    with Breaks(losses) as executor, runner(toys.drift, executor=executor, workers=1) as other:
         results = other.run([GO, WEAK], [1, 2])
     assert [r.failure for r in results if r.failure] == ["OSError: machine gone"] * failures
-    assert other.statistics.retries == max_retries
+    assert other.statistics.retries == 1
 
 
 def test_an_executor_that_is_shut_down_is_an_error_of_the_run() -> None:
@@ -171,9 +169,11 @@ def test_an_executor_that_is_shut_down_is_an_error_of_the_run() -> None:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_everything_is_counted(workers: int) -> None:
     seen: list[SimulationResult] = []
-    with runner(toys.fails_for_weak, workers=workers, on_result=seen.append) as counted:
+    with runner(toys.fails_for_weak, workers=workers) as counted:
+        counted.on_result = seen.append
         results = counted.run([GO, GO, WEAK, GO], [1, 2, 3, 1], [np.inf, -1.0, np.inf, np.inf])
         statistics = counted.statistics
+    assert [r.failure is not None for r in results] == [False, False, True, False]
     assert len(seen) == statistics.simulations == 3
     assert {id(r) for r in seen} == {id(r) for r in results}
     assert statistics.frames == N_FRAMES
@@ -197,7 +197,8 @@ def test_an_error_of_the_callback_ends_the_run_and_keeps_its_class(workers: int)
     def complains(result: SimulationResult) -> None:
         raise LookupError("no such bar")
 
-    with runner(toys.drift, workers=workers, on_result=complains) as counted:
+    with runner(toys.drift, workers=workers) as counted:
+        counted.on_result = complains
         with pytest.raises(LookupError, match="no such bar"):
             counted.run([GO, WEAK], [1, 2])
         counted.on_result = None
@@ -207,38 +208,34 @@ def test_an_error_of_the_callback_ends_the_run_and_keeps_its_class(workers: int)
 # --- what cannot work ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [0, -1, 1.5, "two", True])
-def test_a_number_of_workers_that_is_none_is_named(workers: Any) -> None:
-    with pytest.raises(InvalidSettingError, match=f"workers={workers!r}, expected a whole number"):
-        runner(toys.drift, workers=workers)
-
-
 def test_without_a_number_there_is_a_worker_per_usable_core() -> None:
     assert runner(toys.drift).workers >= 1
     assert runner(toys.drift, workers=np.int64(3)).workers == 3
 
 
-def test_settings_that_cannot_work_are_refused_before_the_run() -> None:
-    with pytest.raises(InvalidSettingError, match="max_retries=-1"):
-        runner(toys.drift, max_retries=-1)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *[({"workers": n}, f"workers={n!r}, expected a w") for n in (0, -1, 1.5, "two", True)],
+        *[({"simulation_seconds": s}, "simulation_seconds=") for s in (0, -1.0, np.nan, "5")],
+        ({"on_failure": "ignore"}, "'reject', 'raise', 'retry'"),
+        ({"on_failure": "retry", "retries": 0}, "retries=0"),
+        ({"retries": 2}, "goes with on_failure='retry'"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(options: dict[str, Any], message: str) -> None:
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
+        runner(toys.drift, **options)
+
+
+def test_what_cannot_be_simulated_is_refused_before_the_run() -> None:
     with pytest.raises(InvalidSettingError, match="simulator='drift' cannot be called"):
         runner("drift")
     lock = threading.Lock()
     with pytest.raises(InvalidSettingError, match=r"cannot be sent to worker processes .*lock"):
         runner(lambda scene, hypothesis, rng: lock, workers=2)
-
-
-@pytest.mark.parametrize(
-    ("request_", "message"),
-    [
-        (([GO], [1, 2]), "1 hypotheses, 2 seeds and 2 error ceilings"),
-        (([GO], [1], []), "1 hypotheses, 1 seeds and 0 error ceilings"),
-        (([GO], [1], [float("nan")]), "an error ceiling is nan"),
-    ],
-)
-def test_requests_that_cannot_be_meant_are_refused(request_: Any, message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        runner(toys.drift, workers=1).run(*request_)
+    with pytest.raises(InvalidSettingError, match="an error ceiling is nan"):
+        runner(toys.drift, workers=1).run([GO], [1], [float("nan")])
 
 
 def test_a_simulator_that_workers_cannot_load_is_an_error_of_the_run(tmp_path: Path) -> None:
@@ -263,7 +260,7 @@ def test_after_cancel_or_close_nothing_runs(workers: int) -> None:
         stopped.close()
 
 
-@pytest.mark.parametrize("how", ["here", "workers", "executor"])
+@pytest.mark.parametrize("how", ["here", "here, within a frame", "workers", "executor"])
 @pytest.mark.parametrize("end", [Runner.cancel, Runner.close])
 def test_a_run_is_cancelled_from_another_thread(how: str, end: Any, tmp_path: Path) -> None:
     marker = tmp_path / "begun"
@@ -278,8 +275,8 @@ def test_a_run_is_cancelled_from_another_thread(how: str, end: Any, tmp_path: Pa
         if how == "here":
             many = Observation(np.repeat(AT_REST.trajectory[:1], 60_000, axis=0))
             stopped = Runner(patient, SCENE, many, workers=1)
-        elif how == "workers":
-            stopped = runner(toys.Sleeps(marker), workers=2)
+        elif how != "executor":
+            stopped = runner(toys.Sleeps(marker), workers=2 if how == "workers" else 1)
         else:
             stopped = runner(toys.Sleeps(marker, 0.5), executor=threads)
         running = caller.submit(stopped.run, [GO, WEAK], [1, 2])
@@ -349,17 +346,6 @@ def test_a_worker_that_cannot_end_its_simulation_is_killed(monkeypatch: pytest.M
     assert limited.statistics.retries == 0
 
 
-def test_what_hangs_here_is_cancelled_from_another_thread(tmp_path: Path) -> None:
-    marker = tmp_path / "begun"
-    with futures.ThreadPoolExecutor(1) as caller, runner(toys.Sleeps(marker), workers=1) as here:
-        running = caller.submit(here.run, [GO], [1])
-        while not marker.exists():
-            time.sleep(0.01)
-        here.cancel()
-        with pytest.raises(Cancelled):
-            running.result(timeout=30)
-
-
 def test_an_executor_that_is_shut_down_ends_the_wait(tmp_path: Path) -> None:
     marker, threads = tmp_path / "begun", futures.ThreadPoolExecutor(1)
     with futures.ThreadPoolExecutor(1) as caller:
@@ -380,12 +366,6 @@ def test_a_batch_that_hangs_is_failures() -> None:
     with runner(Hangs(), simulation_seconds=0.1) as limited:
         results = limited.run([GO, WEAK], [1, 2])
     assert ["took longer" in str(r.failure) for r in results] == [True, True]
-
-
-@pytest.mark.parametrize("seconds", [0, -1.0, np.nan, "5"])
-def test_a_limit_that_is_none_is_refused(seconds: Any) -> None:
-    with pytest.raises(InvalidSettingError, match="simulation_seconds="):
-        runner(toys.drift, simulation_seconds=seconds)
 
 
 def test_there_are_never_more_workers_than_there_is_to_do() -> None:

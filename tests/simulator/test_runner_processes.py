@@ -20,9 +20,8 @@ import pytest
 
 import phase_ppl
 from phase_ppl.simulator.contract import Cancelled
-from phase_ppl.simulator.runner import Runner
 from tests.simulator import toys
-from tests.simulator.toys import AT_REST, GO, HELP, SCENE, WEAK
+from tests.simulator.toys import GO, HELP, WEAK, runner
 
 ROOT = Path(phase_ppl.__file__).parents[1]
 PATIENCE = 60.0
@@ -45,10 +44,6 @@ SLEEPER = """
     with Runner(sleeps, SCENE, AT_REST, workers=2) as runner:
         runner.run([GO, WEAK], [1, 2])
 """
-
-
-def runner(simulator: Any, **more: Any) -> Runner:
-    return Runner(simulator, SCENE, AT_REST, **more)
 
 
 def script(text: str, folder: Path) -> list[str]:
@@ -120,7 +115,7 @@ def test_what_a_dead_worker_lost_is_run_again(tmp_path: Path) -> None:
 def test_only_the_simulation_that_kills_its_worker_fails(tmp_path: Path) -> None:
     # the sound one is slow: it would be lost with each of the others that runs beside it
     killer = toys.KillsItsWorker(tmp_path, times=100, seconds_of_others=0.3)
-    with runner(killer, workers=2, max_retries=1) as two:
+    with runner(killer, workers=2) as two:
         results = two.run([GO, WEAK, WEAK, WEAK], [1, 2, 3, 4])
     assert [(r.hypothesis, r.seed) for r in results if r.failure] == [(WEAK, s) for s in (2, 3, 4)]
     assert results[0].completed
@@ -129,14 +124,11 @@ def test_only_the_simulation_that_kills_its_worker_fails(tmp_path: Path) -> None
     assert two.statistics.simulations == 4
 
 
-@pytest.mark.parametrize("max_retries", [0, 2])
-def test_a_killer_is_tried_again_as_often_as_asked(tmp_path: Path, max_retries: int) -> None:
-    with runner(
-        toys.KillsItsWorker(tmp_path, times=100), workers=2, max_retries=max_retries
-    ) as two:
+def test_a_killer_is_tried_again_once(tmp_path: Path) -> None:
+    with runner(toys.KillsItsWorker(tmp_path, times=100), workers=2) as two:
         two.run([WEAK], [1])
-    assert len(list(tmp_path.iterdir())) == 1 + max_retries
-    assert two.statistics.retries == max_retries
+    assert len(list(tmp_path.iterdir())) == 2
+    assert two.statistics.retries == 1
 
 
 def test_a_worker_that_died_between_two_runs_is_replaced() -> None:
@@ -154,7 +146,7 @@ def test_an_exception_is_not_tried_again(tmp_path: Path) -> None:
         (tmp_path / f"{len(list(tmp_path.iterdir()))}").touch()
         raise ValueError("always")
 
-    with runner(raises, workers=2, max_retries=5) as two:
+    with runner(raises, workers=2) as two:
         (result,) = two.run([GO], [1])
     assert str(result.failure).startswith("ValueError: always")
     assert len(list(tmp_path.iterdir())) == 1

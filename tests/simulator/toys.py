@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -28,6 +29,10 @@ AT_REST = Observation(np.repeat(START[None], N_FRAMES, axis=0))
 GO = Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
 HELP = Hypothesis("Get red agent to red lm", "Get green agent to blue lm", alpha=(0, 1))
 WEAK = Hypothesis("Get red agent to red lm", "Get green agent to blue lm", strength_red=150.0)
+
+
+def runner(simulator: Any, **more: Any) -> Runner:
+    return Runner(simulator, SCENE, AT_REST, **more)
 
 
 def drift(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:

@@ -25,10 +25,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import random
-from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState
-from phase_ppl.inference.kernels.particle import as_batch_of_one
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY
 from phase_ppl.world.scene import PHASE
@@ -58,12 +56,6 @@ class EnumeratedGibbs(MetropolisKernel):
     def sims_per_step(self) -> int:
         """The most that a step takes."""
         return SIMS_PER_STEP if self._program is None else most_simulations(self.program.space)
-
-    def _sample_fn(self, state: MHState) -> MHState:
-        if not is_prng_key(state.rng_key):
-            return super()._sample_fn(state)
-        # a batch of one, by which the bridge tells a particle from the values of its goal
-        return as_batch_of_one(super()._sample_fn, state)
 
     def step_one(self, state: MHState) -> MHState:
         """Draw a goal, then propose another value of one site."""

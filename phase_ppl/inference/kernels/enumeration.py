@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import random
 from numpy.typing import NDArray
-from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.registry import register_kernel
@@ -215,17 +214,14 @@ class Enumeration(ParticleKernel[WeightedState]):
         """Return a particle before its first hypothesis."""
         return WeightedState.before(key, sites)
 
-    def init(self, *args: Any, **kwargs: Any) -> WeightedState:
-        """Return the particles at their first hypotheses, simulated."""
-        return self._sample_fn(super().init(*args, **kwargs))
+    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> WeightedState:
+        return self._step(super()._start(keys, sites))  # at their first hypotheses, simulated
 
     def step_one(self, state: WeightedState) -> WeightedState:
         """Simulate the next hypothesis of a single particle, which does all of them."""
-        return self._simulated(state, state.i + 1)
+        return self._sample_fn(state)
 
-    def _sample_fn(self, state: WeightedState) -> WeightedState:
-        if is_prng_key(state.rng_key):
-            return self.step_one(state)
+    def _step(self, state: WeightedState) -> WeightedState:
         chains = len(state.i)
         return jax.vmap(self._simulated)(state, (state.i + 1) * chains + jnp.arange(chains))
 

@@ -17,10 +17,11 @@ from phase_ppl.inference.kernels.metropolis import MHState, ProposalKernel, Site
 from phase_ppl.inference.kernels.particle import chosen
 from phase_ppl.inference.proposals.guide import NEVER
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.settings import SimpleSettings, probability
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.checks import positive_number
+from phase_ppl.world.checks import number_or_nan, positive_number
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import neighbouring_goals
 from phase_ppl.world.space import HypothesisSpace
 
@@ -188,7 +189,11 @@ class MixtureMH(LocalMH):
         early_reject: bool = True,
     ) -> None:
         super().__init__(program, guide, settings, early_reject=early_reject)
-        self._local_share = probability("local_share", local_share)
+        if not 0 <= number_or_nan(local_share) <= 1:
+            raise InvalidSettingError(
+                f"local_share={shown(local_share)}, expected a number in [0, 1]"
+            )
+        self._local_share = float(local_share)
 
     def step_one(self, state: MHState) -> MHState:
         """Make one of the two moves."""

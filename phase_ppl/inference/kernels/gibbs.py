@@ -109,7 +109,7 @@ class GibbsKernel(ParticleKernel[WrappedState]):
 
     def __init__(self, program: EventProgram | None = None, *, step: float = 0.5) -> None:
         super().__init__(program)
-        self._step = positive_number("step", step)
+        self._step_size = positive_number("step", step)
         if program is not None:
             self.sims_per_step  # noqa: B018  (refuses sites that it cannot update)
 
@@ -167,7 +167,7 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         with jax.ensure_compile_time_eval():
             keys = random.split(random.key(0), _DRAWS)
             draws = jax.vmap(lambda key: draw(self.program.model.prior, key))(keys)
-            return {name: self._step * values.std(axis=0) for name, values in draws.items()}
+            return {name: self._step_size * values.std(axis=0) for name, values in draws.items()}
 
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]

@@ -94,11 +94,10 @@ class EventKernel(MCMCKernel, Generic[State]):
         ``init_params`` is the hypothesis to start from, by default what the kernel proposes; the
         other arguments are ignored: nothing is tuned, and the program knows its event.
         """
-        return jax.jit(self._init_fn)(rng_key, init_params)
-
-    def _init_fn(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
-        """Start one particle or a batch; of kernels that do not replace :meth:`init`."""
-        raise NotImplementedError
+        if is_prng_key(rng_key):
+            one = rng_key, init_params
+            return as_batch_of_one(lambda batch: jax.jit(self._start)(*batch), one)
+        return jax.jit(self._start)(rng_key, init_params)
 
     def sample(
         self,
@@ -108,9 +107,19 @@ class EventKernel(MCMCKernel, Generic[State]):
     ) -> State:
         return self._sample_fn(state)
 
-    @abstractmethod
     def _sample_fn(self, state: State) -> State:
         """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
+        if is_prng_key(state.rng_key):
+            return as_batch_of_one(self._step, state)
+        return self._step(state)
+
+    @abstractmethod
+    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+        """Return the initial state of a batch of particles."""
+
+    @abstractmethod
+    def _step(self, state: State) -> State:
+        """Return the state of a batch of particles after one iteration."""
 
     def get_diagnostics_str(self, state: State) -> str:
         """Return the share of accepted proposals, for NumPyro's progress bar."""
@@ -155,18 +164,16 @@ class ParticleKernel(EventKernel[State]):
     """Initial hypotheses drawn per particle, of which the first with prior mass is taken; 1 where
     the draw is weighed, since the best of several has another density."""
 
-    def _init_fn(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
-        if is_prng_key(key):
-            return self._init(key, sites)
-        return jax.vmap(self._init, in_axes=(0, None if sites is None else 0))(key, sites)
+    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+        return jax.vmap(self._init)(keys, sites)
 
     def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
         key, key_sites, key_start = random.split(key, 3)
         start = self._initial_sites(key_sites) if sites is None else sites
         return _strongly_typed(self.start_one(key, key_start, start))
 
-    def _sample_fn(self, state: State) -> State:
-        return (self.step_one if is_prng_key(state.rng_key) else jax.vmap(self.step_one))(state)
+    def _step(self, state: State) -> State:
+        return jax.vmap(self.step_one)(state)
 
     def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return the first of some initial hypotheses that has prior mass.

@@ -36,16 +36,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import random
 from jax.scipy.special import logsumexp
-from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import MHState, Move, log_ratio, moved
-from phase_ppl.inference.kernels.particle import (
-    EventKernel,
-    as_batch_of_one,
-    chosen,
-    log_uniform,
-)
+from phase_ppl.inference.kernels.particle import EventKernel, chosen, log_uniform
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, Sites, log_density
@@ -119,15 +113,6 @@ class Racing(EventKernel[RacingState]):
         if program is not None:
             check_is_phase(program.space.world, "kernel 'racing'")
         self._sigma = positive_number("sigma", sigma)
-
-    def _init_fn(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> RacingState:
-        if is_prng_key(key):
-            return as_batch_of_one(lambda given: self._start(*given), (key, sites))
-        return self._start(key, sites)
-
-    def _sample_fn(self, state: RacingState) -> RacingState:
-        step = self._step
-        return as_batch_of_one(step, state) if is_prng_key(state.rng_key) else step(state)
 
     def _start(self, keys: jax.Array, given: dict[str, jax.Array] | None) -> RacingState:
         n = keys.shape[0]

@@ -23,11 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax, random
 from jax.scipy.special import logsumexp
-from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.particle import ParticleKernel, as_batch_of_one
+from phase_ppl.inference.kernels.particle import ParticleKernel
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, log_density
@@ -216,10 +215,7 @@ class SMC(ParticleKernel[SMCState]):
         )
 
     def step_one(self, state: SMCState) -> SMCState:
-        return as_batch_of_one(self._step, state)
-
-    def _sample_fn(self, state: SMCState) -> SMCState:
-        return self.step_one(state) if is_prng_key(state.rng_key) else self._step(state)
+        return self._sample_fn(state)
 
     def _step(self, state: SMCState) -> SMCState:
         """Cool, resample and move the population."""

@@ -20,9 +20,8 @@ from jax import random
 from numpyro import handlers
 from numpyro.infer import AIES, SA
 from numpyro.infer.ensemble import AIESState, EnsembleSamplerState
-from numpyro.util import is_prng_key
 
-from phase_ppl.inference.kernels.particle import EventKernel, as_batch_of_one, chosen
+from phase_ppl.inference.kernels.particle import EventKernel, chosen
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import latent_sites
 from phase_ppl.models.program import EventProgram
@@ -139,21 +138,16 @@ class UniformKernel(EventKernel[WrappedState]):
         potential = -self.program.relative_log_likelihood(error) - volume.sum()
         return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE)
 
-    def init(self, rng_key: jax.Array, *_: Any, **__: Any) -> WrappedState:
-        """Return the initial states of a batch of keys, or of one."""
-        if is_prng_key(rng_key):
-            return as_batch_of_one(self.init, rng_key)
-        keys = jax.vmap(lambda key: random.split(key, 3))(rng_key)
+    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> WrappedState:
+        keys = jax.vmap(lambda key: random.split(key, 3))(keys)
         # as likely as the prior makes them
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
         inner = self.start(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
         found = jax.vmap(self._simulated)(self.points(inner))
-        none = jnp.zeros(rng_key.shape, jnp.int32)
+        none = jnp.zeros(len(keys), jnp.int32)
         return WrappedState(none, *found, inner, none > 0, none, keys[:, 2])
 
-    def _sample_fn(self, state: WrappedState) -> WrappedState:
-        if is_prng_key(state.rng_key):
-            return as_batch_of_one(self._sample_fn, state)
+    def _step(self, state: WrappedState) -> WrappedState:
         keys = jax.vmap(random.split)(state.rng_key)
         inner = self.advance(keys[:, 0], state.inner)
         moved = (self.points(inner) != self.points(state.inner)).any(axis=1)

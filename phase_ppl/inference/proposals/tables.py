@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import Any, Final, Literal, NamedTuple, get_args
+from typing import Any, Final, NamedTuple, Protocol
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, estimated_strengths
+from phase_ppl.inference.proposals.strength import Estimator, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS, effective_goals, goal_literal
@@ -38,12 +38,6 @@ from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import space_of
-
-Sign = Literal["intended", "printed"]
-Form = Literal["learned", "paper", "closed_loop"]
-
-SIGNS: Final = get_args(Sign)
-FORMS: Final = get_args(Form)
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""
@@ -85,31 +79,39 @@ def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
     return BottomUpTables(longer(goal), longer(strength), longer(strength_sd), social)
 
 
+class Settings(Protocol):
+    """What decides the tables, of :class:`~phase_ppl.inference.settings.SimpleSettings`."""
+
+    @property
+    def window(self) -> int: ...
+    @property
+    def proposal(self) -> str: ...
+    @property
+    def gamma(self) -> float: ...
+    @property
+    def sign(self) -> str: ...
+    @property
+    def strength(self) -> str | Estimator: ...
+
+
 def bottom_up_tables(
     scene: Scene,
     observation: Observation,
-    *,
-    window: int = 10,
-    form: Form = "learned",
-    gamma: float = 10.0,
-    sign: Sign = "intended",
-    strength: str | Estimator = DEFAULT_ESTIMATOR,
+    settings: Settings,
     progress: bool | None = None,
 ) -> BottomUpTables:
-    """Return the tables of an event.
+    """Return the tables of an event under some settings.
 
-    ``window`` is Delta T [steps], shorter where the observation is; ``gamma``, the weight of the
-    distances, and ``sign`` are of the paper's form; ``progress`` says whether to show a bar where
-    it takes long, as the closed loop does.
+    ``progress`` says whether to show a bar where it takes long, as the closed loop does.
     """
     n_frames = observation.n_frames
-    length = window_length(n_frames, window)
-    starts = np.arange(window_count(n_frames, window))
+    length = window_length(n_frames, settings.window)
+    starts = np.arange(window_count(n_frames, settings.window))
     first, last = np.append(starts, 0), np.append(starts + length, n_frames - 1)
     windows = np.column_stack([first, last])
-    estimates = estimated_strengths(strength, scene, observation, windows)
-    if form != "paper":
-        if form == "closed_loop":
+    estimates = estimated_strengths(settings.strength, scene, observation, windows)
+    if settings.proposal != "paper":
+        if settings.proposal == "closed_loop":
             from phase_ppl.inference.proposals.closed_loop import closed_loop_logits
 
             goal, alpha = closed_loop_logits(scene, observation, last, progress)
@@ -121,8 +123,8 @@ def bottom_up_tables(
     distance = goal_distances(scene, observation)
     x0, x1, y0, y1 = scene.arena
     unit = float(np.hypot(x1 - x0, y1 - y0))
-    closeness = gamma * (2 * distance[last] - distance[first]) / unit
-    logits = closeness if sign == "printed" else -closeness
+    closeness = settings.gamma * (2 * distance[last] - distance[first]) / unit
+    logits = closeness if settings.sign == "printed" else -closeness
     impossible = space_of(scene.world).impossible
     return BottomUpTables(np.where(impossible, IMPOSSIBLE, logits), *estimates)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import math
 import os
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -40,7 +39,6 @@ _DOCUMENT: Final = "run.json"
 _ARRAY: Final = ".npy"
 _LIST: Final = "arrays"
 _KINDS: Final = "biuf"
-_VERSION: Final = (1, 0)
 
 
 def write_archive(
@@ -48,14 +46,11 @@ def write_archive(
 ) -> None:
     """Write a document and arrays of numbers to ``path``, whole or not at all."""
     memory = io.BytesIO()
-    with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
+    by_row: dict[str, Any] = {name: np.asarray(a, order="C") for name, a in arrays.items()}
+    np.savez(memory, allow_pickle=False, **by_row)
+    with zipfile.ZipFile(memory, "a") as archive:
         # the list tells a file that lost some of them without a trace
         archive.writestr(_DOCUMENT, json.dumps({**document, _LIST: list(arrays)}))
-        for name, values in arrays.items():
-            with archive.open(name + _ARRAY, "w", force_zip64=True) as member:
-                np.lib.format.write_array(
-                    member, np.asarray(values, order="C"), _VERSION, allow_pickle=False
-                )
     write_bytes(path, SUFFIXES, memory.getvalue())
 
 
@@ -94,34 +89,13 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
 
 
 def _array(data: bytes) -> NDArray[Any]:
-    file = io.BytesIO(data)
-    if np.lib.format.read_magic(file) != _VERSION:
-        raise ValueError("an array has another version")
-    shape, by_column, dtype = np.lib.format.read_array_header_1_0(file)
-    if dtype.kind not in _KINDS or by_column:
-        raise ValueError(f"an array of {dtype}, expected numbers, row by row")
-    content = data[file.tell() :]
-    if len(content) != math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"an array is {len(content)} bytes long, which does not fit {shape}")
-    return np.frombuffer(content, dtype).reshape(shape) if content else np.empty(shape, dtype)
+    values = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    if values.dtype.kind not in _KINDS:
+        raise ValueError(f"an array of {values.dtype}, expected numbers")
+    return values
 
 
 # --- what a run has done, as arrays of numbers ----------------------------------------------------
-
-
-def packed_leaf(leaf: Any) -> tuple[NDArray[Any], str | None]:
-    """Return the numbers of a leaf of a state, and of which kind it is if it is a key."""
-    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        return np.asarray(random.key_data(leaf)), str(random.key_impl(leaf))
-    return np.asarray(leaf), None
-
-
-def unpacked_leaf(values: NDArray[Any], kind: str | None) -> jax.Array:
-    """Return the leaf that :func:`packed_leaf` was given."""
-    if values.dtype.kind == "f" and np.isnan(values).any():
-        raise ValueError("a value of its state is NaN")
-    leaf = jnp.asarray(values)
-    return leaf if kind is None else random.wrap_key_data(leaf, impl=kind)
 
 
 def _below(arrays: Columns, prefix: str) -> Columns:
@@ -166,13 +140,15 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
     if simulated.min() < 0 or simulated.max() > n_frames:
         raise ValueError(f"a record has more than {n_frames} frames")
     records = []
+    densities = ("log_prior", "log_proposal", "log_bound", "log_again")
     for row, (end, n) in enumerate(zip(ends, simulated, strict=True)):
+        here = {name: values[row] for name, values in sites.items()}
         frames_shown = np.full((n_frames, *shape), np.nan)
         frames_shown[:n] = trajectory[end - n : end]
         by_frame = np.full(n_frames, np.inf)
         by_frame[:n] = errors[end - n : end]
         result = SimulationResult(
-            space.hypothesis({name: values[row] for name, values in sites.items()}),
+            space.hypothesis(here),
             int(columns["seed"][row]),
             frames_shown,
             by_frame,
@@ -183,13 +159,10 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
         records.append(
             Record(
                 result,
-                {name: values[row] for name, values in sites.items()},
-                float(columns["log_prior"][row]),
+                here,
                 chain=int(columns["chain"][row]),
                 iteration=int(columns["iteration"][row]),
-                log_proposal=float(columns["log_proposal"][row]),
-                log_bound=float(columns["log_bound"][row]),
-                log_again=float(columns["log_again"][row]),
+                **{name: float(columns[name][row]) for name in densities},
             )
         )
     return records
@@ -197,6 +170,11 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
 
 # --- the file of a run ----------------------------------------------------------------------------
 
+_ASKED: Final = (
+    *("iterations", "budget", "weights", "burn_in"),
+    *("on_failure", "retries", "simulation_seconds"),
+)
+_OLDER: Final = {"weights": None, "burn_in": None}  # of files that had no such entries
 _BUDGETS: Final = {"simulations": simulations, "frames": frames, "seconds": seconds}
 
 
@@ -210,9 +188,9 @@ class Checkpoint:
         path: of the file.
         identity: what the run is (:meth:`phase_ppl.inference.runs.run.Run.identity`).
         event: that it explains.
-        target: ``iterations`` and ``budget``, when it was to be complete; one of them is None.
-        asked: ``weights`` and ``burn_in`` of its posterior; None where they were left open.
-        failures: ``on_failure``, ``retries`` and ``simulation_seconds``.
+        asked: arguments of ``infer`` by name: ``iterations`` and ``budget``, one of which is None,
+            ``weights`` and ``burn_in``, None where they were left open, ``on_failure``,
+            ``retries`` and ``simulation_seconds``.
         again: ``model``, ``kernel``, ``options`` and ``settings`` to make the run again; each is
             None where it is not plain data, such as parts of a user's own.
         particles: the initial ones, and those after every iteration.
@@ -239,20 +217,15 @@ class Checkpoint:
 
     def _read(self, document: Mapping[str, Any], arrays: Columns) -> None:
         self.identity = dict(document["identity"])
-        self.event = dataclasses.replace(
-            event_from_record(document["event"]), id=str(document["event_id"])
-        )
+        event = event_from_record(document["event"])
+        self.event = dataclasses.replace(event, id=str(document["event_id"]))
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
-        self.target = {name: document["target"][name] for name in ("iterations", "budget")}
-        self.asked = {name: document["target"].get(name) for name in ("weights", "burn_in")}
-        if self.target["budget"] is not None:
-            amount, unit = self.target["budget"]
-            self.target["budget"] = _BUDGETS[unit](amount)
-        self.failures = {
-            name: document["failures"][name]
-            for name in ("on_failure", "retries", "simulation_seconds")
-        }
+        given = {**_OLDER, **document["target"], **document["failures"]}
+        self.asked = {name: given[name] for name in _ASKED}
+        if self.asked["budget"] is not None:
+            amount, unit = self.asked["budget"]
+            self.asked["budget"] = _BUDGETS[unit](amount)
         self.again = {
             name: document["again"][name] for name in ("model", "kernel", "options", "settings")
         }
@@ -265,7 +238,7 @@ class Checkpoint:
         self.recent = [float(one) for one in spent["recent"]]
         with on_cpu():
             self._leaves = [
-                (str(name), unpacked_leaf(arrays[f"state/{i}"], kind))
+                (str(name), _leaf(arrays[f"state/{i}"], kind))
                 for i, (name, kind) in enumerate(document["state"])
             ]
 
@@ -293,6 +266,14 @@ class Checkpoint:
         return jax.tree_util.tree_unflatten(treedef, [leaf for _, leaf in self._leaves])
 
 
+def _leaf(values: NDArray[Any], kind: str | None) -> jax.Array:
+    """Return the leaf of a state that has these numbers; a key where it is of that kind."""
+    if values.dtype.kind == "f" and np.isnan(values).any():
+        raise ValueError("a value of its state is NaN")
+    leaf = jnp.asarray(values)
+    return leaf if kind is None else random.wrap_key_data(leaf, impl=kind)
+
+
 def write_checkpoint(
     path: str | os.PathLike[str],
     about: Mapping[str, Any],
@@ -301,26 +282,26 @@ def write_checkpoint(
     particles: Sequence[Columns],
     records: Sequence[Record],
 ) -> None:
-    """Write a run to a file, whole or not at all; ``about`` as :class:`Checkpoint` has it."""
-    leaves = jax.tree_util.tree_flatten_with_path(state)[0]
-    packed = [packed_leaf(leaf) for _, leaf in leaves]
+    """Write a run to a file, whole or not at all; ``about`` as :class:`Checkpoint` reads it."""
+    leaves: list[tuple[str, str | None]] = []
+    arrays: Columns = {}
+    for i, (place, leaf) in enumerate(jax.tree_util.tree_flatten_with_path(state)[0]):
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        arrays[f"state/{i}"] = np.asarray(random.key_data(leaf) if is_key else leaf)
+        leaves.append((jax.tree_util.keystr(place), str(random.key_impl(leaf)) if is_key else None))
     document = {
         "schema": SCHEMA,
         **about,
         "event": event_record(Event(event.scene, event.observation)),
         "event_id": event.id,
         "iterations": len(particles) - 1,
-        "state": [
-            [jax.tree_util.keystr(path), kind]
-            for (path, _), (_, kind) in zip(leaves, packed, strict=True)
-        ],
+        "state": leaves,
         "failed": {
             str(row): record.result.failure
             for row, record in enumerate(records)
             if record.result.failure is not None
         },
     }
-    arrays = {f"state/{i}": values for i, (values, _) in enumerate(packed)}
     for name in particles[0]:
         arrays[f"particles/{name}"] = np.stack([step[name] for step in particles])
     arrays |= {f"records/{name}": values for name, values in _packed_records(records).items()}

@@ -29,25 +29,6 @@ where all hypotheses have been simulated and their noise is fixed."""
 clock: Callable[[], float] = time.perf_counter  # seconds of wall time
 
 
-class Tally(NamedTuple):
-    """What the initial particles and the finished iterations have cost."""
-
-    simulations: int = 0  # made; those run again because they failed do not count
-    frames: int = 0  # simulated by them
-    last: int = 0  # the last iteration that took a simulation
-
-    @classmethod
-    def of(cls, records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
-        """Return what ``done`` iterations have cost, given what fewer of them did."""
-        before = cls() if before is None else before
-        new = [record for record in records[before.simulations :] if record.iteration <= done]
-        return cls(
-            before.simulations + len(new),
-            before.frames + sum(record.result.frames_simulated for record in new),
-            new[-1].iteration if new else before.last,
-        )
-
-
 class Length(NamedTuple):
     """When a run ends."""
 
@@ -113,12 +94,6 @@ class Length(NamedTuple):
         """Whether the run ends when so many simulations or frames were made."""
         return self.budget is not None and self.budget.unit != "seconds"
 
-    def is_spent(self, tally: Tally) -> bool:
-        """Return whether a budget of simulations or frames is used up."""
-        return tally.simulations >= self.limit("simulations") or tally.frames >= self.limit(
-            "frames"
-        )
-
 
 def _check_own(name: str, asked: Length, needed: int, n_frames: int) -> None:
     """Raise InvalidSettingError if something contradicts a kernel that decides its own length."""
@@ -142,19 +117,42 @@ def _check_own(name: str, asked: Length, needed: int, n_frames: int) -> None:
 
 
 class Pace:
-    """Says whether another iteration is to begin, in a call that began at that :func:`clock`.
+    """What a run has cost so far, and whether another iteration is to begin.
 
-    ``seconds`` the run took before, in other calls, and ``recent`` its last iterations there.
+    The call began at that :func:`clock`; ``seconds`` the run took before, in other calls, and
+    ``recent`` its last iterations there.
+
+    Attributes:
+        done: finished iterations; -1: not even the initial particles are there.
+        simulations: made by the initial particles and the finished iterations; those run again
+            because they failed do not count.
+        frames: simulated by them.
     """
 
     def __init__(
         self, length: Length, began: float, *, seconds: float = 0.0, recent: Iterable[float] = ()
     ) -> None:
+        self.done, self.simulations, self.frames = -1, 0, 0
         self._length = length
         self._begin = began - seconds
         self._recent = deque(recent, maxlen=RECENT)
         self._first_guess = False
         self._mark = 0.0
+        self._last = 0  # the last iteration that took a simulation
+
+    def count(self, records: Sequence[Record], done: int) -> None:
+        """Take in what so many iterations have cost, at least as many as before."""
+        new = [record for record in records[self.simulations :] if record.iteration <= done]
+        self.done = done
+        self.simulations += len(new)
+        self.frames += sum(record.result.frames_simulated for record in new)
+        self._last = new[-1].iteration if new else self._last
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether a budget of simulations or frames is used up."""
+        most_simulations, most_frames = map(self._length.limit, ("simulations", "frames"))
+        return self.simulations >= most_simulations or self.frames >= most_frames
 
     @property
     def seconds(self) -> float:
@@ -184,17 +182,19 @@ class Pace:
         self._first_guess = initial
         self._recent.append(taken)
 
-    def another(self, done: int, tally: Tally) -> bool:
-        """Return whether another iteration is to begin, after ``done`` of such a cost."""
+    @property
+    def goes_on(self) -> bool:
+        """Whether another iteration is to begin."""
         if self._length.counts:
-            return not self._length.is_spent(tally) and done - tally.last < IDLE
-        return done < self.expected(done)
+            return not self.is_spent and self.done - self._last < IDLE
+        return self.done < self.expected
 
-    def expected(self, done: int) -> int:
-        """Return how many iterations there will be in all, as far as the clock can tell."""
+    @property
+    def expected(self) -> int:
+        """How many iterations there will be in all, as far as the clock can tell."""
         if self._length.iterations is not None:
             return self._length.iterations
-        left = self._length.limit("seconds") - self.seconds
+        done, left = max(self.done, 0), self._length.limit("seconds") - self.seconds
         if left == math.inf or not self._recent:
             return done
         each = max(math.fsum(self._recent) / len(self._recent), 1e-6)

@@ -14,7 +14,12 @@ from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.proposals.guide import bottom_up_guide
-from phase_ppl.inference.proposals.tables import BottomUpTables, padded, window_count
+from phase_ppl.inference.proposals.tables import (
+    BottomUpTables,
+    bottom_up_tables,
+    padded,
+    window_count,
+)
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
 from phase_ppl.inference.runs.length import Length
 from phase_ppl.inference.settings import Budget, SimpleSettings
@@ -115,7 +120,7 @@ class Run:
                 "values": {k: v for k, v in sorted(own_values.items()) if isinstance(v, plain)},
                 "options": stable(dict(self.options)),
             },
-            "settings": stable(fields_of(self.settings)),
+            "settings": stable(vars(self.settings)),
             "chains": self.chains,
             "seed": self.seed,
         }
@@ -123,11 +128,7 @@ class Run:
     def again(self) -> dict[str, Any]:
         """Return what makes the run again from a file; None for what is no plain data."""
         model = self.model
-        given = as_given(model.prior)
-        prior = next((name for name, known in priors.PRIORS.items() if known is given), None)
-        if not getattr(given, "__module__", "").startswith(_OURS):
-            prior = None  # another package's may not be there, or be another by then
-        stored = None
+        prior, stored = _our_prior(model), None
         if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
             stored = {
                 "prior": prior,
@@ -138,8 +139,8 @@ class Run:
         return {
             "model": stored,
             "kernel": self.kernel if isinstance(self.kernel, str) else None,
-            "options": _plain(dict(self.options)),
-            "settings": _plain(fields_of(self.settings)),
+            "options": _plain(self.options),
+            "settings": _plain(vars(self.settings)),
         }
 
     @functools.cached_property
@@ -167,7 +168,7 @@ class Run:
     def data(self, bridge: int, progress: bool | None = None) -> Data:
         """Return what compiled code is told of the event and the bridge with that handle."""
         scene, observation = self.event.scene, self.event.observation
-        tables = self.settings.tables(scene, observation, progress)
+        tables = bottom_up_tables(scene, observation, self.settings, progress)
         salt = event_salt(scene, observation)
         tables = padded(tables, window_count(self._length, self.settings.window))
         observed = observation.n_frames if self._is_padded else None
@@ -183,6 +184,14 @@ class Run:
             lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}),
             random.split(random.key(0), self.chains),
         )
+
+
+def _our_prior(model: Model) -> str | None:
+    """Return the name of a model's prior if it is one of this package's, else None."""
+    given = as_given(model.prior)
+    if not getattr(given, "__module__", "").startswith(_OURS):
+        return None  # another package's may not be there, or be another by then
+    return next((name for name, known in priors.PRIORS.items() if known is given), None)
 
 
 def check_event(given: object) -> None:
@@ -203,19 +212,14 @@ def model_again(stored: Mapping[str, Any]) -> Model:
     )
 
 
-def fields_of(settings: SimpleSettings) -> dict[str, Any]:
-    """Return the settings by name."""
-    return {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
-
-
-def _plain(options: dict[str, Any]) -> dict[str, Any] | None:
+def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return options or settings if JSON gives them back as they are; else None."""
     try:
-        again: dict[str, Any] = json.loads(json.dumps(options, allow_nan=False))
+        again: dict[str, Any] = json.loads(json.dumps(dict(options), allow_nan=False))
     except (TypeError, ValueError):
         return None
     # a list is no tuple, and 1 is not True
-    return again if repr(again) == repr(options) else None
+    return again if repr(again) == repr(dict(options)) else None
 
 
 # --- compiled programs ----------------------------------------------------------------------------
@@ -282,11 +286,8 @@ def _identity(recipe: Recipe) -> str | None:
     known = KERNELS.entries.get(info.name) is info and info.factory.__module__.startswith(_OURS)
     if plain is None or not known:
         return None
-    given = as_given(model.prior)
-    prior = next((name for name, known in priors.PRIORS.items() if known is given), None)
-    likelihood = model.error_likelihood
-    ours = type(likelihood) in _BY_FRAME
-    if prior is None or not given.__module__.startswith(_OURS) or not ours:
+    prior, likelihood = _our_prior(model), model.error_likelihood
+    if prior is None or type(likelihood) not in _BY_FRAME:
         return None
     numbers = settings.eta, settings.window, settings.prior_share
     parts = info.name, plain, prior, model.noise, numbers, length

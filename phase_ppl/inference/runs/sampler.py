@@ -34,8 +34,8 @@ from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
-from phase_ppl.inference.runs.length import Length, Pace, Tally
-from phase_ppl.inference.runs.run import Run, compiled, compiled_given, fields_of, make_kernel
+from phase_ppl.inference.runs.length import Length, Pace
+from phase_ppl.inference.runs.run import Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
@@ -145,16 +145,23 @@ def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Po
     """Do a run, or what is left of it, and return its posterior."""
     with contextlib.closing(_open_runner(run, options)) as runner:
         sampler = Sampler(run, options, runner, saved)
-        ended = sampler.advance()
-    posterior = sampler.posterior(interrupted=ended is not None)
-    if isinstance(ended, KeyboardInterrupt | Cancelled):
-        raise Interrupted(posterior) from None
-    if ended is not None:
-        with contextlib.suppress(AttributeError):  # of a class without room for it
-            ended.posterior = posterior  # type: ignore[attr-defined]
-            if posterior is not None:
-                ended.add_note("What was done until then is the attribute posterior of this error.")
-        raise ended
+        try:
+            sampler.advance()
+        except (KeyboardInterrupt, Cancelled):
+            # in case that it came while the file was being written; the posterior comes first
+            with contextlib.suppress(OutputError):
+                sampler.keep()
+            raise Interrupted(sampler.posterior(interrupted=True)) from None
+        except Exception as error:
+            posterior = sampler.posterior(interrupted=True)
+            with contextlib.suppress(AttributeError):  # of a class without room for it
+                error.posterior = posterior  # type: ignore[attr-defined]
+                if posterior is not None:
+                    error.add_note(
+                        "What was done until then is the attribute posterior of this error."
+                    )
+            raise
+    posterior = sampler.posterior(interrupted=False)
     assert posterior is not None, "a run that ended well has at least its initial particles"
     return posterior
 
@@ -216,7 +223,6 @@ class Sampler:
         self._init, self._step = compiled(run.recipe)
         self._state: Any = None
         self._particles: list[Columns] = []  # the initial ones, and those after every iteration
-        self._tally = Tally()
         self._written = -1
         self._rivals_from: int | None = None  # the iteration that they count as
         self._n_rivals = 0  # simulations of them
@@ -255,19 +261,19 @@ class Sampler:
         with on_cpu():
             blank = self._init.shapes(self._keys(), self._data)
         self._state, self._particles = saved.state(blank), list(saved.particles)
-        before = Tally.of(saved.records, saved.done - 1)
-        if saved.done and self._length.is_spent(before):
+        began, recent = self._options.began, saved.recent
+        pace = self._pace = Pace(self._length, began, seconds=saved.seconds, recent=recent)
+        pace.count(saved.records, saved.done - 1)
+        if saved.done and pace.is_spent:
             raise InvalidSettingError(
                 f"a budget of {self._length.budget} is too small: {saved.path} went on after "
-                f"{before.simulations} simulations of {before.frames} frames"
+                f"{pace.simulations} simulations of {pace.frames} frames"
             )
-        self._tally = Tally.of(saved.records, saved.done, before)
+        pace.count(saved.records, saved.done)
         self._runner.statistics = dataclasses.replace(saved.statistics)
         self._calls = saved.calls + 1
-        began, recent = self._options.began, saved.recent
-        self._pace = Pace(self._length, began, seconds=saved.seconds, recent=recent)
         # rivals are those of the answer, which will be another
-        last = saved.done + (not self._pace.another(saved.done, self._tally))
+        last = saved.done + (not pace.goes_on)
         for record in saved.records:
             if record.iteration <= last:
                 self._bridge.remember(record)
@@ -275,19 +281,20 @@ class Sampler:
             self._rivals_from = last
         self._bridge.iteration = self._written = saved.done
 
-    def advance(self) -> BaseException | None:
-        """Do what is left of the run; return what ended it before its end, or None."""
+    def advance(self) -> None:
+        """Do what is left of the run."""
         batch = self._run.chains * self._length.sims_per_step
         before = 0 if self._done < 0 else self._simulations()
         seconds, runner = self._length.limit("seconds"), self._runner
         with Progress(self._expected(), self._options.progress, done=before, batch=batch) as bar:
             runner.on_result = bar.one_more
-            try:
+            # the iteration that is under way when time is over does not count
+            with contextlib.suppress(OutOfTime):
                 if self._done < 0:
                     self._start(seconds)
                 left = _OVERTIME * seconds + 1.0 - self._pace.seconds
                 runner.deadline = time.perf_counter() + left
-                while self._pace.another(self._done, self._tally):
+                while self._pace.goes_on:
                     bar.reach(self._simulations())
                     bar.expect(self._expected())
                     self._iterate(lambda: self._step(self._state, self._data))
@@ -295,16 +302,6 @@ class Sampler:
                 self._try_rivals(bar)
                 bar.expect(self._simulations())
                 bar.reach(self._simulations())
-            except OutOfTime:  # the iteration that was under way does not count
-                return None
-            except (KeyboardInterrupt, Cancelled) as stop:
-                # in case that it came while the file was being written; the posterior comes first
-                with contextlib.suppress(OutputError):
-                    self._keep()
-                return stop
-            except Exception as error:
-                return error
-        return None
 
     def _start(self, seconds: float) -> None:
         """Make the initial particles, none of which may take longer than all the seconds."""
@@ -329,8 +326,8 @@ class Sampler:
         self._state = state
         self._particles.append(particles)
         self._pace.end(initial=initial)
-        self._tally = Tally.of(self._bridge.records, self._done, self._tally)
-        self._keep()
+        self._pace.count(self._bridge.records, self._done)
+        self.keep()
 
     def _try_rivals(self, bar: Progress) -> None:
         """Simulate the rivals of the leading goals that no simulation has tried.
@@ -364,7 +361,7 @@ class Sampler:
             if not rivals:
                 break
         self._written = -1
-        self._keep(self._bridge.records)
+        self.keep(self._bridge.records)
 
     def _simulate_goals(
         self, goals: NDArray[np.int64], log_floor: NDArray[np.float32], *place: int
@@ -444,19 +441,19 @@ class Sampler:
     def _simulations(self) -> int:
         """Return the simulations until now: the most there can be, where those do not decide."""
         if self._length.counts:
-            return self._tally.simulations
+            return self._pace.simulations
         return self._length.at_most(self._done) + self._n_rivals
 
     def _expected(self) -> int:
         """Return how many simulations there will be in the end, as far as one can tell."""
-        spent = self._tally
+        spent = self._pace
         if self._length.counts:
             each = spent.frames / spent.simulations if spent.frames else self._n_frames
             total = min(self._length.limit("simulations"), self._length.limit("frames") / each)
             return max(math.ceil(total), spent.simulations)
-        return self._length.at_most(self._pace.expected(max(self._done, 0)))
+        return self._length.at_most(spent.expected)
 
-    def _keep(self, records: Sequence[Record] | None = None) -> None:
+    def keep(self, records: Sequence[Record] | None = None) -> None:
         """Write the file, if there is to be one that is not up to date.
 
         With all ``records``, or those of what is complete.
@@ -523,7 +520,7 @@ class Sampler:
 
     def _settings(self) -> dict[str, Any]:
         run = self._run
-        simple = fields_of(run.settings) | {"strength": estimator_name(run.settings.strength)}
+        simple = vars(run.settings) | {"strength": estimator_name(run.settings.strength)}
         del simple["beta"]  # the model's likelihood has it
         return {
             "kernel": {"name": run.info.name, **run.options},
@@ -545,15 +542,9 @@ class Sampler:
         wanted = statistics.frames + statistics.frames_saved
         return {
             "budget": self._length.budget and str(self._length.budget),
-            "simulations": statistics.simulations,
-            "frames": statistics.frames,
-            "frames_saved": statistics.frames_saved,  # by stopping simulations early
+            **dataclasses.asdict(statistics),
             "frames_saved_share": statistics.frames_saved / wanted if wanted else 0.0,
-            "failures": statistics.failures,
-            "retries": statistics.retries,
             "seconds": seconds,
-            "seconds_simulating": statistics.seconds_simulating,  # summed over workers
-            "seconds_waiting": statistics.seconds_waiting,
             "seconds_overhead": seconds - statistics.seconds_waiting,
             "workers": self._runner.workers,
             "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
