@@ -17,9 +17,11 @@ from typing import Any
 
 import numpy as np
 from common import write
+from matplotlib.ticker import NullLocator
 from tqdm import tqdm
 
 import phase_ppl as ppl
+from phase_ppl.analysis.figures.style import COLOURS, in_style, new_figure, written
 
 AGENTS = ("red agent", "green agent", "purple agent", "orange agent")
 PLACES = [(4, 4), (32, 20), (4, 20), (32, 4), (18, 4), (18, 20), (4, 12), (32, 12)]
@@ -63,13 +65,12 @@ def measure(agents: int, landmarks: int, scenes: int, frames: int) -> dict[str, 
     }
 
 
+@in_style
 def draw(rows: list[dict[str, Any]], path: str) -> None:
     """Draw cost against agents and against goals."""
-    from phase_ppl.analysis.figures.style import COLOURS, NORMAL, bare, new_figure, written
-
     by_agents = [row for row in rows if row["landmarks"] == SIZES[0][1]]
     by_goals = sorted((row for row in rows if row["agents"] == 2), key=lambda row: row["goals"])
-    figure = new_figure(6.5, 2.6, "constrained")
+    figure = new_figure(7.0, 2.8)
     for axes, of, across, label in zip(
         figure.subplots(1, 2, sharey=True),
         (by_agents, by_goals),
@@ -89,8 +90,9 @@ def draw(rows: list[dict[str, Any]], path: str) -> None:
             label="combinations of goals",
         )  # fmt: skip
         axes.set(yscale="log", xlabel=label, xticks=x)
-        bare(axes)
-    figure.axes[0].legend(fontsize=NORMAL - 1, frameon=False)
+        axes.yaxis.set_major_formatter("{x:,g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     written(figure, path)
 
 

@@ -251,9 +251,9 @@ class Store:
         """Return how many people can come in, beside those whose places are kept."""
         since = time.time() - 60 * settings.place_kept
         if self.fact("kind") == "play":
-            seen, share = self.played(since).values(), 2
+            seen, share = [*self.played(since).values()], 2
         else:
-            seen, share = self._viewings(settings).values(), 1
+            seen, share = [*self._viewings(settings).values()], 1
         coming = self._value(
             """SELECT count(*) FROM participant
             WHERE outcome IS NULL AND assigned IS NULL AND created>?""",
