@@ -16,7 +16,6 @@ from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
-from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
@@ -195,7 +194,7 @@ def _evaluate(options: argparse.Namespace) -> int:
             print(evaluation)
         problems = []
         drawable = not options.no_figures and options.shard is None
-        if evaluation.folder is not None and drawable and _of_phase(evaluation):
+        if evaluation.folder is not None and drawable:
             problems = _draw(evaluation, evaluation.folder, options)
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
@@ -319,19 +318,13 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
     from phase_ppl.evaluation.evaluation import difference_table
 
     folder = None if found.folder is None else found.folder.path
-    hint = f"\n{cli.report_hint(folder)}" if folder is not None and _of_phase(found) else ""
-    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}{hint}")
+    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}\n{cli.report_hint(folder)}")
     if options.against is None:
         return
     difference = found.against(options.against)
     print(f"\n{difference_table(difference)}")
     if folder is not None:
         write_json(folder / AGAINST, difference)
-
-
-def _of_phase(evaluation: Evaluation) -> bool:
-    """Return whether there are figures and pages of the events."""
-    return evaluation.events[0].scene.world == PHASE
 
 
 def _draw(evaluation: Evaluation, folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
@@ -428,13 +421,13 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
 
 
 def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
-    """Write a comparison, of PHASE with its figures and pages; return the exit code."""
+    """Write a comparison with its figures and pages; return the exit code."""
     from phase_ppl.evaluation.folder import entry_name
     from phase_ppl.evaluation.report import contents, write_page
 
     found.save(out)
-    problems, of_phase = [], found.world == PHASE
-    if of_phase and not options.no_figures:
+    problems = []
+    if not options.no_figures:
         pages = writable_folder(out / PAGES)
         for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
             old.unlink(missing_ok=True)
@@ -448,7 +441,7 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
         problems = drawn(found, out, list(events), draw_page, options)
     for problem in problems:
         print(f"phase-ppl: error: {problem}", file=sys.stderr)
-    print(f"\nKept in {out}" + (f"\n{cli.report_hint(out)}" if of_phase else ""))
+    print(f"\nKept in {out}\n{cli.report_hint(out)}")
     return cli.FAILED if problems else 0
 
 

@@ -47,7 +47,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import World, check_phase
+from phase_ppl.world.scene import World
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -156,7 +156,7 @@ class ModelComparison:
 
     @functools.cached_property
     def answers(self) -> list[AnswerSet]:
-        """All answers, of people first, as figures and pages show them: those of PHASE."""
+        """All answers, of people first, as figures and pages show them."""
         return self._answers({})
 
     @functools.cached_property
@@ -165,7 +165,6 @@ class ModelComparison:
         return self._answers({**self.metrics, PEOPLE: self.people})
 
     def _answers(self, metrics: Mapping[str, Mapping[str, Any]]) -> list[AnswerSet]:
-        check_phase(self.events[0].scene, "a figure or page of models")
         stored = [one.name for one in self.entries if one.kind != "model"]
         return answer_sets(self.events, self._predictions, stored, metrics)
 

@@ -24,7 +24,6 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import check_phase
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,7 +93,6 @@ class Evaluation:
     def _answers_about(
         self, events: Sequence[Event], metrics: Mapping[str, Mapping[str, Any]]
     ) -> list[AnswerSet]:
-        check_phase(self.events[0].scene, "a figure or page of an evaluation")
         references = self._of_references(reference_predictions(events))
         models = {self.name: self.predictions, **references}
         return answer_sets(events, models, references, metrics)

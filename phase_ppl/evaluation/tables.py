@@ -27,6 +27,29 @@ def kinds_of(world: World) -> Mapping[str, tuple[str, ...]]:
 KINDS: Final = kinds_of(PHASE)
 
 
+def parts_of(world: World, kind: str) -> list[tuple[str, str]]:
+    """Return where the metrics have parts of the answers of a kind.
+
+    In PHASE those about a scenario; elsewhere goals of an agent, relations of a pair.
+    """
+    if world == PHASE:
+        return [("by_scenario", name) for name in SCENARIOS]
+    if kind == "goal":
+        return [("by_agent", agent) for agent in world.agents]
+    key = dict(zip(world.agents, world.keys, strict=True))
+    return [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs_of(world).values()]
+
+
+def titles_of(world: World) -> dict[str, str]:
+    """Return question -> title of what shows the answers to it."""
+    agents = zip(kinds_of(world)["goal"], world.agents, strict=True)
+    found = {question: f"Goal of the {agent}" for question, agent in agents}
+    pairs = parts_of(world, "relation") if world != PHASE else [("", "")]
+    for question, (_, pair) in zip(pairs_of(world), pairs, strict=True):
+        found[question] = f"Relation of {pair}" if pair else "Relation"
+    return found
+
+
 def world_of(events: Sequence[Event]) -> World:
     """Return the world that all events are of; PHASE where there are none.
 
@@ -62,22 +85,15 @@ class Facts:
     def parts(self, kind: str) -> dict[tuple[str, ...], BoolArray]:
         """Return where the metrics have a part of the answers -> which of (event, question) it is.
 
-        The whole comes first, at (). In PHASE parts are those of a scenario; elsewhere goals of an
-        agent, relations of a pair.
+        The whole comes first, at (), then :func:`parts_of` the world.
         """
         parts: dict[tuple[str, ...], BoolArray] = {(): np.ones((1, 1), bool)}
-        if self.world == PHASE:
-            for place, name in enumerate(SCENARIOS):
-                parts["by_scenario", name] = (self.scenario == place)[:, None]
-            return parts
-        if kind == "goal":
-            paths = [("by_agent", agent) for agent in self.world.agents]
-        else:
-            key = dict(zip(self.world.agents, self.world.keys, strict=True))
-            pairs = pairs_of(self.world).values()
-            paths = [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs]
+        paths = parts_of(self.world, kind)
         for place, path in enumerate(paths):
-            parts[path] = np.arange(len(paths))[None] == place
+            if self.world == PHASE:
+                parts[path] = (self.scenario == place)[:, None]
+            else:
+                parts[path] = np.arange(len(paths))[None] == place
         return parts
 
 

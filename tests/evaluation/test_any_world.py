@@ -184,14 +184,10 @@ def test_what_is_of_phase_is_refused(
         ppl.evaluate(events, model, **more, **ONE_PROCESS)
 
 
-def test_worlds_are_not_mixed_and_there_are_no_figures(events: list[ppl.Event]) -> None:
+def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:
     both = [*events, moved(SOLO, 1, None)]
     with pytest.raises(InvalidSettingError, match="of the worlds 'trio', 'solo', expected those"):
         ppl.evaluate(both, "stepwise", **ONE_PROCESS)
-    one = ppl.evaluate(events, "last_frame", **ONE_PROCESS)
-    compared = ppl.compare_models({"one": one, "other": one})
-    with pytest.raises(InvalidSettingError, match="a figure or page of models knows the world"):
-        _ = compared.measured
     with pytest.raises(InvalidEventError, match="of the world 'PHASE', not 'trio'"):
         ppl.evaluation.prediction.as_prediction(Prediction("", answers={}), "", TRIO)
 
@@ -203,11 +199,18 @@ def test_the_terminal_evaluates_events_of_another_world(
     command = ["evaluate", str(tmp_path / "events.json"), "--model", "last_frame"]
     assert main([*command, "--out", str(tmp_path / "out")]) == 0
     assert "red & green" in capsys.readouterr().out
-    assert not (tmp_path / "out" / "figures").exists()
     assert main([*command, "--model", "predicate", "--out", str(tmp_path / "two")]) == 0
     printed = capsys.readouterr()
     assert "relations right, by pair" in printed.out
-    assert "--html" not in printed.out
-    assert not (tmp_path / "two" / "figures").exists()
+    for folder in ("out", "two"):
+        drawn = {path.name for path in (tmp_path / folder / "figures").iterdir()}
+        assert {"accuracy.png", "film_strips.png"} <= drawn
+        assert "confusion.png" not in drawn  # there are no scenarios
+        page = ppl.report(tmp_path / folder).read_text("utf-8")
+        for words in ("Goal of the purple agent", "Relation of red &amp; green", "By agent",
+                      "By pair", "red &amp; purple"):  # fmt: skip
+            assert words in page
+    (of_event, *_) = sorted((tmp_path / "two" / "pages").glob("*.html"))
+    assert "the red agent helps the green agent" in of_event.read_text("utf-8")
     assert main(["compare-models", str(tmp_path / "two")]) == 0
     assert "relations right, by pair" in capsys.readouterr().out

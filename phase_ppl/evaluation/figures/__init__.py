@@ -68,9 +68,10 @@ class Drawing(NamedTuple):
 
 DRAWINGS: Final = {
     "accuracy": Drawing(
-        "Accuracy by scenario",
+        "Accuracy by scenario, or by agent and pair",
         "Bars: share of right goals and relations of everybody, over all events and by true "
-        "scenario, with 95 % intervals; the numbers are in the tables above.",
+        "scenario, in other worlds than PHASE by agent and pair, with 95 % intervals; the numbers "
+        "are in the tables above.",
         accuracy,
     ),
     "confusion": Drawing(

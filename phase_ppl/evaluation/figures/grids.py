@@ -41,11 +41,12 @@ from phase_ppl.evaluation.figures.layout import (
     width_of,
 )
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.tables import KINDS
+from phase_ppl.evaluation.tables import KINDS, true_answers, world_of
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,13 +74,14 @@ def confusion(source: Source, path: PathLike | None = None) -> Figure:
     Cells hold numbers of events, shades are shares of their row.
 
     Raises:
-        NothingToDrawError: nobody answered the goals of events whose truth is known.
+        NothingToDrawError: nobody answered the goals of events whose scenario is known, as it is
+            in PHASE only.
     """
     results = opened(source)
     true = scenarios_of(results)
     shown = [(o, counts) for o in results.measured if (counts := _counts(o, true)).any()]
     if not shown:
-        raise NothingToDrawError("nobody answered the goals of an event whose truth is known")
+        raise NothingToDrawError("nobody answered the goals of an event whose scenario is known")
     n_columns = min(len(shown), 3 if len(shown) <= 6 else 4)
     n_rows = -(-len(shown) // n_columns)
     note = "numbers: events; shade: share of the row"
@@ -357,13 +359,18 @@ def _differences(
 
 @in_style
 def film_strips(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw the first event of every true scenario as a film strip; without truth, the first."""
+    """Draw the first event of every true scenario as a film strip; without truth, the first.
+
+    In another world than PHASE the first few.
+    """
     results = opened(source)
     scenarios = scenarios_of(results)
     first: dict[str, Event] = {}
     for event in results.events:
         first.setdefault(scenarios.get(event.id, ""), event)
     chosen = {name: first[name] for name in SCENARIOS if name in first} or first
+    if world_of(results.events) != PHASE:
+        chosen = {event.id: event for event in results.events[: len(SCENARIOS)]}
     strips = [
         np.asarray(draw_strip(event, min(_PANELS, event.observation.n_frames)))
         for event in chosen.values()
@@ -374,9 +381,12 @@ def film_strips(source: Source, path: PathLike | None = None) -> Figure:
     for axes, (name, event), strip in zip(grid[:, 0], chosen.items(), strips, strict=True):
         style = {"color": SCENARIO_COLOURS.get(name, GREY), "fontweight": "bold"}
         axes.set_title(name or "scenario not known", fontsize=NORMAL, **style)
-        goals = event.id
-        if event.truth is not None:
-            goals = f"red: {event.truth.goal_red}; green: {event.truth.goal_green}"
+        goals = "; ".join(
+            f"{question.removeprefix('goal_')}: {answer}"
+            for question, answer in true_answers(event).items()
+            if question.startswith("goal_")
+        )
+        goals = goals or event.id
         axes.set_title(goals, loc="right", fontsize=fitting([goals], 5.6, SMALL), color=GREY)
         axes.imshow(strip, interpolation="antialiased")
         axes.set_axis_off()

@@ -16,7 +16,7 @@ from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import COMPARISON
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS, Roles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,8 +57,12 @@ def compared(source: Source) -> ModelComparison:
 
 
 def scenarios_of(results: Results) -> dict[str, str]:
-    """Return event -> true scenario, of the events whose truth is known."""
-    return {e.id: e.truth.scenario for e in results.events if e.truth is not None}
+    """Return event -> true scenario, of the events of PHASE whose truth is known."""
+    return {
+        e.id: e.truth.scenario
+        for e in results.events
+        if e.truth is not None and not isinstance(e.truth, Roles)
+    }
 
 
 # --- layout ---------------------------------------------------------------------------------------

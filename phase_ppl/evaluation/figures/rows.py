@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.figures.style import (
     COLOURS,
@@ -45,10 +46,11 @@ from phase_ppl.evaluation.figures.layout import (
     width_of,
 )
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.tables import KINDS, facts, said
+from phase_ppl.evaluation.tables import facts, kinds_of, said
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.errors import shown as in_short
+from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 
 if TYPE_CHECKING:
@@ -56,6 +58,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Blocks = Mapping[str, Sequence[AnswerSet]]  # kind of question -> the rows about it
+Part = tuple[str, ...]  # where the metrics have a part of the answers; (): all
 
 _CORRELATIONS: Final = {
     "goal_r": ("Goals", "goal_split_half_r"),
@@ -69,32 +72,36 @@ _CORRELATIONS: Final = {
 def accuracy(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the accuracy of goals and relations, over all events and by true scenario.
 
+    In another world than PHASE that of goals by agent, of relations by pair.
+
     Raises:
         NothingToDrawError: no answer can be right or wrong.
     """
     results = opened(source)
-    scenarios = scenarios_of(results)
+    known = facts(results.events)
+    masks = {kind: known.parts(kind) for kind in KIND_TITLES}
     blocks = {
         kind: [o for o in results.measured if o.metrics.get(f"{kind}_accuracy") is not None]
         for kind in KIND_TITLES
     }
-    present = [name for name in SCENARIOS if name in scenarios.values()]
+    parts: dict[str, list[Part]] = {}
+    for kind, of_parts in masks.items():
+        true = known.truth[kind] >= 0
+        present = [path for path, mask in of_parts.items() if path and (mask & true).any()]
+        parts[kind] = present if len(present) > 1 else []  # one part is the whole
 
-    def draw(axes: Axes, kind: str, scenario: str | None) -> list[int]:
-        place = () if scenario is None else ("by_scenario", scenario)
-        found = [at(o.metrics, (*place, f"{kind}_accuracy")) for o in blocks[kind]]
+    def draw(axes: Axes, kind: str, part: Part) -> list[int]:
+        found = [at(o.metrics, (*part, f"{kind}_accuracy")) for o in blocks[kind]]
         _bars(axes, blocks[kind], found)
-        events = {name for name, of in scenarios.items() if scenario in (None, of)}
+        asked = (known.truth[kind] >= 0) & masks[kind][part]
         return [
-            sum(name in events and question in given.answers
-                for name, given in o.predictions.items() for question in KINDS[kind])
+            int((asked & _answered(o, results.events, kinds_of(known.world)[kind])).sum())
             for o in blocks[kind]
-        ]  # fmt: skip
+        ]
 
-    figure = _by_scenario(
+    figure = _by_part(
         blocks,
-        # of one scenario all is the same
-        present if len(present) > 1 else [],
+        parts,
         (1.2, 0.185),
         "Share of right answers (people: mean share of people who are right) with 95 % intervals "
         "over events; n: answers.",
@@ -120,14 +127,16 @@ def equivalence(source: Source, path: PathLike | None = None) -> Figure:
     ends = [r[k] for r in found.values() for k in ("value", "ci_low", "ci_high")]
     reach = max(0.5, *(abs(end) for end in ends if end is not None), 0)
 
-    def draw(axes: Axes, kind: str, scenario: str | None) -> list[int]:
+    def draw(axes: Axes, kind: str, part: Part) -> list[int]:
+        scenario = part[-1] if part else None
         rows = [found.get((o.name, f"{kind}_accuracy", scenario)) for o in blocks[kind]]
         _against_people(axes, blocks[kind], rows, comparison.settings["margin"], reach)
         return [row["n_events"] for row in rows if row is not None]
 
-    figure = _by_scenario(
+    judged = {scenario for _, _, scenario in found}
+    figure = _by_part(
         blocks,
-        [name for name in SCENARIOS if any(scenario == name for _, _, scenario in found)],
+        dict.fromkeys(blocks, tuple(("by_scenario", s) for s in SCENARIOS if s in judged)),
         (1.4, 0.21),
         "Share right, model minus people, event by event. Thin: 95 %, thick: 90 % intervals. "
         "Band: margin of equivalence. Filled: equivalence is shown, after Holm's correction.",
@@ -137,34 +146,46 @@ def equivalence(source: Source, path: PathLike | None = None) -> Figure:
     return written(figure, path)
 
 
-def _by_scenario(
+def _answered(
+    answers: AnswerSet, events: Sequence[Event], questions: Sequence[str]
+) -> NDArray[np.bool_]:
+    """Return (event, question) whether there is an answer."""
+    given = [answers.predictions.get(event.id) for event in events]
+    return np.array([[one is not None and q in one.answers for q in questions] for one in given])
+
+
+def _by_part(
     blocks: Mapping[str, Sequence[AnswerSet]],
-    scenarios: Sequence[str],
+    parts: Mapping[str, Sequence[Part]],
     cell: tuple[float, float],
     note: str,
-    draw: Callable[[Axes, str, str | None], list[int]],
+    draw: Callable[[Axes, str, Part], list[int]],
     nothing: str,
 ) -> Figure:
-    """Draw kinds of questions below each other, a column for all events and for each scenario.
+    """Draw kinds of questions below each other, a column for all answers and for each part.
 
-    ``blocks`` has the rows of each kind; kinds without rows are left out. ``cell`` are the inches
-    of a column and of a row; ``draw`` draws the rows of a kind and a scenario, and returns of how
-    many events or answers; ``nothing`` says what is missing where there are no rows.
+    ``blocks`` has the rows of each kind; kinds without rows are left out. ``parts`` are those of
+    the metrics, of each kind. ``cell`` are the inches of a column and of a row; ``draw`` draws the
+    rows of a kind and a part, and returns of how many events or answers; ``nothing`` says what is
+    missing where there are no rows.
     """
     blocks = {kind: rows for kind, rows in blocks.items() if rows}
     if not blocks:
         raise NothingToDrawError(nothing)
-    columns: list[str | None] = [None, *scenarios]
+    columns: dict[str, list[Part]] = {kind: [(), *parts[kind]] for kind in blocks}
+    n_columns = max(map(len, columns.values()))
     heights = [len(rows) for rows in blocks.values()]
     width = max(width_of(o for rows in blocks.values() for o in rows), 1.0)
-    width += cell[0] * len(columns)
+    width += cell[0] * n_columns
     figure = new_figure(width, cell[1] * sum(heights) + 0.8 * len(blocks) + 0.35, note=note)
-    grid = figure.subplots(len(blocks), len(columns), squeeze=False, height_ratios=heights)
+    grid = figure.subplots(len(blocks), n_columns, squeeze=False, height_ratios=heights)
     for (kind, rows), line in zip(blocks.items(), grid, strict=True):
-        for axes, scenario in zip(line, columns, strict=True):
-            counts = [n for n in draw(axes, kind, scenario) if n]
+        for axes in line[len(columns[kind]) :]:
+            axes.set_visible(False)
+        for axes, part in zip(line, columns[kind], strict=False):
+            counts = [n for n in draw(axes, kind, part) if n]
             axes.set(ylim=(len(rows) - 0.5, -0.5), yticks=[])
-            titled(axes, scenario or "all", in_words(counts or [0]), fontsize=NORMAL)
+            titled(axes, part[-1] if part else "all", in_words(counts or [0]), fontsize=NORMAL)
             axes.set_visible(bool(counts))
         name_rows(line[0], rows)
         line[0].annotate(

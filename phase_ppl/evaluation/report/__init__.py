@@ -34,7 +34,6 @@ def report(
 
     Raises:
         InvalidEventError: the folder is none of these, or a file in it is damaged.
-        InvalidSettingError: an evaluation or a comparison is of another world than PHASE.
         OutputError: the page cannot be written there, or its name does not end in .html.
     """
     source = as_path(folder)

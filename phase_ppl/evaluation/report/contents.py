@@ -19,7 +19,7 @@ from markupsafe import Markup
 import phase_ppl
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.figures.posterior import titles
-from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, Hypotheses
+from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, AnswerSet, label_of
@@ -31,14 +31,14 @@ from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, sce
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.evaluation.tables import true_answer
+from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
+from phase_ppl.evaluation.tables import parts_of, titles_of, true_answer, true_answers, world_of
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
+from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, SCENARIOS, Roles
 from phase_ppl.world.picture import trail_colour
 from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import PHASE, Scene
@@ -105,7 +105,6 @@ _ORDERS: Final = {
     "surprise": "least belief in the truth first",
     "name": "name",
 }
-_SHORT: Final = {"goal_red": "red's goal", "goal_green": "green's goal", "relation": "relation"}
 
 
 # --- an event --------------------------------------------------------------------------------
@@ -128,7 +127,9 @@ def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None 
     With the model's posterior its best hypothesis' simulation is shown as well.
     """
     truth = "Truth not known."
-    if event.truth is not None:
+    if isinstance(event.truth, Roles):
+        truth = f"Truth: {event.truth}."
+    elif event.truth is not None:
         truth = f"Truth: {event.truth.scenario}, {event.truth.relation}."
     return page("event.html", title=event.id, truth=truth, item=_item(event, shown, post))
 
@@ -147,9 +148,9 @@ def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str
     Relations are always all shown. Goals are at most :data:`MAX_ROWS`, unless more were given,
     sorted by the highest probability that anybody has for them.
     """
-    if question == "relation":
-        return list(RELATIONS)
-    labels = QUESTIONS[question]
+    labels = questions_of(event.scene.world)[question]
+    if question in pairs_of(event.scene.world):
+        return list(labels)
     highest = np.zeros(len(labels))
     asked: list[str] = [answer for answer in [true_answer(event, question)] if answer]
     for answers in shown:
@@ -182,14 +183,16 @@ def _item(
         Question(
             name,
             title,
-            QUESTIONS[name],
+            questions_of(event.scene.world)[name],
             rows_of(name, shown, event),
             true_answer(event, name),
             shown,
         )
-        for name, title in titles(Hypotheses).items()
+        for name, title in titles_of(event.scene.world).items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
+    known = event.truth is not None and not isinstance(event.truth, Roles)
+    scenario = event.truth.scenario if known else ""
     right = [
         label
         for label, answers in given.items()
@@ -197,7 +200,8 @@ def _item(
     ]
     return {
         "id": event.id,
-        "scenario": "" if event.truth is None else event.truth.scenario,
+        "scenario": scenario,
+        "told": scenario or _told(event),
         "film": _film(event, replay) if film else None,
         "strips": strips,
         "questions": questions,
@@ -205,6 +209,17 @@ def _item(
         "cost": next((o.predictions[event.id].cost for o in shown if o.kind == "model"), {}),
         "right": None if event.truth is None else right,
     }
+
+
+def _told(event: Event) -> str:
+    """Return in a few words what is true of an event that has no scenario."""
+    true = true_answers(event)
+    pairs = [
+        f"{title.removeprefix('Relation of ')} {true[question]}"
+        for question, title in titles_of(event.scene.world).items()
+        if question in true and question in pairs_of(event.scene.world)
+    ]
+    return ", ".join(pairs or true.values()) or "truth not known"
 
 
 def _strip(
@@ -311,32 +326,34 @@ def _strength(post: Posterior | StepwisePosterior, name: str) -> str:
 # --- an evaluation ---------------------------------------------------------------------------
 
 
-def _summary(shown: Sequence[AnswerSet]) -> dict[str, Any]:
+def _summary(results: Results) -> dict[str, Any]:
     """Return the metrics of all: a row each, a column per metric that anybody has.
 
-    And what halves of the people agree on, in words, and the accuracies by true scenario.
+    And what halves of the people agree on, in words, and tables of the accuracies by part.
     """
+    shown, world = results.measured, world_of(results.events)
     used = [place for place in _COLUMNS if any(at(o.metrics, place) for o in shown)]
     halves = []
     for name, what in (("goal_split_half_r", "goals"), ("split_half_r", "relations")):
         found = next(filter(None, (at(o.metrics, ("human", name)) for o in shown)), None)
         if found is not None:
             halves.append(f"{number(found['value'])} on {what}")
-    by_scenario = []
+    parts: dict[str, tuple[list[str], list[Any]]] = {}  # what they are -> their names, and rows
     for kind, word in (("goal", "goals"), ("relation", "relations")):
+        places = parts_of(world, kind)
         for one in shown:
-            places = [("by_scenario", name, f"{kind}_accuracy") for name in SCENARIOS]
-            cells = [at(one.metrics, place) for place in places]
+            cells = [at(one.metrics, (*place, f"{kind}_accuracy")) for place in places]
             if any(cells):
-                by_scenario.append((one, word, cells))
+                names = [name for _, name in places]
+                by = places[0][0].replace("_", " ")
+                parts.setdefault(by, (names, []))[1].append((one, word, cells))
     return {
         "columns": [_COLUMNS[place] for place in used],
         "rows": [(one, [at(one.metrics, place) for place in used]) for one in shown],
         "between_people": f"Halves of the people correlate {' and '.join(halves)}."
         if halves
         else "",
-        "by_scenario": by_scenario,
-        "scenarios": list(SCENARIOS),
+        "parts": parts,
     }
 
 
@@ -360,12 +377,12 @@ def evaluation_page(
         "evaluation.html",
         title=f"Evaluation of {label_of(evaluation.name)}",
         state=f"{state}.",
-        summary=_summary(evaluation.measured),
+        summary=_summary(evaluation),
         drawn=drawn,
         left_out=left_out,
         failures=[(event_id, in_words(what)) for event_id, what in evaluation.failures.items()],
         menus=[
-            ("scenario", "Scenario", {"": "all", **present}),
+            *([("scenario", "Scenario", {"": "all", **present})] if present else []),
             ("outcome", "Answers", {"": "all", **_OUTCOMES}),
             ("order", "Order", _ORDERS),
         ],
@@ -386,21 +403,27 @@ def _outcome(event: Event, own: Prediction | None) -> dict[str, Any]:
     right = {q: answer == true_answer(event, q) for q, answer in own.answers.items()}
     if event.truth is None or not right:
         return {"outcome": "unknown", "marks": [], "belief": None}
-    belief = None
+    belief, labels = None, questions_of(event.scene.world)
     if own.probabilities:
         shares = [
-            float(values[QUESTIONS[question].index(str(true_answer(event, question)))])
+            float(values[labels[question].index(str(true_answer(event, question)))])
             for question, values in own.probabilities.items()
         ]
         belief = float(np.prod(shares))
     return {
         "outcome": "right" if all(right.values()) else "wrong",
         "marks": [
-            (f"{_SHORT[q]} {'right' if good else 'wrong'}", "good" if good else "bad")
+            (f"{_short(q)} {'right' if good else 'wrong'}", "good" if good else "bad")
             for q, good in right.items()
         ],
         "belief": belief,
     }
+
+
+def _short(question: str) -> str:
+    """Return what a question is about, such as "red's goal"."""
+    agent = question.removeprefix("goal_")
+    return question.replace("_", " ") if agent == question else f"{agent}'s goal"
 
 
 def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
@@ -448,7 +471,7 @@ def _compared(comparison: ModelComparison, progress: bool | None) -> dict[str, A
     settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
     events = counted(comparison.events, progress, "event", "showing")
     return {
-        "summary": _summary(comparison.measured),
+        "summary": _summary(comparison),
         "items": [_item(event, comparison.answers) for event in events],
         "settings_of_models": list(flat(settings)),
     }

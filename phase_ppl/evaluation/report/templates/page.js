@@ -17,7 +17,7 @@
     let shown = 0;
     for (const item of [...items].sort(before)) {
       item.hidden = !(
-        (scenario.value === "" || item.dataset.scenario === scenario.value) &&
+        (!scenario || scenario.value === "" || item.dataset.scenario === scenario.value) &&
         (outcome.value === "" || item.dataset.outcome === outcome.value)
       );
       shown += item.hidden ? 0 : 1;
