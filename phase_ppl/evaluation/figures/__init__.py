@@ -101,7 +101,7 @@ DRAWINGS: Final = {
         people,
     ),
     "film_strips": Drawing(
-        "An event of every scenario",
+        "An event of every scenario, or the first few",
         "Film strips: an event of every scenario, from first to last frame.",
         film_strips,
     ),
