@@ -10,7 +10,7 @@ its name. Each video is predicted by fits without it; "chosen" picks, for each v
 that predicts the others best. `store` writes the parameters that come with the package. `recover`
 draws populations of raters from known observers: with parameters from the priors, by which
 intervals should hold at their rate, or with those of real people ("people"), as far as an observer
-has them. Of observers that predict about as well the simplest is chosen (PARSIMONY).
+has them, about videos with the cues of the real ones. Of observers that predict about as well the simplest is chosen (PARSIMONY).
 """
 
 from __future__ import annotations
@@ -163,8 +163,11 @@ NOBODY: Any = np.zeros((0, 4), np.int64), (), np.zeros((0, 2), np.int64), np.zer
 """Of answers without names."""
 
 
-def videos_like(rng: np.random.Generator, n: int) -> Evidence:
-    """Return evidence and cues of ``n`` videos, spread about as those of the real ones are."""
+def videos_like(rng: np.random.Generator, n: int, cues: Mapping[str, FloatArray]) -> Evidence:
+    """Return evidence on ``n`` videos, spread about as that on the real ones is.
+
+    With ``cues``, or where there are none with made-up ones.
+    """
     true = rng.integers(len(RELATIONS), size=n)
     logs = rng.normal(0.0, 1.5, (n, len(RELATIONS)))
     logs[np.arange(n), true] += rng.gamma(2.0, 2.0, n)
@@ -174,13 +177,20 @@ def videos_like(rng: np.random.Generator, n: int) -> Evidence:
         np.tile(logs, (3, 1, 1, 1)),
         np.full((n, len(RELATIONS)), -np.log(len(RELATIONS))),
         {"relation": np.arange(len(RELATIONS))},
-        {
+        cues
+        or {
             "distance": rng.normal(0.2, 0.5, n),
             "contact": np.clip(rng.gamma(0.7, 0.35, n), 0, 1),
             "working": rng.uniform(0, 0.6, n),
             "impact": rng.gamma(1.5, 0.4, n),
         },
     )
+
+
+@functools.cache
+def real_cues() -> Mapping[str, FloatArray]:
+    """Return the surface cues of the real videos."""
+    return ppl.evidence_from(common.dev_events(), None).cues
 
 
 def population(
@@ -190,12 +200,16 @@ def population(
     import jax
     from numpyro import handlers
 
-    evidence = videos_like(rng, videos)
     real: dict[str, float] = {}
+    cues: dict[str, FloatArray] = {}
     if like == "people":
         known = observer_of(PEOPLE, "stepwise").draws
         draw = int(rng.integers(len(known["spread"])))
         real = {k: float(values[draw]) for k, values in known.items()}
+        seen = real_cues()
+        places = rng.permutation(np.resize(np.arange(len(seen["contact"])), videos))
+        cues = {k: values[places] for k, values in seen.items()}
+    evidence = videos_like(rng, videos, cues)
     with (
         handlers.seed(rng_seed=int(rng.integers(2**31))),
         handlers.substitute(data=real),
