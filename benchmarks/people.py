@@ -10,7 +10,8 @@ its name. Each video is predicted by fits without it; "chosen" picks, for each v
 that predicts the others best. `store` writes the parameters that come with the package. `recover`
 draws populations of raters from known observers: with parameters from the priors, by which
 intervals should hold at their rate, or with those of real people ("people"), as far as an observer
-has them, about videos with the cues of the real ones. Of observers that predict about as well the simplest is chosen (PARSIMONY).
+has them, about videos with the cues of the real ones. Of observers that predict about as well the
+simplest is chosen (PARSIMONY).
 """
 
 from __future__ import annotations
