@@ -104,7 +104,7 @@ class Hypotheses:
         self._own: dict[str, Definition] = {}  # of quantities that the user defined
 
     def _tell_of(self, space: HypothesisSpace) -> None:
-        """Let summaries tell of the agents of another world than PHASE."""
+        """Let summaries tell of the agents of a world."""
         world = space.world
         self.goals_of = dict(zip(world.agents, space.goal_sites, strict=True))
         self.strengths_of = dict(zip(world.agents, space.strength_sites, strict=True))

@@ -39,7 +39,13 @@ from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    QueryError,
+    UnknownNameError,
+    shown,
+)
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import PHASE
@@ -52,7 +58,7 @@ FILTERING: Final = (
 """Goes with every result over time."""
 
 UNEXPLAINED: Final = 17.0
-"""Nats below a perfect match, after the best pair of actions, from which on a frame counts as
+"""Nats below a perfect match, after the best joint action, from which on a frame counts as
 explained by no action: one body some 3 units from where it could be. 41 real videos without noise
 have none (16 at most); of the model's own videos, whose positions have noise of heavy tails, 3 %
 of the frames come to as much (``benchmarks/stepwise.py calibration``)."""
@@ -393,19 +399,18 @@ class StepwisePosterior(EventPosterior):
                 f"{event}{f' over {over}' if over else ''}: frames speak of hypotheses, not of "
                 "further sites of the prior"
             )
-        columns = self._words.completed(self._table.all_columns())
-        known = {n: one for n, one in self._quantities.items() if n in columns}
-        for name, definition in self._own.items():
-            with contextlib.suppress(QueryError):  # of what frames do not speak of
-                known[name], columns[name] = defined(name, definition, known, columns)
-        wanted = conditions(known, event).holds(columns)
-        other = ~wanted if over is None else conditions(known, over).holds(columns)
+        try:
+            wanted, other = self._sides(self._table.columns(), event, over)
+            masses_at = self._table.log_masses
+        except (QueryError, UnknownNameError):  # it may be about strengths, in a larger table
+            wanted, other = self._sides(self._table.all_columns(), event, over)
+            masses_at = self._table.all_log_masses
         odds = np.empty(self._frame + 1)
         without = np.full((self.planner_seeds, len(odds)), np.nan)
 
         possible = False
         for t in range(self._frame + 1):
-            for place, mass in enumerate(self._table.all_log_masses(t)):
+            for place, mass in enumerate(masses_at(t)):
                 for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
                 possible |= bool(np.isfinite(for_it))
                 with np.errstate(invalid="ignore"):
@@ -431,6 +436,18 @@ class StepwisePosterior(EventPosterior):
             coords={"time": ("time", time, {"units": "s"})},
             attrs={"event": event, "over": over or f"not {event}"},
         )
+
+    def _sides(
+        self, table: Mapping[str, NDArray[Any]], event: str, over: str | None
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return in which rows of a table an event is true, and what it is compared with."""
+        columns = dict(self._words.completed(table))
+        known = {n: one for n, one in self._quantities.items() if n in columns}
+        for name, definition in self._own.items():
+            with contextlib.suppress(QueryError):  # of what frames do not speak of
+                known[name], columns[name] = defined(name, definition, known, columns)
+        wanted = conditions(known, event).holds(columns)
+        return wanted, ~wanted if over is None else conditions(known, over).holds(columns)
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""

@@ -25,7 +25,7 @@ from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, effective_pairs, effective_table
 from phase_ppl.world.scene import PHASE, World
@@ -297,6 +297,8 @@ class PairTable(Table):
     @classmethod
     def check(cls, found: xr.Dataset) -> None:
         super().check(found)
+        if found.sizes["planner_seed"] == 1:  # of one set there is nothing without it
+            raise InvalidEventError("planner_seed has 1 entry, expected none or several")
         likelihood = found["log_likelihood"].values
         if np.isnan(likelihood).any() or (likelihood == np.inf).any():
             raise InvalidEventError("log_likelihood has values that are no log densities")
@@ -533,6 +535,12 @@ def table_of(found: xr.Dataset) -> Table:
             f"this was not read step by step: its schema is {found.attrs.get('schema')!r}, "
             f"expected {' or '.join(map(repr, SCHEMAS))}"
         )
+    try:
+        world = kept_world(found)
+    except (ValueError, LookupError, TypeError, PhasePPLError) as error:
+        raise InvalidEventError(f"its world cannot be read: {error}") from None
+    if kind is not kind_of_table(world):
+        raise InvalidEventError(f"its schema {kind.schema!r} is not that of {world.name!r}")
     kind.check(found)
     return kind(found)
 

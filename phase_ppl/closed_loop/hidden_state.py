@@ -1,9 +1,9 @@
 """The hidden part of the state, filtered from what is seen: velocities, holds and strengths.
 
-A beam of full states goes along with the video, some for every pair of strengths. At each frame
-every joint action is tried from each of them; the states after those that explain the frame best
-go on, corrected by what was seen. Frames are compared like with like: means over the substeps of a
-step.
+A beam of full states goes along with the video, some for every combination of strengths that is
+followed. At each frame every joint action is tried from each of them; the states after those that
+explain the frame best go on, corrected by what was seen. Frames are compared like with like: means
+over the substeps of a step.
 
 Some combinations of strengths are followed: all of two agents; of three and more as many, in which
 every agent has every strength equally often, and so has every pair of the first two or three. Each
@@ -117,7 +117,7 @@ class Tracking:
 
     Attributes:
         strengths: newtons that each agent may have, ascending.
-        states: places in the beam, beside the best state of every pair of strengths.
+        states: places in the beam, beside the best state of every combination of strengths.
         strength_weight: what a frame counts as evidence for strengths; below 1 it is tempered.
         scale: of the distance of an entity from where the right action would have put it, units;
             noise of the observation adds to it.

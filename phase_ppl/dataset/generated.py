@@ -91,7 +91,10 @@ class GeneratedEvents(StoredEvents):
 
     @property
     def entries(self) -> Sequence[dict[str, Any]]:
-        """What is known about how each of these events was made, in their order."""
+        """What is known about how each of these events was made, in their order.
+
+        Made anew at each access: keep it for a loop.
+        """
         if self._blocks:
             return _Entries(self)
         return [self.manifest["entries"][place] for place in self._places]

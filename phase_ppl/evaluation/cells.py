@@ -54,7 +54,8 @@ def aligned(table: Sequence[Sequence[str]], width: int | None = WIDTH) -> list[s
     (corner, *headings), *rows = table
     names = pd.Index([name for name, *_ in rows])
     shown = pd.DataFrame([cells for _, *cells in rows], names, headings)
-    return shown.rename_axis(columns=corner).to_string(line_width=width).splitlines()
+    lines = shown.rename_axis(columns=corner).to_string(line_width=width).splitlines()
+    return [line.rstrip(" \\") for line in lines if line.strip()]
 
 
 def short(name: str, most: int) -> str:

@@ -1,4 +1,4 @@
-"""Scores differences between models and equivalence with people, on resampled events.
+"""Paired differences between models and equivalence with people, on resampled events.
 
 Both resample events: every figure is about other events like these, not about other people or
 other runs of the models.

@@ -20,10 +20,12 @@ from phase_ppl.evaluation.metrics import (
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
+from phase_ppl.world.scene import PHASE
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ class Evaluation:
         """
         found = {
             **evaluate_predictions(self.events, self.predictions),
-            "people": human_accuracy(self.events),
+            "people": human_accuracy(self.events) if world_of(self.events) == PHASE else None,
             "reference_models": reference_models(self.events),
             "failures": self.failures,
             "settings": self.settings,
@@ -83,7 +85,10 @@ class Evaluation:
     def measured(self) -> list[AnswerSet]:
         """The same with metrics; of an evaluation that is not finished all about what is."""
         events, metrics = self.events, self.metrics
-        others = {PEOPLE: metrics["people"], **self._of_references(metrics["reference_models"])}
+        others = {
+            PEOPLE: metrics["people"] or {},
+            **self._of_references(metrics["reference_models"]),
+        }
         if not self.finished:
             events = [event for event in events if event.id in self.predictions]
             references = self._of_references(reference_models(events))

@@ -25,6 +25,7 @@ def kinds_of(world: World) -> Mapping[str, tuple[str, ...]]:
 
 
 KINDS: Final = kinds_of(PHASE)
+"""What is measured together -> its questions, in PHASE."""
 
 
 def parts_of(world: World, kind: str) -> list[tuple[str, str]]:

@@ -105,8 +105,8 @@ def infer(
         seed: a whole number >= 0.
         planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.
         workers: processes (threads, where a video is read step by step); by default one per
-            usable core. With an ``executor``, how many
-            simulations to give it at a time; by default all.
+            usable core. With an ``executor``, how many simulations to give it at a time; by
+            default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
             client; it is not shut down.
         budget: instead of ``iterations``. ``phase_ppl.simulations(n)``: iterations begin until n

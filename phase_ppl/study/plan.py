@@ -217,7 +217,8 @@ def _fitting(question: Page, answer: Any) -> Any:
     else:
         if question["kind"] == "goals":
             options = allowed_goals(question["agent"], question["self_goals"])
-        fits = not isinstance(answer, bool) and answer in options
+        # 3.0 and True are equal to options, and are none
+        fits = any(type(answer) is type(one) and answer == one for one in options)
     if not fits:
         raise Unfit(f"{question['name']}: no such answer")
     return answer

@@ -288,6 +288,8 @@ class Person:
                         return
                     self._answer(state["participant"], page)
                 state = json.loads(self.visitor.get("/api/state"))
+                if state.get("status") == "new":
+                    raise SimulationError("the server does not know this person any more")
             self.outcome = state["outcome"]
 
     def _answer(self, who: str, page: Mapping[str, Any]) -> None:

@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.render.frames import PANEL
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS, relation
 from tests.analysis.readings import BLUE_NOT_TO_RED, BLUE_TO_RED, LEVELS, reading
+from tests.render.test_video import read
 
 FOUND = reading()
 
@@ -231,7 +234,10 @@ def test_figures_and_film(tmp_path: Path) -> None:
     assert len(figure.axes) >= 3
     ppl.plot.over_time(post, tmp_path / "over_time.png")
     ppl.plot.posterior(post, tmp_path / "posterior.png")
-    ppl.watch_film(post, tmp_path / "watch.mp4")
+    with rc_context({"figure.dpi": 150}):  # a user's own, which films do not follow
+        film = ppl.watch_film(post, tmp_path / "watch.mp4")
+    _, frames = read(film.path)
+    assert frames.shape[2] < 2.1 * PANEL
     assert all(file.stat().st_size > 1000 for file in tmp_path.iterdir())
     assert len(list(tmp_path.iterdir())) == 4
 

@@ -93,6 +93,14 @@ def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
     found = post.dataset.drop_vars("density")
     with pytest.raises(InvalidEventError, match="it lacks density"):
         StepwisePosterior(found)
+    for world, words in (
+        (post.dataset.attrs["world"], "is not that of 'trio'"),
+        ("{", "its world"),
+    ):
+        with pytest.raises(InvalidEventError, match=words):
+            StepwisePosterior(reading().assign_attrs(world=world))
+    with pytest.raises(InvalidEventError, match="planner_seed has 1 entry"):
+        StepwisePosterior(reading().isel(planner_seed=[0]))
 
 
 def test_figures_and_the_page_of_a_run_speak_of_its_world(tmp_path: Path) -> None:

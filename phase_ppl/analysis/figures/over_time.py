@@ -209,6 +209,7 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     rows = [len(labels) + 1.6 for labels in shown.values()]
     height = max(PANEL, 2 * round(_ROW / 2 * sum(rows)))  # films have an even number of lines
     figure = new_figure(PANEL / _PER_INCH, height / _PER_INCH)
+    figure.set_dpi(_PER_INCH)
     figure.set_layout_engine("constrained", w_pad=0.15, h_pad=0.12)
     canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=rows)[:, 0]

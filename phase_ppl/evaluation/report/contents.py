@@ -256,14 +256,15 @@ def run_page(folder: Path) -> str:
     """Return the page of the run of inference in ``folder``."""
     post = load_posterior(folder / POSTERIOR)
     strips = [_strip("Observed", post.observed(), post.scene, post.event_id)]
-    shown: dict[str, Any] = {"decided": None}
+    shown: dict[str, Any] = {"decided": None, "few": [], "rest": {}}
     if isinstance(post, StepwisePosterior):
         beside = "what can be believed until then on the right."
         asked = next(iter((*post.relations_of.values(), *post.goals_of.values())))
-        best, second = (label for label, _ in post.top(asked, 2))
-        figure = plots.why(post, f"{asked}={best}", f"{asked}={second}")
-        alt = f"Log odds of {best} over {second} by frame, and the frames that changed them most."
-        shown["decided"] = figure_of(figure, alt)
+        (best, _), (second, beside_it), *_ = [*post.top(asked, 2), ("", 0.0)]
+        if beside_it > 0:
+            figure = plots.why(post, f"{asked}={best}", f"{asked}={second}")
+            alt = f"Log odds of {best} over {second} by frame, and the frames that changed them."
+            shown["decided"] = figure_of(figure, alt)
     else:
         beside = "the best hypothesis, simulated, on the right."
         caption = "Best hypothesis, simulated"

@@ -70,13 +70,17 @@ class Service:
         """Return the answer to a request, made again by the library up to ``retries`` times."""
         key = self._key()
         _ = request.video if self.show == "video" else request.pictures  # that fails by itself
+        failure: NoReply | InvalidSettingError
         sent: list[object] = []  # what the library sends, the first time and again
         client = {"follow_redirects": False, "event_hooks": {"request": [sent.append]}}
         try:
             ask = _google if self.name == "google" else _openai
             reply = ask(self, request, retries, key, client)
         except Exception as error:
-            failure = self._failure(error, key)
+            try:
+                failure = self._failure(error, key)
+            except Exception:  # a library's error that has no words
+                failure = NoReply(type(error).__name__)
         else:
             parts = {name: _hidden(value, key) for name, value in vars(reply).items()}
             return Reply(**parts | {"requests": len(sent)})
