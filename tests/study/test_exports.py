@@ -188,6 +188,6 @@ def test_likeness_has_groups_and_pairs(tmp_path: Path) -> None:
 def test_ratings_are_one_to_five() -> None:
     settings = Settings.parse('kind = "likeness"')
     assert plan.checked(settings, "trial-1", {**JUDGED, "likeness": 5}) is not None
-    for rating in (0, 6, "4", True, None, 3.5):
+    for rating in (0, 6, "4", True, None, 3.5, 3.0):
         with pytest.raises(plan.Unfit, match="likeness"):
             plan.checked(settings, "trial-1", {**JUDGED, "likeness": rating})
