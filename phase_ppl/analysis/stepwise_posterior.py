@@ -399,6 +399,7 @@ class StepwisePosterior(EventPosterior):
                 f"{event}{f' over {over}' if over else ''}: frames speak of hypotheses, not of "
                 "further sites of the prior"
             )
+        masses_at: Callable[[int], FloatArray]
         try:
             wanted, other = self._sides(self._table.columns(), event, over)
             masses_at = self._table.log_masses
