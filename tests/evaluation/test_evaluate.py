@@ -332,7 +332,7 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     assert "people" in printed
     assert all(f"g_name_{i}" in printed for i in range(4))
     assert "1.00 [0.29, 1.00]" in printed
-    assert "independent (3)" in printed
+    assert "independent (4)" in printed
     assert repr(found) == "<Evaluation of FailsAt: 3 of 4 events, 1 failed>"
 
 

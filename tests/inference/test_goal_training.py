@@ -119,13 +119,15 @@ def test_way_towards_an_item_is_the_agents_own() -> None:
 
 
 def test_features_do_not_depend_on_which_landmark_it_is() -> None:
-    # the scene turned by half a circle has landmarks 0 and 2, 1 and 3 exchanged
-    turned = START * [-1, -1, 1] + [32, 24, 0]
-    scene = Scene(turned, SCENE.radius)
-    there = moving(_0=(15.7, 12.6), _2=(12.3, 12.7)).trajectory
+    # the scene turned by half a circle has landmarks 0 and 2, 1 and 3 exchanged; on the middle
+    # line a body is in one room before and after
+    off_the_line = np.array([[0], [0], [0], [-1]]) * [0, 1, 0]
+    start = START + off_the_line
+    given, scene = (Scene(s, SCENE.radius) for s in (start, start * [-1, -1, 1] + [32, 24, 0]))
+    there = moving(_0=(15.7, 12.6), _2=(12.3, 12.7)).trajectory + off_the_line
     back = there * np.array([-1, -1, 1]) + np.array([32, 24, 0])
     first, last = np.array([0]), np.array([N_FRAMES - 1])
-    one = goal_features(SCENE, Observation(there), first, last)
+    one = goal_features(given, Observation(there), first, last)
     other = goal_features(scene, Observation(back), first, last)
     landmarks = SCENE.landmark_centres
     partner = [int(np.argmin(np.abs(landmarks - ([32, 24] - c)).sum(axis=1))) for c in landmarks]
