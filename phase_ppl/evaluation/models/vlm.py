@@ -297,7 +297,7 @@ def vlm(
             GEMINI_API_KEY, and OPENAI_API_KEY.
         temperature: by default the service's, as for the paper.
         video_fps: frames per second of the video that Google looks at; by default Google's, 1.
-        timeout: seconds after which a service's library gives up a request; by default 300.
+        timeout: seconds that a service may take for an answer; by default 300.
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
         remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.request.REMAINING`).

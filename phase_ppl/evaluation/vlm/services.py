@@ -1,17 +1,20 @@
 """The services that can be asked, through their own libraries: google-genai and openai.
 
-The libraries keep time limits, try again where a failure may pass, and ask for JSON. A key is read
-from the environment when a request is made, goes to the library alone, and is hidden in whatever
-comes back. No redirection is followed, which would take the request along.
+The libraries try again where a failure may pass, and ask for JSON. A key is read from the
+environment when a request is made, goes to the library alone, and is hidden in whatever comes back.
+No redirection is followed, which would take the request along; an answer has a largest size and a
+latest moment.
 """
 
 from __future__ import annotations
 
 import base64
 import dataclasses
+import importlib
 import ipaddress
 import os
 import re
+import time
 import urllib.parse
 import warnings
 from collections.abc import Iterator, Mapping
@@ -24,6 +27,7 @@ from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the module that it needs
 
+MAX_REPLY: Final = 8 * 2**20  # largest answer that is read, bytes; a good one has a few thousand
 FIRST_WAIT: Final = 4.0
 LONGEST_WAIT: Final = 120.0
 """Seconds that are waited before a request is made again, doubled every time, and at most; of
@@ -71,8 +75,8 @@ class Service:
         key = self._key()
         _ = request.video if self.show == "video" else request.pictures  # that fails by itself
         failure: NoReply | InvalidSettingError
-        sent: list[object] = []  # what the library sends, the first time and again
-        client = {"follow_redirects": False, "event_hooks": {"request": [sent.append]}}
+        guard = _Guard(key, self.timeout)
+        client = {"follow_redirects": False, "event_hooks": guard.hooks}
         try:
             ask = _google if self.name == "google" else _openai
             reply = ask(self, request, retries, key, client)
@@ -83,9 +87,9 @@ class Service:
                 failure = NoReply(type(error).__name__)
         else:
             parts = {name: _hidden(value, key) for name, value in vars(reply).items()}
-            return Reply(**parts | {"requests": len(sent)})
+            return Reply(**parts | {"requests": guard.requests})
         if isinstance(failure, NoReply):
-            failure.requests = max(1, len(sent))
+            failure.requests = max(1, guard.requests)
         raise failure  # from here it has no context, which would hold the request with its key
 
     def named(self) -> dict[str, Any]:
@@ -115,6 +119,8 @@ class Service:
         status = getattr(error, "status_code", getattr(error, "code", None))  # openai's, Google's
         if not isinstance(status, int):
             cause = error.__cause__ or error
+            if isinstance(cause, NoReply):
+                return NoReply(_line(str(cause), key), cause.again)
             # pydantic's words have pieces of what was sent
             words = "an answer of another form" if hasattr(cause, "error_count") else str(cause)
             return NoReply(_line(f"{type(cause).__name__}: {words}", key), again=True)
@@ -139,6 +145,49 @@ def _hidden(given: Any, key: str) -> Any:
 def _line(words: str, key: str) -> str:
     # hidden before the cut, which could leave half of it
     return in_a_line(_hidden(words, key))
+
+
+class _Guard:
+    """Sees what a library's HTTP client (httpx or httpx2) sends and gets before the library does.
+
+    It keeps the time from a request to the end of its answer: the libraries' own limits are for
+    each piece of an answer, and a server that sends a byte now and then keeps to them.
+    """
+
+    def __init__(self, key: str, timeout: float) -> None:
+        self.requests = 0
+        self.hooks = {"request": [self._sent], "response": [self._answered]}
+        self._key, self._timeout, self._end = key, timeout, 0.0
+        self._refusal: NoReply | None = None
+
+    def _sent(self, request: Any) -> None:
+        if self._refusal is not None:  # by a library that tries again after whatever was raised
+            raise self._refusal
+        self.requests += 1
+        self._end = time.monotonic() + self._timeout
+        request.headers["Accept-Encoding"] = "identity"  # an answer is as large as what is sent
+
+    def _answered(self, response: Any) -> None:
+        """Take the answer in, and give the library what was taken, without the key."""
+        if response.headers.get("content-encoding", "identity").lower() != "identity":
+            raise self._refused("the answer is compressed, which was not asked for")
+        content = bytearray()
+        for piece in response.stream:
+            content += piece
+            if len(content) > MAX_REPLY:
+                most = MAX_REPLY // 2**20
+                raise self._refused(f"the answer is larger than the {most} MB that are read")
+            if time.monotonic() > self._end:
+                raise NoReply(f"no complete answer within {self._timeout:g} s", again=True)
+        response.stream.close()
+        if len(self._key) >= _SECRET_LENGTH:  # libraries write what they get into logs
+            content = content.replace(self._key.encode(), b"[key]")
+        library = importlib.import_module(type(response).__module__.partition(".")[0])
+        response.stream = library.ByteStream(bytes(content))
+
+    def _refused(self, words: str) -> NoReply:
+        self._refusal = NoReply(words)
+        return self._refusal
 
 
 def _google(

@@ -13,12 +13,21 @@ from typing import Any, NamedTuple
 import pytest
 
 from phase_ppl.evaluation.registry import is_installed, ready
+from phase_ppl.evaluation.vlm import services as of_services
 from phase_ppl.evaluation.vlm.request import NoReply, Picture, Reply, Request, parse
 from phase_ppl.evaluation.vlm.services import SERVICES, Service, make_service
 from phase_ppl.world.errors import AnswerError, InvalidSettingError
 from tests.evaluation.toys import still
 from tests.evaluation.vlm.answers import from_google, from_openai
-from tests.evaluation.vlm.server import Server, hangs_up, running, says_nothing, sends
+from tests.evaluation.vlm.server import (
+    Server,
+    hangs_up,
+    running,
+    says_nothing,
+    sends,
+    sends_slowly,
+    sends_without_end,
+)
 
 KEY = "sk-secret-0123456789abcdef"
 VARIABLES = ("GOOGLE_API_KEY", "GEMINI_API_KEY", "OPENAI_API_KEY")
@@ -250,10 +259,25 @@ def test_an_answer_of_another_form_does_not_show_pieces_of_the_key(google: Asked
     assert KEY[:6] not in str(found)
 
 
-def test_an_answer_that_takes_too_long_is_given_up(asked: Asked) -> None:
-    found = asked.failure(says_nothing, timeout=0.4)
+@pytest.mark.parametrize("behaviour", [says_nothing, sends_slowly])
+def test_an_answer_that_takes_too_long_is_given_up(asked: Asked, behaviour: Any) -> None:
+    asked.service()  # imports the library
+    found = asked.failure(behaviour, timeout=0.4)
     assert found.again
-    assert re.search(r"[Tt]imeout|timed out", str(found))
+    assert re.search(r"0\.4 s|[Tt]imeout|timed out", str(found))
+
+
+def test_an_answer_without_end_is_cut(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(of_services, "MAX_REPLY", 2**20)
+    found = asked.failure(sends_without_end, retries=3)
+    assert str(found) == "the answer is larger than the 1 MB that are read"
+    assert (found.again, found.requests, len(asked.server.seen)) == (False, 1, 1)
+
+
+def test_an_answer_that_would_unpack_to_much_is_refused(asked: Asked) -> None:
+    found = asked.failure(sends("{}", content_encoding="gzip"))
+    assert str(found) == "the answer is compressed, which was not asked for"
+    assert asked.server.seen[0].headers["accept-encoding"] == "identity"
 
 
 def test_nobody_listens(asked: Asked) -> None:
