@@ -174,6 +174,14 @@ def relations_of(world: World) -> dict[str, str]:
     return {f"{one} & {other}": f"relation_{one}_{other}" for one, other in pairs}
 
 
+def titles(goals: Mapping[str, str], relations: Mapping[str, str]) -> dict[str, str]:
+    """Return quantity -> title of what shows it, from agent and label of a relation -> quantity."""
+    found = {name: f"Goal of the {agent}" for agent, name in goals.items()}
+    for label, name in relations.items():
+        found[name] = "Relation" if label == name else f"Relation of {label}"
+    return found
+
+
 def own_quantity(
     tree: xr.DataTree, name: str, values: NDArray[Any]
 ) -> tuple[Quantity, NDArray[Any]]:

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from phase_ppl.analysis.quantities import relations_of, titles
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of, questions_of
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
@@ -37,18 +38,14 @@ def parts_of(world: World, kind: str) -> list[tuple[str, str]]:
         return [("by_scenario", name) for name in SCENARIOS]
     if kind == "goal":
         return [("by_agent", agent) for agent in world.agents]
-    key = dict(zip(world.agents, world.keys, strict=True))
-    return [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs_of(world).values()]
+    pair_of = {question: pair for pair, question in relations_of(world).items()}
+    return [("by_pair", pair_of[question]) for question in pairs_of(world)]
 
 
 def titles_of(world: World) -> dict[str, str]:
     """Return question -> title of what shows the answers to it."""
-    agents = zip(kinds_of(world)["goal"], world.agents, strict=True)
-    found = {question: f"Goal of the {agent}" for question, agent in agents}
-    pairs = parts_of(world, "relation") if world != PHASE else [("", "")]
-    for question, (_, pair) in zip(pairs_of(world), pairs, strict=True):
-        found[question] = f"Relation of {pair}" if pair else "Relation"
-    return found
+    goals = dict(zip(world.agents, kinds_of(world)["goal"], strict=True))
+    return titles(goals, relations_of(world))
 
 
 def world_of(events: Sequence[Event]) -> World:

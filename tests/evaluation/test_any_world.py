@@ -13,6 +13,7 @@ import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.evaluation.prediction import Prediction, questions_of
+from phase_ppl.evaluation.tables import kinds_of, parts_of, titles_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.observation import Observation
@@ -180,6 +181,15 @@ def test_what_is_of_phase_is_refused(
 ) -> None:
     with pytest.raises(InvalidSettingError, match=message):
         ppl.evaluate(events, model, **more, **ONE_PROCESS)
+
+
+def test_parts_of_the_metrics_are_those_of_their_questions() -> None:
+    names = [f"{colour} agent" for colour in ("red", "green", "purple", "orange")]
+    four = ppl.World(names, ["ball"], {"home": (8.0, 8.0)})
+    parts = [label for _, label in parts_of(four, "relation")]
+    questions = kinds_of(four)["relation"]
+    assert [f"relation_{label.replace(' & ', '_')}" for label in parts] == list(questions)
+    assert titles_of(four)[questions[-1]] == f"Relation of {parts[-1]}"
 
 
 def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:

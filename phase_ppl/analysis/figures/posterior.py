@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from phase_ppl.analysis import quantities
 from phase_ppl.analysis.figures.style import (
     COLOURS,
     GREY,
@@ -133,12 +134,9 @@ def posteriors(
     return written(figure, path)
 
 
-def titles(post: Hypotheses | type[Hypotheses]) -> dict[str, str]:
-    """Return quantity -> title of what shows it."""
-    found = {name: f"Goal of the {agent}" for agent, name in post.goals_of.items()}
-    for label, name in post.relations_of.items():
-        found[name] = "Relation" if label == name else f"Relation of {label}"
-    return found
+def titles(post: Hypotheses) -> dict[str, str]:
+    """Return quantity -> title of what shows it, in a posterior."""
+    return quantities.titles(post.goals_of, post.relations_of)
 
 
 def _relation_bars(axes: Axes, post: Hypotheses) -> None:

@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Blocks = Mapping[str, Sequence[AnswerSet]]  # kind of question -> the rows about it
 Part = tuple[str, ...]  # where the metrics have a part of the answers; (): all
 
 _CORRELATIONS: Final = {
