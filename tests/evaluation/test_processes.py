@@ -94,6 +94,20 @@ def test_an_event_that_kills_its_process_is_tried_twice_and_costs_no_other(tmp_p
     assert list(again.failures) == ["c"]
 
 
+def test_an_event_whose_process_dies_once_is_made_good(tmp_path: Path) -> None:
+    died = tmp_path / "died"
+
+    def dies_once(scene: Any, observation: Any, seed: int) -> Any:
+        if observation.n_frames == 5 and not died.exists():
+            died.touch()
+            os._exit(1)
+        return {"relation": "friendly"}
+
+    found = evaluate(dies_once)
+    assert died.exists()
+    assert (len(found.predictions), found.failures) == (4, {})
+
+
 def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending() -> None:
     import threading
 

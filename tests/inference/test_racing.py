@@ -102,3 +102,8 @@ def test_draws_weigh_what_their_simulations_do(long_run: ppl.Posterior) -> None:
         _ = long_run.arviz
     with pytest.raises(InvalidSettingError, match="those for it are 'stratified'"):
         ppl.Posterior(long_run.tree, "importance")
+
+
+def test_sigma_is_checked() -> None:
+    with pytest.raises(InvalidSettingError, match="sigma=-1"):
+        ppl.infer(EVENT, kernel="racing", sigma=-1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import heapq
+import json
 import random
 import stat
 from collections import Counter
@@ -209,6 +210,18 @@ def test_answer_and_end_are_one_transaction(store: Store) -> None:
     assert store.rows("SELECT * FROM response") == []
     assert store.answer(who, "trial-1", 1, {}, outcome=lambda participant: "finished")
     assert store.participant(who).outcome == "finished"
+
+
+def test_the_first_answer_of_an_attempt_counts_and_each_attempt_is_kept(store: Store) -> None:
+    who = enter(store)
+    given = [
+        (1, {"relation": "friendly"}),
+        (1, {"relation": "neutral"}),
+        (2, {"relation": "neutral"}),
+    ]
+    assert [store.answer(who, "trial-1", n, answer) for n, answer in given] == [True, False, True]
+    kept = [json.loads(row["answers"]) for row in store.rows("SELECT answers FROM response")]
+    assert kept == [given[0][1], given[2][1]]
 
 
 def test_age_and_gender_are_kept_apart(store: Store) -> None:

@@ -267,6 +267,15 @@ def test_an_answer_that_takes_too_long_is_given_up(asked: Asked, behaviour: Any)
     assert re.search(r"0\.4 s|[Tt]imeout|timed out", str(found))
 
 
+def test_a_failure_without_words_is_named_by_its_kind(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_services, "in_a_line", lambda words: 1 / 0)
+    found = asked.failure(sends({"error": {"message": f"you sent {KEY}"}}, 503))
+    assert str(found).endswith("ServerError")  # as the library calls it
+    assert found.__context__ is None
+
+
 def test_an_answer_without_end_is_cut(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(of_services, "MAX_REPLY", 2**20)
     found = asked.failure(sends_without_end, retries=3)
