@@ -2,7 +2,7 @@
 
 A hypothesis is a way in which agents stand to each other, a goal of each, and strengths. In PHASE
 all are summed over, with any prior. In other worlds goals, ways and strengths are independent of
-each other a priori, and the own goal of an agent that helps or hinders is none of a hypothesis. All
+each other a priori, and the own goal of an agent that helps or hinders is not part of a hypothesis. All
 are summed over where there are :data:`MOST_HYPOTHESES` at most; of more, as many are drawn, each
 agent's goal in proportion to about what it has of the mass, and weighted by what they were drawn
 with: then sums are Monte-Carlo means.
@@ -91,9 +91,10 @@ class Table:
     most_rows: ClassVar[float]
     """Of a table, each a hypothesis with a combination of strengths."""
 
-    least: ClassVar[tuple[float, float]]
+    least_of_best: ClassVar[float]
+    least_of_all: ClassVar[float]
     """Hypotheses with less than a share of the mass of the best, and rows with less than a share of
-    all, are left out of tables."""
+    that of all, are left out of tables."""
 
     combinations: FloatArray
     sampled = False
@@ -130,7 +131,7 @@ class Table:
         raise NotImplementedError
 
     @functools.cached_property
-    def given(self) -> FloatArray:
+    def prior_of_strengths(self) -> FloatArray:
         """(row, combination) prior probabilities of strengths given a hypothesis; one row: any."""
         raise NotImplementedError
 
@@ -167,7 +168,7 @@ class Table:
         """
         weight = self._weight if weight is None else weight
         rows = self.hypotheses
-        of_strengths = np.log(self.given @ self._of_strengths(frame))
+        of_strengths = np.log(self.prior_of_strengths @ self._of_strengths(frame))
         return np.asarray(
             rows.log_prior - rows.log_drawn + of_strengths + weight * self._so_far(frame)
         )
@@ -193,13 +194,16 @@ class Table:
     # --- strengths ------------------------------------------------------------------------------
 
     def _of_strengths(self, frame: int) -> FloatArray:
-        """Return (combination,) likelihoods of strengths, over that of equal probabilities."""
+        """Return (combination,) what the frames so far say of strengths.
+
+        That is their probabilities now over those before any frame, which were equal.
+        """
         found = self._found["strengths"].values[frame].ravel()
         return np.maximum(found, 1e-300) * found.size
 
     def strengths(self, frame: int) -> FloatArray:
         """Return (row, combination) probabilities of strengths given a hypothesis; one row: any."""
-        found = self.given * self._of_strengths(frame)
+        found = self.prior_of_strengths * self._of_strengths(frame)
         return np.asarray(found / found.sum(axis=1, keepdims=True))
 
     @property
@@ -246,16 +250,16 @@ class Table:
     def rows(self, frame: int) -> tuple[Rows, FloatArray]:
         """Return the hypotheses that have any mass to speak of, and (set, row) weights without."""
         weights = self.weights(frame)
-        kept = np.flatnonzero(weights[0] > self.least[0] * weights[0].max())
+        kept = np.flatnonzero(weights[0] > self.least_of_best * weights[0].max())
         weights, strengths = weights[:, kept], self.strengths(frame)
         n = strengths.shape[1]
         if len(kept) * n <= self.most_rows:
             of_kept = strengths[kept] if len(strengths) > 1 else strengths
             weights = (weights[:, :, None] * of_kept).reshape(len(weights), -1)
             kept, combination = np.repeat(kept, n), np.tile(np.arange(n), len(kept))
-            some = np.flatnonzero(weights[0] > self.least[1])
+            some = np.flatnonzero(weights[0] > self.least_of_all)
             kept, combination, weights = kept[some], combination[some], weights[:, some]
-        else:  # two combinations each, in their proportions
+        else:  # two combinations each, in their proportions: a low-discrepancy draw
             at = (np.arange(len(kept)) * _GOLDEN)[:, None] + [0.0, 0.5]
             combination = np.searchsorted(np.cumsum(strengths[0]), (at % 1.0).ravel())
             combination = np.minimum(combination, n - 1)
@@ -285,7 +289,7 @@ class PairTable(Table):
         "log_prior": (*STATED, *STRENGTHS),
         **_OF_ANY,
     }
-    most_rows, least = math.inf, (1e-12, 1e-12)
+    most_rows, least_of_best, least_of_all = math.inf, 1e-12, 1e-12
 
     def __init__(self, found: xr.Dataset) -> None:
         super().__init__(found)
@@ -318,7 +322,7 @@ class PairTable(Table):
         return GoalRows(alpha, goals, stated, log_prior, np.zeros(len(alpha)))
 
     @functools.cached_property
-    def given(self) -> FloatArray:
+    def prior_of_strengths(self) -> FloatArray:
         masses = np.exp(self.log_prior).reshape(len(self._pair), -1)
         total = masses.sum(axis=1, keepdims=True)
         return np.where(total > 0, masses / np.where(total > 0, total, 1), 1 / masses.shape[1])
@@ -360,7 +364,7 @@ class PolicyTable(Table):
         **_OF_ANY,
     }
     attrs = (*Table.attrs, "world")
-    most_rows, least = 400_000, (1e-9, 0.0)
+    most_rows, least_of_best, least_of_all = 400_000, 1e-9, 0.0
 
     def __init__(self, found: xr.Dataset) -> None:
         super().__init__(found)
@@ -402,7 +406,7 @@ class PolicyTable(Table):
         return self._drawn() if self.sampled else self._enumerated()
 
     @functools.cached_property
-    def given(self) -> FloatArray:
+    def prior_of_strengths(self) -> FloatArray:
         """(1, combination) masses whose margins are the prior's, so far as they can be."""
         levels, agents = self.levels, range(self.space.n_agents)
         place = np.searchsorted(levels, self.combinations)

@@ -102,7 +102,7 @@ class GoalFilter:
     def read(self, frame: FloatArray) -> Reading:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad]."""
         hidden = self._sets.hidden
-        looked = self._sets.look(self._wanted())
+        looked = self._sets.look(self._choose_wanted())
         density = hidden.advance(frame, self._sets.map)
         highest = float(density.max())
         relative = np.exp(density - highest)
@@ -120,8 +120,8 @@ class GoalFilter:
             sum(len(root.actions) > 1 for each in looked for one in each for root in one.roots),
         )
 
-    def _wanted(self) -> list[BoolArray] | None:
-        """Return (agent) (standpoint,) those for which all sets search; None: all."""
+    def _choose_wanted(self) -> list[BoolArray] | None:
+        """Choose (agent) (standpoint,) those for which all sets search; None: all."""
         return None
 
     def _nothing(self, n_sets: int) -> OfGoals:
@@ -160,8 +160,11 @@ class PairFilter(GoalFilter):
             "log_likelihood_without": np.zeros(shape, np.float32),
         }
 
-    def _wanted(self) -> list[BoolArray]:
-        """Return which pairs of goals together have nearly all of the mass, for both agents."""
+    def _choose_wanted(self) -> list[BoolArray]:
+        """Choose the pairs of goals that together have nearly all of the mass.
+
+        They are kept for what the next frame says. In PHASE a standpoint is a pair of goals.
+        """
         flat = self._log_mass.ravel()
         mass = np.exp(flat - flat.max())
         order = np.argsort(-mass, kind="stable")

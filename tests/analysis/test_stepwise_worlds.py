@@ -205,7 +205,7 @@ def test_nobody_helps_with_what_is_no_goal() -> None:
 
 def test_strengths_have_the_priors_margins() -> None:
     table = posterior()._table
-    (mass,), combinations = table.given, table.combinations
+    (mass,), combinations = table.prior_of_strengths, table.combinations
     for agent in range(3):
         found = [mass[combinations[:, agent] == level].sum() for level in (150, 300, 450, 600)]
         np.testing.assert_allclose(found, [1 / 6, 1 / 3, 1 / 3, 1 / 6], atol=1e-6)
