@@ -2,10 +2,10 @@
 
 A hypothesis is a way in which agents stand to each other, a goal of each, and strengths. In PHASE
 all are summed over, with any prior. In other worlds goals, ways and strengths are independent of
-each other a priori, and the own goal of an agent that helps or hinders is not part of a hypothesis. All
-are summed over where there are :data:`MOST_HYPOTHESES` at most; of more, as many are drawn, each
-agent's goal in proportion to about what it has of the mass, and weighted by what they were drawn
-with: then sums are Monte-Carlo means.
+each other a priori, and the own goal of an agent that helps or hinders is not part of a hypothesis.
+All are summed over where there are :data:`MOST_HYPOTHESES` at most; of more, as many are drawn,
+each agent's goal in proportion to about what it has of the mass, and weighted by what they were
+drawn with: then sums are Monte-Carlo means.
 """
 
 from __future__ import annotations
