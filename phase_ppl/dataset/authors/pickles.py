@@ -1,23 +1,25 @@
 """Pickles of plain data, read so that none of a file's code runs and no small file becomes large.
 
-Python's unpickler calls whatever a file names. Here its opcodes are followed one by one: those of
-plain data, as many as :data:`MAX_OPCODES`; at any other the file is refused. The functions by which
-a file describes NumPy's arrays are known by name, and never called: arrays are put together here,
-of numbers of fixed size only, since an array of objects would hold a pickle of its own. Last, what
-came out is measured as if it were written out (:data:`MAX_SIZE`, :data:`MAX_NESTING`).
+Python's unpickler calls whatever a file names. Here the opcodes are looked through before anything
+is loaded: those of plain data pass, as many as :data:`MAX_OPCODES`. Then ``pickle.Unpickler`` loads
+them with a ``find_class`` that knows the few names by which NumPy's arrays are described, and hands
+out stand-ins for them: the functions that a file asks for are never called. The stand-ins put
+arrays together from their parts, of numbers of fixed size only, since an array of objects would
+hold a pickle of its own. Last, what came out is measured as if it were written out
+(:data:`MAX_SIZE`, :data:`MAX_NESTING`).
 """
 
 from __future__ import annotations
 
-import codecs
 import io
 import math
 import os
+import pickle
 import pickletools
 import re
 import warnings
-from collections.abc import Callable, Mapping
-from typing import Any, Final, Literal, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +45,7 @@ _LONGEST_KEY: Final = 9  # longest tuple that is the key of a dict
 _PROTOCOL: Final = 5
 _DTYPE: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1)")
 _NO_NUMBERS: Final = "holds an array of something else than plain numbers"
-_NO_ARRAY: Final = "is damaged: it describes an array as NumPy never does"
-_DAMAGED: Final = "is damaged: its pickle makes no sense"
-_TOO_DEEP: Final = f"is nested more than {MAX_NESTING} deep, or in itself"
+_NO_KEY: Final = "has a dict whose keys are no texts or whole numbers"
 
 
 def read_pickle(path: str | os.PathLike[str]) -> Any:
@@ -61,35 +61,52 @@ def unpickled(content: bytes) -> Any:
         raise too_large(MAX_BYTES)
     if not content:
         raise InvalidEventError("is empty")
+    _check_opcodes(content)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # for unknown escapes in texts of Python 2
-            made = _Reader(content).read()
+            loaded = _Unpickler(content).load()
     except (InvalidEventError, MemoryError):
         raise
-    except Exception:  # a value that is not there, or none that can be had
-        raise InvalidEventError(_DAMAGED) from None
-    return _Finished().of(made, 0)[0]
+    except Exception:  # pickle raises nearly every kind of error that there is
+        raise _damaged() from None
+    return _Finished().of(loaded, 0).value
 
 
-# --- following the opcodes -------------------------------------------------------------------
+def _damaged() -> InvalidEventError:
+    return InvalidEventError("is damaged: its pickle makes no sense")
 
 
-def _line(stream: io.BytesIO) -> bytes:
-    line = stream.readline()
-    if not line.endswith(b"\n"):
-        raise ValueError
-    return line[:-1]
+# --- before it is loaded ---------------------------------------------------------------------
 
 
-_OPCODES: Final[Mapping[bytes, tuple[str, Callable[[io.BytesIO], Any] | None]]] = {
-    **{op.code.encode("latin-1"): (op.name, op.arg.reader if op.arg else None)
-       for op in pickletools.opcodes},
+class _Effect(NamedTuple):
+    """What an opcode does to the stack: values taken below and above a mark, and put there."""
+
+    name: str
+    marked: bool
+    below: int
+    puts: int
+
+
+_EFFECTS: Final = {
+    opcode.code.encode("latin-1"): _Effect(
+        opcode.name,
+        pickletools.markobject in opcode.stack_before,
+        sum(
+            kind not in (pickletools.markobject, pickletools.stackslice)
+            for kind in opcode.stack_before
+        ),
+        len(opcode.stack_after),
+    )
+    for opcode in pickletools.opcodes
+}
+_READERS: Final[Mapping[bytes, Callable[[io.BytesIO], Any] | None]] = {
+    **{op.code.encode("latin-1"): op.arg.reader if op.arg else None for op in pickletools.opcodes},
     # their readers know ASCII only, and undo escapes
-    b"S": ("STRING", _line),
-    b"c": ("GLOBAL", lambda stream: (_line(stream), _line(stream))),
-}  # fmt: skip
-"""Opcode -> its name, and what reads its argument."""
+    b"S": lambda stream: _line(stream),
+    b"c": lambda stream: (_line(stream), _line(stream)),
+}
 
 _REFUSED: Final = {
     **dict.fromkeys(("INST", "OBJ", "NEWOBJ", "NEWOBJ_EX"), "an object of a class"),
@@ -98,147 +115,133 @@ _REFUSED: Final = {
     **dict.fromkeys(("EMPTY_SET", "ADDITEMS", "FROZENSET"), "a set"),
     **dict.fromkeys(("NEXT_BUFFER", "READONLY_BUFFER"), "a buffer outside the file"),
 }
-"""Opcodes that plain data do not need."""
+"""Opcodes that plain data do not need. EXT1 to EXT4 would get past ``find_class``."""
 
-_INTEGERS: Final = ("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4")
-_VALUES: Final = (
-    *("FLOAT", "BINFLOAT", "BINSTRING", "SHORT_BINSTRING"),
-    *("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8"),
-    *("BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "BYTEARRAY8"),
+_INTEGERS: Final = ("INT", "BININT", "LONG", "LONG1", "LONG4")
+_TUPLES: Final = ("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3")
+_CONTAINERS: Final = (
+    *("EMPTY_LIST", "LIST", "APPEND", "APPENDS"),
+    *("EMPTY_DICT", "DICT", "SETITEM", "SETITEMS"),
 )
-"""Opcodes whose argument is a value."""
+_KEYS_AT: Final = {"DICT": slice(0, None, 2), "SETITEMS": slice(1, None, 2), "SETITEM": slice(1, 2)}
+"""Opcode -> where the keys are among the values that it takes."""
 
 
-class _Reader:
-    """Follows the opcodes of a pickle."""
+def _opcodes(content: bytes) -> Iterator[tuple[_Effect, Any]]:
+    """Yield each opcode with its argument, up to the end of the pickle and of the file."""
+    stream = io.BytesIO(content)
+    for _ in range(MAX_OPCODES):
+        place, code = stream.tell(), stream.read(1)
+        if code not in _EFFECTS:
+            what = f"unknown opcode {code!r}" if code else "the pickle ends too early"
+            raise InvalidEventError(f"is damaged: {what}")
+        effect, reader = _EFFECTS[code], _READERS[code]
+        if effect.name in _REFUSED:
+            raise InvalidEventError(f"holds {_REFUSED[effect.name]}, refused")
+        try:
+            argument = None if reader is None else reader(stream)
+        except (ValueError, OverflowError):  # not enough bytes, or no number or text
+            raise InvalidEventError(
+                f"is damaged: the pickle ends too early, or what its {effect.name} at byte {place} "
+                "says cannot be"
+            ) from None
+        yield effect, argument
+        if code == b".":
+            break
+    else:
+        raise InvalidEventError(f"has more than {MAX_OPCODES} opcodes")
+    if stream.tell() != len(content):
+        raise InvalidEventError("goes on after the end of its pickle")
+
+
+def _line(stream: io.BytesIO) -> bytes:
+    line = stream.readline()
+    if not line.endswith(b"\n"):
+        raise ValueError
+    return line
+
+
+def _check_opcodes(content: bytes) -> None:
+    """Follow what the opcodes do to the stack, without the values.
+
+    Of each value it is known how deep tuples lie in it: 0 for what has no parts, 1 for a short
+    tuple of such, more for other tuples, for lists and for dicts. Keys of dicts are hashed while a
+    pickle is loaded, which takes for ever for tuples of tuples of the same tuple, and overflows the
+    stack of C for deep ones: keys must be of 0 or 1.
+    """
+    stack: list[int] = []
+    marks: list[int] = []  # how long the stack was
+    memo: dict[int, int] = {}
+    for (name, marked, below, puts), argument in _opcodes(content):
+        _check_argument(name, argument)
+        start = len(stack)
+        if marked:
+            if not marks:
+                raise _damaged()
+            start = marks.pop()
+        start -= below
+        if start < (marks[-1] if marks else 0):
+            raise _damaged()
+        taken = stack[start:]
+        if below or marked:
+            del stack[start:]
+        if name in _KEYS_AT and any(depth > 1 for depth in taken[_KEYS_AT[name]]):
+            raise InvalidEventError(_NO_KEY)
+        made = 0
+        if name in _TUPLES:
+            made = max(taken, default=0) + 1 + (len(taken) > _LONGEST_KEY)
+        elif name in _CONTAINERS:
+            made = 2
+        elif name in ("DUP", "BUILD", "MEMOIZE"):  # BUILD with None leaves any value as it was
+            made = taken[0]
+        elif name.endswith("GET"):
+            if argument not in memo:
+                raise _damaged()
+            made = memo[argument]
+        elif name == "MARK":
+            marks.append(len(stack))
+            continue
+        elif name.endswith("PUT"):
+            # room is made for all places up to the last one
+            if len(stack) == (marks[-1] if marks else 0) or not 0 <= argument <= MAX_OPCODES:
+                raise _damaged()
+            memo[argument] = stack[-1]
+        if name == "MEMOIZE":
+            memo[len(memo)] = made
+        if made > MAX_NESTING:
+            raise _too_deep()
+        stack += [made] * puts
+    if stack or marks:
+        raise _damaged()
+
+
+def _check_argument(name: str, argument: Any) -> None:
+    if name == "PROTO" and argument > _PROTOCOL:
+        raise InvalidEventError(f"is a pickle of protocol {argument}, expected at most {_PROTOCOL}")
+    if name in _INTEGERS and not -(2**63) <= argument < 2**64:
+        raise InvalidEventError("holds a whole number of more than 64 bits")
+
+
+# --- what stands in for what it asks for -----------------------------------------------------
+
+_NDARRAY: Final = object()  # stands for the class of arrays
+
+
+class _Unpickler(pickle.Unpickler):
+    """Knows the names in :data:`_STAND_INS` and no others."""
 
     def __init__(self, content: bytes) -> None:
-        self._stream, self._n_bytes = io.BytesIO(content), len(content)
-        self._stack: list[Any] = []  # the values above the last mark
-        self._below: list[list[Any]] = []  # those below it, and below each mark before
-        self._memo: dict[int, Any] = {}
+        super().__init__(io.BytesIO(content), fix_imports=False, encoding="latin-1")
         self._converted = 0
 
-    def read(self) -> Any:
-        """Return what the pickle describes, in which stand-ins may take the place of arrays."""
-        stream = self._stream
-        for _ in range(MAX_OPCODES):
-            place, code = stream.tell(), stream.read(1)
-            if code not in _OPCODES:
-                what = f"unknown opcode {code!r}" if code else "the pickle ends too early"
-                raise InvalidEventError(f"is damaged: {what}")
-            name, reader = _OPCODES[code]
-            if name in _REFUSED:
-                raise InvalidEventError(f"holds {_REFUSED[name]}, refused")
-            try:
-                argument = None if reader is None else reader(stream)
-            except (ValueError, OverflowError):  # not enough bytes, or no number or text
-                raise InvalidEventError(
-                    f"is damaged: the pickle ends too early, or what its {name} at byte {place} "
-                    "says cannot be"
-                ) from None
-            if name == "STOP":
-                break
-            self._do(name, argument)
-        else:
-            raise InvalidEventError(f"has more than {MAX_OPCODES} opcodes")
-        if stream.tell() != self._n_bytes:
-            raise InvalidEventError("goes on after the end of its pickle")
-        (made,) = self._stack
-        if self._below:
-            raise InvalidEventError(_DAMAGED)
-        return made
-
-    def _do(self, name: str, argument: Any) -> None:
-        """Do what an opcode says; any error means that the pickle makes no sense."""
-        stack = self._stack
-        match name:
-            case "PROTO" if argument > _PROTOCOL:
-                raise InvalidEventError(
-                    f"is a pickle of protocol {argument}, expected at most {_PROTOCOL}"
-                )
-            case "PROTO":
-                pass
-            case "FRAME":
-                if argument > self._n_bytes - self._stream.tell():
-                    raise InvalidEventError(_DAMAGED)
-            case "NONE":
-                stack.append(None)
-            case "NEWTRUE" | "NEWFALSE":
-                stack.append(name == "NEWTRUE")
-            case _ if name in _INTEGERS:
-                if not -(2**63) <= argument < 2**64:
-                    raise InvalidEventError("holds a whole number of more than 64 bits")
-                stack.append(argument)
-            case _ if name in _VALUES:
-                stack.append(argument)
-            case "STRING":
-                if len(argument) < 2 or argument[:1] not in b"'\"" or argument[:1] != argument[-1:]:
-                    raise InvalidEventError(_DAMAGED)
-                stack.append(codecs.escape_decode(argument[1:-1])[0].decode("latin-1"))  # type: ignore[attr-defined]
-            case "MARK":
-                self._below.append(stack)
-                self._stack = []
-            case "POP":
-                stack.pop()
-            case "POP_MARK":
-                self._marked()
-            case "DUP":
-                stack.append(stack[-1])
-            case "MEMOIZE" | "PUT" | "BINPUT" | "LONG_BINPUT":
-                self._memo[len(self._memo) if name == "MEMOIZE" else argument] = stack[-1]
-            case "GET" | "BINGET" | "LONG_BINGET":
-                stack.append(self._memo[argument])
-            case "EMPTY_TUPLE":
-                stack.append(())
-            case "TUPLE1" | "TUPLE2" | "TUPLE3":
-                n = int(name[-1])
-                parts = [stack.pop() for _ in range(n)]
-                stack.append(tuple(reversed(parts)))
-            case "TUPLE" | "LIST":
-                values = self._marked()
-                self._stack.append(tuple(values) if name == "TUPLE" else values)
-            case "EMPTY_LIST":
-                stack.append([])
-            case "APPEND" | "APPENDS":
-                values = self._marked() if name == "APPENDS" else [stack.pop()]
-                _exactly(list, self._stack[-1]).extend(values)
-            case "EMPTY_DICT":
-                stack.append({})
-            case "DICT" | "SETITEMS" | "SETITEM":
-                values = [stack.pop(), stack.pop()][::-1] if name == "SETITEM" else self._marked()
-                if name == "DICT":
-                    self._stack.append({})
-                target = _exactly(dict, self._stack[-1])
-                for key, value in zip(values[::2], values[1::2], strict=True):
-                    _size_of_key(key)  # before it is hashed
-                    target[key] = value
-            case "GLOBAL" | "STACK_GLOBAL":
-                if name == "GLOBAL":
-                    module, named = (line.decode() for line in argument)
-                else:
-                    named, module = (_exactly(str, stack.pop()) for _ in range(2))
-                if (module, named) not in _NAMES:
-                    raise InvalidEventError(
-                        f"asks for {shown(f'{module[:60]}.{named[:60]}')}, which is refused: only "
-                        "dicts, lists, tuples, texts, numbers and arrays of numbers are read"
-                    )
-                stack.append(_NAMES[module, named])
-            case "REDUCE":
-                arguments, function = _exactly(tuple, stack.pop()), _exactly(_Named, stack.pop())
-                stack.append(_called(self, function.name, arguments))
-            case "BUILD":
-                state = stack.pop()
-                if not isinstance(stack[-1], _Array | _Dtype):
-                    raise InvalidEventError("sets the state of what is no array")
-                stack[-1].build(self, state)
-            case _:
-                raise InvalidEventError(f"holds {name}, which plain data do not need")
-
-    def _marked(self) -> list[Any]:
-        """Take the values above the last mark, and the mark."""
-        values, self._stack = self._stack, self._below.pop()
-        return values
+    def find_class(self, module: str, name: str) -> Any:
+        found = _STAND_INS.get((module, name))
+        if found is None:
+            raise InvalidEventError(
+                f"asks for {shown(f'{module[:60]}.{name[:60]}')}, which is refused: only dicts, "
+                "lists, tuples, texts, numbers and arrays of numbers are read"
+            )
+        return _Function(found, self) if callable(found) else found
 
     def raw(self, content: object) -> bytes | bytearray:
         """Return bytes; those that Python 2, or an old protocol, wrote as a text are counted."""
@@ -252,84 +255,64 @@ class _Reader:
         try:
             return content.encode("latin-1")
         except UnicodeEncodeError:
-            raise InvalidEventError(_NO_ARRAY) from None
+            raise _no_array() from None
 
 
-def _exactly(kind: type, value: Any) -> Any:
-    """Return a value, which must be of a type and of no other."""
-    if type(value) is not kind:
-        raise InvalidEventError(_DAMAGED)
-    return value
+class _Function:
+    """Stands for a function; called with a tuple of arguments as found in the file."""
 
+    __slots__ = ("_call", "_reader")
 
-def _size_of_key(key: object) -> int:
-    """Return how large the key of a dict is: longer or deeper ones could take for ever to hash."""
-    parts = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
-    if any(type(part) not in (str, int) for part in parts):
-        raise InvalidEventError("has a dict whose keys are no texts or whole numbers")
-    return sum(1 + len(part) if isinstance(part, str) else 1 for part in parts)
+    def __init__(self, call: Callable[[_Unpickler, tuple[Any, ...]], Any], reader: _Unpickler):
+        self._call, self._reader = call, reader
 
+    def __call__(self, *arguments: Any) -> Any:
+        return self._call(self._reader, arguments)
 
-# --- arrays, from what describes them ---------------------------------------------------------
-
-
-class _Named(NamedTuple):
-    """What a pickle asks for by its name."""
-
-    name: str
-
-
-_NAMES: Final[Mapping[tuple[str, str], _Named]] = {
-    ("numpy", "ndarray"): _Named("ndarray"),
-    ("numpy", "dtype"): _Named("dtype"),
-    ("_codecs", "encode"): _Named("encode"),
-    ("__builtin__", "bytes"): _Named("bytes"),
-    ("builtins", "bytes"): _Named("bytes"),
-    **{
-        (f"numpy.{core}.{module}", name): _Named(name)
-        for core in ("core", "_core")  # before and since NumPy 2
-        for module, name in (
-            ("multiarray", "_reconstruct"), ("multiarray", "scalar"), ("numeric", "_frombuffer"),
-        )
-    },
-}  # fmt: skip
-"""(module, name) that a pickle may ask for."""
+    def __setstate__(self, state: object) -> None:
+        raise InvalidEventError("sets the state of what is no array")
 
 
 class _Dtype:
     """A data type of numbers of fixed size, whose byte order may still be set."""
 
+    __slots__ = ("dtype",)
+
     def __init__(self, spelling: str) -> None:
         self.dtype = np.dtype(spelling)
 
-    def build(self, _reader: _Reader, state: object) -> None:
+    def __setstate__(self, state: object) -> None:
         """Take (version, byte order, ...); the rest is about fields and nested arrays."""
-        match state:
-            case (_, "<" | ">" | "|" | "=" as order, None, None, None, _, _, _, *rest) if (
-                isinstance(state, tuple) and len(rest) < 2
-            ):
-                if order in "<>":
-                    self.dtype = self.dtype.newbyteorder(order)  # type: ignore[arg-type]
-            case _:
-                raise InvalidEventError(_NO_NUMBERS)
+        if not (
+            isinstance(state, tuple)
+            and len(state) in (8, 9)
+            and state[1] in ("<", ">", "|", "=")
+            and state[2:5] == (None, None, None)
+        ):
+            raise InvalidEventError(_NO_NUMBERS)
+        if state[1] in "<>":
+            self.dtype = self.dtype.newbyteorder(state[1])
 
 
 class _Array:
     """An array, read-only, whose content may still be set: None before it is known."""
 
-    def __init__(self, array: NDArray[Any] | None = None) -> None:
-        self.array = array
+    __slots__ = ("_reader", "array")
 
-    def build(self, reader: _Reader, state: object) -> None:
+    def __init__(self, reader: _Unpickler, array: NDArray[Any] | None = None) -> None:
+        self._reader, self.array = reader, array
+
+    def __setstate__(self, state: object) -> None:
         """Take (version, shape, data type, whether in Fortran order, bytes); version optional."""
         if not isinstance(state, tuple) or len(state) not in (4, 5):
-            raise InvalidEventError(_NO_ARRAY)
+            raise _no_array()
         shape, dtype, fortran, content = state[-4:]
-        self.array = _array(reader, content, dtype, shape, "F" if fortran in (1, True) else "C")
+        order = "F" if fortran in (1, True) else "C"
+        self.array = _array(self._reader, content, dtype, shape, order)
 
 
 def _array(
-    reader: _Reader, content: object, dtype: object, shape: object, order: Literal["C", "F"] = "C"
+    reader: _Unpickler, content: object, dtype: object, shape: object, order: str
 ) -> NDArray[Any]:
     """Return ``content`` as an array, without copying it unless it is a text of Python 2."""
     if not isinstance(dtype, _Dtype):
@@ -349,82 +332,153 @@ def _array(
             f"holds an array of shape {shape} in {len(raw)} bytes, expected {wanted}"
         )
     flat = np.frombuffer(raw, dtype.dtype) if raw else np.empty(0, dtype.dtype)
-    array = flat.reshape(shape, order=order)
+    array = flat.reshape(shape, order="F" if order == "F" else "C")
     array.setflags(write=False)
     return array
 
 
-def _called(reader: _Reader, name: str, arguments: tuple[Any, ...]) -> Any:
-    """Return what a function that a pickle names makes of arguments; it is not called for that."""
-    match (name, *arguments):
-        case ("_reconstruct", _Named("ndarray"), _, _):
-            return _Array()
-        case ("_frombuffer", content, dtype, shape, "C" | "F" as order, *rest) if rest in (
-            [],
-            [None],
-        ):
-            return _Array(_array(reader, content, dtype, shape, order))  # type: ignore[arg-type]
-        case ("_frombuffer", content, dtype, shape, "K", [*axes]) if all(
-            type(axis) is int for axis in axes
-        ):
-            array = _array(reader, content, dtype, shape)
-            if sorted(axes) == list(range(array.ndim)):
-                return _Array(array.transpose(axes))
-        case ("scalar", dtype, content):
-            return _array(reader, content, dtype, ()).item()
-        case ("dtype", str() as spelling, *_) if _DTYPE.fullmatch(spelling):
-            return _Dtype(spelling)
-        case ("dtype", *_):
-            raise InvalidEventError(_NO_NUMBERS)
-        case ("encode", str() as text, "latin1" | "latin-1"):  # how old protocols write bytes
+def _reconstruct(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
+    if len(arguments) != 3 or arguments[0] is not _NDARRAY:
+        raise _no_array()
+    return _Array(reader)
+
+
+def _from_buffer(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
+    """Arguments: bytes, data type, shape, order "C", "F" or "K", and for "K" that of the axes."""
+    if len(arguments) not in (4, 5):
+        raise _no_array()
+    content, dtype, shape, order, *rest = arguments
+    axes = rest[0] if rest else None
+    if order not in ("C", "F", "K") or (order == "K") != (axes is not None):
+        raise _no_array()
+    array = _array(reader, content, dtype, shape, order)
+    if axes is None:
+        return _Array(reader, array)
+    if (
+        not isinstance(axes, (tuple, list))
+        or any(type(axis) is not int for axis in axes)
+        or sorted(axes) != list(range(array.ndim))
+    ):
+        raise _no_array()
+    return _Array(reader, array.transpose(axes))
+
+
+def _scalar(reader: _Unpickler, arguments: tuple[Any, ...]) -> Any:
+    if len(arguments) != 2:
+        raise _no_array()
+    return _array(reader, arguments[1], arguments[0], (), "C").item()
+
+
+def _dtype(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Dtype:
+    spelling = arguments[0] if arguments else None
+    match = _DTYPE.fullmatch(spelling) if isinstance(spelling, str) else None
+    if match is None:
+        raise InvalidEventError(_NO_NUMBERS)
+    return _Dtype(match.group(0))
+
+
+def _encode(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes | bytearray:
+    """Return a text as bytes: the way of old protocols to write bytes."""
+    match arguments:
+        case (str() as text, "latin1" | "latin-1"):
             return reader.raw(text)
-        case ("bytes",):
-            return b""
-    raise InvalidEventError(_NO_ARRAY)
+    raise _no_array()
 
 
-# --- after it was read -----------------------------------------------------------------------
+def _no_bytes(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes:
+    if arguments:
+        raise _no_array()
+    return b""
+
+
+def _no_array() -> InvalidEventError:
+    return InvalidEventError("is damaged: it describes an array as NumPy never does")
+
+
+_STAND_INS: Final[Mapping[tuple[str, str], Callable[..., Any] | object]] = {
+    ("numpy", "ndarray"): _NDARRAY,
+    ("numpy", "dtype"): _dtype,
+    ("_codecs", "encode"): _encode,
+    ("__builtin__", "bytes"): _no_bytes,
+    ("builtins", "bytes"): _no_bytes,
+    **{
+        (f"numpy.{core}.{module}", name): function
+        for core in ("core", "_core")  # before and since NumPy 2
+        for module, name, function in (
+            ("multiarray", "_reconstruct", _reconstruct),
+            ("multiarray", "scalar", _scalar),
+            ("numeric", "_frombuffer", _from_buffer),
+        )
+    },
+}
+"""(module, name) that a pickle may ask for -> what it gets instead."""
+
+
+# --- after it was loaded ---------------------------------------------------------------------
+
+
+class _Part(NamedTuple):
+    """A finished value, how large it is written out, and how deeply nested."""
+
+    value: Any
+    size: int
+    height: int
 
 
 class _Finished:
     """Replaces what stood for arrays by arrays, and measures what was made."""
 
     def __init__(self) -> None:
-        self._known: dict[int, tuple[Any, int, int]] = {}
+        self._known: dict[int, _Part] = {}
         self._open: set[int] = set()
 
-    def of(self, value: Any, depth: int) -> tuple[Any, int, int]:
-        """Return ``value``, which lies ``depth`` deep, its size written out, and its nesting."""
+    def of(self, value: Any, depth: int) -> _Part:
+        """Return ``value``, which lies ``depth`` deep, without stand-ins."""
         if value is None or isinstance(value, (bool, int, float)):
-            return value, 1, 0
+            return _Part(value, 1, 0)
         if isinstance(value, (str, bytes, bytearray)):
-            return value if isinstance(value, str) else bytes(value), 1 + len(value), 0
+            plain = value if isinstance(value, str) else bytes(value)
+            return _Part(plain, 1 + len(value), 0)
         if isinstance(value, _Array):
             if value.array is None:
                 raise InvalidEventError("is damaged: it holds an array without content")
-            return value.array, 1 + value.array.size, 0
+            return _Part(value.array, 1 + value.array.size, 0)
         if type(value) not in (list, tuple, dict):
             raise InvalidEventError("holds a function or a class in place of data")
-        if id(value) not in self._known:
-            if depth > MAX_NESTING or id(value) in self._open:
-                raise InvalidEventError(_TOO_DEEP)
-            self._open.add(id(value))
-            self._known[id(value)] = self._container(value, depth)
-            self._open.remove(id(value))
-        if depth + self._known[id(value)][2] > MAX_NESTING:
-            raise InvalidEventError(_TOO_DEEP)
-        return self._known[id(value)]
+        part = self._known.get(id(value))
+        if part is None:
+            part = self._known[id(value)] = self._container(value, depth)
+        if depth + part.height > MAX_NESTING:
+            raise _too_deep()
+        return part
 
-    def _container(self, value: Any, depth: int) -> tuple[Any, int, int]:
-        is_dict = type(value) is dict
-        size, height, parts = 1 + (sum(map(_size_of_key, value)) if is_dict else 0), 0, []
-        for item in value.values() if is_dict else value:
-            part, its_size, its_height = self.of(item, depth + 1)
+    def _container(self, value: Any, depth: int) -> _Part:
+        if depth > MAX_NESTING or id(value) in self._open:
+            raise _too_deep()
+        self._open.add(id(value))
+        parts, size = [], 1
+        if type(value) is dict:
+            size += sum(self._size_of_key(key) for key in value)
+        for item in value.values() if type(value) is dict else value:
+            part = self.of(item, depth + 1)
             parts.append(part)
-            size, height = size + its_size, max(height, its_height)
+            size += part.size
             if size > MAX_SIZE:
                 raise InvalidEventError(
                     f"is larger than the {MAX_SIZE} values that are read, written out"
                 )
-        made = dict(zip(value, parts, strict=True)) if is_dict else type(value)(parts)
-        return made, size, height + 1
+        self._open.remove(id(value))
+        values = (part.value for part in parts)
+        height = 1 + max((part.height for part in parts), default=0)
+        made = dict(zip(value, values, strict=True)) if type(value) is dict else type(value)(values)
+        return _Part(made, size, height)
+
+    def _size_of_key(self, key: object) -> int:
+        parts = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
+        if any(type(part) not in (str, int) for part in parts):
+            raise InvalidEventError(_NO_KEY)
+        return sum(1 + len(part) if isinstance(part, str) else 1 for part in parts)
+
+
+def _too_deep() -> InvalidEventError:
+    return InvalidEventError(f"is nested more than {MAX_NESTING} deep, or in itself")
