@@ -7,14 +7,15 @@ import json
 from pathlib import Path
 
 import arviz as az
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from people import chosen_inside
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.observers.answers import Answers, expected
+from phase_ppl.evaluation.observers.answers import Answers, expected, log_of_counts, shared
 from phase_ppl.evaluation.observers.fit import PeopleFit, observer_of, sampled
-from phase_ppl.models.observer.observers import Evidence, observer_named
+from phase_ppl.models.observer.observers import ANSWERS, Evidence, observer_named
 from phase_ppl.models.observer.perception import CUES
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
@@ -90,6 +91,16 @@ def test_a_stored_observer_answers_as_the_fit(fits: dict[str, PeopleFit], tmp_pa
 
 
 @pytest.mark.slow
+def test_counts_weigh_as_their_answers_do() -> None:
+    rng = np.random.default_rng(0)
+    for question, n in ANSWERS.items():
+        logs = jnp.log(jnp.asarray(rng.dirichlet(np.ones(n), 5), jnp.float32))
+        counts = rng.multinomial(14, np.full(n, 1 / n), 5)
+        by_hand = (counts * shared(logs, 0.7, question)).sum(axis=-1)
+        found = log_of_counts(counts, logs, 0.7, question)
+        np.testing.assert_allclose(found, by_hand, rtol=1e-5, atol=1e-4)
+
+
 def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
     evidence, answers = world()
     agreed = dataclasses.replace(
