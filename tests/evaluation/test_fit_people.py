@@ -90,7 +90,6 @@ def test_a_stored_observer_answers_as_the_fit(fits: dict[str, PeopleFit], tmp_pa
             observer_of(file, "anything")
 
 
-@pytest.mark.slow
 def test_counts_weigh_as_their_answers_do() -> None:
     rng = np.random.default_rng(0)
     for question, n in ANSWERS.items():
@@ -101,6 +100,7 @@ def test_counts_weigh_as_their_answers_do() -> None:
         np.testing.assert_allclose(found, by_hand, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
     evidence, answers = world()
     agreed = dataclasses.replace(
