@@ -209,8 +209,11 @@ def _fitting(question: Page, answer: Any) -> Any:
         return None
     options = [option for option, _ in question.get("options", ())]
     if question["kind"] == "number":
-        fits = type(answer) is int and question["least"] <= answer <= question["most"]
-    elif question["kind"] == "many":
+        least, most = question["least"], question["most"]
+        if not (type(answer) is int and least <= answer <= most):
+            raise Unfit(f"{question['name']}: expected {least} to {most}, or none")
+        return answer
+    if question["kind"] == "many":
         several = answer if isinstance(answer, list) else []
         answer = [option for option in options if option in several]
         fits = bool(several) and len(answer) == len(several)
