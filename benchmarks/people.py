@@ -272,8 +272,9 @@ def simplest(elpd: Mapping[str, FloatArray]) -> str:
 
 
 def recover(options: argparse.Namespace) -> dict[str, Any]:
-    rows: list[dict[str, Any]] = []
-    for i in range(options.populations):
+    asked = {name: getattr(options, name) for name in ("like", "videos", "raters", "draws", "seed")}
+    rows = already(options.json, asked)
+    for i in range(len(rows), options.populations):
         rng = np.random.default_rng([options.seed, i])
         name = RIVALS[i % len(RIVALS)]
         evidence, answers, true = population(
@@ -307,13 +308,23 @@ def recover(options: argparse.Namespace) -> dict[str, Any]:
             f"{len(inside)}",
             flush=True,
         )
-        keep(options, {"populations": rows})
-    report = {"populations": rows, **summary(rows)}
+        keep(options, {"asked": asked, "populations": rows})
+    report = {"asked": asked, "populations": rows, **summary(rows)}
     print({k: v for k, v in report.items() if k != "populations"})
     if options.figure:
         draw(rows, options.figure)
     keep(options, report)
     return report
+
+
+def already(path: str | None, asked: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the populations of an earlier run of ``asked`` that ``path`` keeps."""
+    if not path or not Path(path).exists():
+        return []
+    kept: dict[str, Any] = json.loads(Path(path).read_text())
+    if kept.get("asked") != asked:
+        raise SystemExit(f"{path} keeps another run: {kept.get('asked')}, not {asked}")
+    return list(kept["populations"])
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
