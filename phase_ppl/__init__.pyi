@@ -19,6 +19,7 @@ from phase_ppl.dataset.films.reading import VideoReading as VideoReading
 from phase_ppl.dataset.films.reading import read_video as read_video
 from phase_ppl.dataset.generated import GeneratedEvents as GeneratedEvents
 from phase_ppl.dataset.generation.families import available_families as available_families
+from phase_ppl.dataset.generation.families import draw_situation as draw_situation
 from phase_ppl.dataset.generation.families import register_family as register_family
 from phase_ppl.dataset.generation.generate import (
     GenerationInterrupted as GenerationInterrupted,

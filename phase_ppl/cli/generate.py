@@ -43,13 +43,14 @@ def add_to(commands: Any) -> None:
     size = parser.add_mutually_exclusive_group()
     cli.add(size, "--n N", "events, of PHASE in the paper's proportions", cli.whole(1))
     cli.add(size, "--preset", "the paper's 500 events; default", choices=tuple(PRESETS))
-    says = "events of a family, such as chasing=10 or hinder:LMA=5; may be given several times"
+    says = "events of a family, such as chasing=10 or hinder:LMA=5; may be given several times; "
+    says += f"{own.FILE}, which registers it"
     cli.add(size, "--cell FAMILY=N", says, _cell, action="append")
     cli.add(parser, "--out DIR", type=Path, required=True)
-    says = f"{', '.join(phase_ppl.worlds.available())} (default PHASE), whose events are random "
-    says += f"scenes with roles; families are PHASE's; {own.FILE}"
+    says = f"{', '.join(phase_ppl.worlds.available())} (default PHASE); without --cell events of "
+    says += f"others than PHASE are random scenes with roles; {own.FILE}"
     cli.add(parser, "--world NAME", says)
-    says = f"over who wants what in another world than PHASE, default uniform; {own.FILE}"
+    says = f"over who wants what in random scenes, default uniform; {own.FILE}"
     cli.add(parser, "--prior NAME", says)
     cli.share(parser, "planner", "seed")
     says = "of each event, with other reflections and colours; default 0"
@@ -93,11 +94,12 @@ def _generate(options: argparse.Namespace) -> int:
         prior = own.taken(options.prior, "prior")
         prior = priors.named(prior) if isinstance(prior, str) else prior
         given["roles"] = functools.partial(phase_ppl.roles.draw, prior=prior)
+    cells = {_family(name): number for name, number in options.cell or ()}
     try:
         made = generate(
             options.out,
             options.n,
-            cells=dict(options.cell) if options.cell else PRESETS.get(options.preset),
+            cells=cells or PRESETS.get(options.preset),
             **given,
             progress=cli.shows_progress(options),
             **cli.given(options, *_PASSED_ON),
@@ -173,6 +175,13 @@ def _merge(options: argparse.Namespace) -> int:
     print(merged)
     failed = isinstance(merged, phase_ppl.Evaluation) and merged.failures
     return cli.FAILED if failed else 0
+
+
+def _family(cell: str) -> str:
+    """Return what a cell is called when the file of ``FILE.py:NAME`` has been run."""
+    if own.taken(cell, "family") is cell:
+        return cell
+    return cell.rpartition(":")[2]
 
 
 def _cell(text: str) -> tuple[str, int]:

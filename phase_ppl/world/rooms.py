@@ -144,6 +144,13 @@ class Rooms:
             found[room] = along(self.columns)[column], along(self.rows)[row]
         return found
 
+    def borders(self, room: int) -> tuple[float, float, float, float]:
+        """Return x_min, x_max, y_min, y_max of a room, units."""
+        ((row, column),) = np.argwhere(self.ids == room)
+        x0, x1 = self.columns[column : column + 2].tolist()
+        y0, y1 = self.rows[row : row + 2].tolist()
+        return x0, x1, y0, y1
+
     def exits(self, room: int) -> list[tuple[int, int]]:
         """Return (door, room behind it) of the open doors of a room."""
         return [

@@ -57,6 +57,9 @@ MOST_PREDICATES: Final = 8
 SIDES: Final = (4.0, 60.0)
 """Shortest and longest side of an arena, units."""
 
+NEARBY: Final = 2.0
+"""Units of free floor between bodies that are said to be near each other at the start."""
+
 _TRIES: Final = 300
 _READ_AS: Final = (" to ", " away from ")
 """What stands between the two names of a goal, and so in no name."""
@@ -404,36 +407,106 @@ class World:
             np.array(rows), radius, self.walls if walls is None else walls, turning, world=self
         )
 
-    def random_scene(self, seed: int, walls: Any = None) -> Scene:
+    def random_scene(
+        self,
+        seed: int | np.random.Generator,
+        walls: Any = None,
+        *,
+        rooms: Mapping[str, Any] | None = None,
+        near: Mapping[str, str] | None = None,
+        size: Mapping[str, float] | float | None = None,
+    ) -> Scene:
         """Return a scene with everybody somewhere, of some size of the original world's.
 
         Nobody overlaps anybody or a wall, and items lie where an agent can get.
 
         Args:
-            seed: the same seed gives the same scene.
+            seed: the same seed gives the same scene; or a generator.
             walls: inner walls; None: those of the world.
+            rooms: name of an agent or item -> the room it starts in: the name of a landmark or a
+                point (x, y) that is in it, or its number.
+            near: name of an agent or item -> name of another, or of a landmark, in whose room it
+                starts, with up to :data:`NEARBY` units between them.
+            size: name -> size R, or one for all, units; of those not named any.
 
         Raises:
-            InvalidSettingError: no place is found.
+            UnknownNameError: there is no such agent, item, landmark or room.
+            InvalidSettingError: no place is found, or one is near itself.
         """
-        rng = np.random.default_rng(whole_number("seed", seed, 0))
+        by_seed = not isinstance(seed, np.random.Generator)
+        rng = np.random.default_rng(whole_number("seed", seed, 0) if by_seed else seed)
         n, n_agents = len(self.entities), len(self.agents)
         x0, x1, y0, y1 = self.arena
         walls = finite_array("walls", self.walls if walls is None else walls, (None, 2, 2))
-        Rooms.from_walls(walls, self.arena, self.quadrants)  # refuses impossible ones
+        plan = Rooms.from_walls(walls, self.arena, self.quadrants)  # refuses impossible ones
         sizes = [size for size in SIZES if size <= min(x1 - x0, y1 - y0) / 4]
+        within = {self.entity(name): self._room(room, plan) for name, room in (rooms or {}).items()}
+        beside = self._beside(near or {})
+        fixed = dict(size) if isinstance(size, Mapping) else dict.fromkeys(self.entities, size)
+        given = {self.entity(name): one for name, one in fixed.items() if one is not None}
         for _ in range(_TRIES):
             start = np.column_stack(
                 [rng.uniform(x0, x1, n), rng.uniform(y0, y1, n), rng.uniform(-np.pi, np.pi, n)]
             )
             start[n_agents:, 2] = 0.0
-            try:
-                scene = Scene(start, rng.choice(sizes, n), walls, world=self)
-            except InvalidEventError:  # an item in a closed room
-                continue
-            if not deepest_overlap(scene)[1]:
-                return scene
+            radius = rng.choice(sizes, n)
+            for one, value in given.items():
+                radius[one] = value
+            share = (start[:, :2] - (x0, y0)) / (x1 - x0, y1 - y0)
+            for one, room in within.items():
+                left, right, low, high = plan.borders(room)
+                start[one, :2] = (left, low) + share[one] * (right - left, high - low)
+            for one, other in beside:
+                place = self.landmarks[other - n][1:4] if other >= n else (*start[other, :2], 0.0)
+                touching = radius[one] + (place[2] if other >= n else radius[other])
+                angle, gap = 2 * np.pi * share[one, 0], NEARBY * share[one, 1]
+                start[one, :2] = place[:2] + (touching + gap) * np.array(
+                    [np.cos(angle), np.sin(angle)]
+                )
+                if within.get(one, plan.room_of(place[:2])) != plan.room_of(start[one, :2]):
+                    break
+            else:
+                try:
+                    scene = Scene(start, radius, walls, world=self)
+                except InvalidEventError:  # an item in a closed room, or somebody outside
+                    continue
+                if not deepest_overlap(scene)[1]:
+                    return scene
         raise InvalidSettingError(f"no place was found for everybody in {_TRIES} tries")
+
+    def _room(self, given: object, rooms: Rooms) -> int:
+        """Return the number of a room, by it, or by a landmark or a point in it."""
+        if isinstance(given, str):
+            if given not in self.landmark_names:
+                raise unknown_name("landmark", given, self.landmark_names)
+            _, x, y, *_ = self.landmarks[self.landmark_names.index(given)]
+            return int(rooms.room_of(np.array([x, y])))
+        if not isinstance(given, (Sequence, np.ndarray)):
+            return whole_number("room", given, 0, len(rooms) - 1)
+        x, y = _numbers("room", given, (2,))
+        x0, x1, y0, y1 = self.arena
+        if not (x0 <= x <= x1 and y0 <= y <= y1):
+            raise InvalidSettingError(f"room of ({x:g}, {y:g}), which lies outside the arena")
+        return int(rooms.room_of(np.array([x, y])))
+
+    def _beside(self, near: Mapping[str, str]) -> list[tuple[int, int]]:
+        """Return (who, whom or what) in an order in which each comes after what it is near.
+
+        Entities, then landmarks.
+        """
+        places = (*self.entities, *self.landmark_names)
+        for name, other in near.items():
+            self.entity(name)
+            if other not in places:
+                raise unknown_name("agent, item or landmark", other, places)
+        left, found = dict(near), []
+        while left:
+            ready = [name for name, other in left.items() if other not in left]
+            if not ready:
+                names = " and ".join(left)
+                raise InvalidSettingError(f"near={shown(near)}: {names} are near themselves")
+            found += [(self.entity(name), places.index(left.pop(name))) for name in ready]
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain form, which :meth:`from_dict` reads."""

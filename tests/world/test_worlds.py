@@ -149,6 +149,45 @@ def test_random_scenes_are_possible_and_follow_the_seed(world: World) -> None:
     assert not np.array_equal(scene.start, world.random_scene(99).start)
 
 
+def test_a_random_scene_has_everybody_where_it_is_said() -> None:
+    rooms = TRIO.random_scene(0).rooms
+    for seed in range(8):
+        scene = TRIO.random_scene(
+            seed,
+            rooms={"red agent": "home", "blue ball": (18, 20), "green agent": 5},
+            near={"pink ball": "blue ball", "purple agent": "field"},
+            size={"red agent": 0.9},
+        )
+        start = dict(zip(TRIO.entities, scene.start[:, :2], strict=True))
+        number = {name: int(rooms.room_of(place)) for name, place in start.items()}
+        assert number["red agent"] == rooms.room_of(np.array([4.0, 4.0]))
+        assert number["blue ball"] == number["pink ball"] == rooms.room_of(np.array([18.0, 20.0]))
+        assert number["green agent"] == 5
+        assert number["purple agent"] == rooms.room_of(np.array([32.0, 20.0]))
+        gap = np.linalg.norm(start["blue ball"] - start["pink ball"]) - scene.radius[3:].sum()
+        assert 0 <= gap <= 2
+        assert scene.radius[0] == 0.9
+    assert sorted(rooms.borders(room) for room in range(6))[0] == (0.0, 12.0, 0.0, 12.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rooms": {"red": "home"}}, "unknown agent or item 'red'"),
+        ({"rooms": {"red agent": "hme"}}, "unknown landmark 'hme'; did you mean 'home'"),
+        ({"rooms": {"red agent": 6}}, "room=6, expected at most 5"),
+        ({"rooms": {"red agent": (40, 0)}}, r"room of \(40, 0\), which lies outside the arena"),
+        ({"near": {"red agent": "hme"}}, "unknown agent, item or landmark 'hme'"),
+        ({"near": {"red agent": "pink ball", "pink ball": "red agent"}}, "are near themselves"),
+        ({"size": {"red": 1.0}}, "unknown agent or item 'red'"),
+        ({"size": 40.0}, "no place was found for everybody"),
+    ],
+)
+def test_a_random_scene_that_cannot_be_is_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(PhasePPLError, match=message):
+        TRIO.random_scene(0, **options)
+
+
 # --- floor plans ---------------------------------------------------------------------------------
 
 

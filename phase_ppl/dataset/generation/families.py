@@ -1,9 +1,13 @@
-"""Families of events by name: the original eight, and other people's.
+"""Families of events by name: the original eight, those of any cast, and other people's.
 
 A family of one's own is a function that draws a situation::
 
     @register_family("two_on_one", scenario="collaborative")
     def two_on_one(draw: Draw) -> Situation:
+        ...
+
+    @register_family("two_on_one", scenario="collaborative", world=trio)
+    def two_on_one(draw: CastDraw) -> CastSituation:
         ...
 
 Families with variants take the variant's name as second argument.
@@ -12,6 +16,7 @@ Families with variants take the variant's name as second argument.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
@@ -26,6 +31,8 @@ from phase_ppl.dataset.generation.situation import (
     SIZES,
     SPOTS,
     CannotDraw,
+    CastDraw,
+    CastSituation,
     Draw,
     Situation,
     agent_to,
@@ -33,19 +40,29 @@ from phase_ppl.dataset.generation.situation import (
     item_to,
 )
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
-from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, SCENARIOS, STRENGTH_LEVELS, scenario
+from phase_ppl.world.checks import instance_of, whole_number
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.goals import goal_literal, is_true
+from phase_ppl.world.hypothesis import (
+    RELATION_OF_SCENARIO,
+    SCENARIOS,
+    STRENGTH_LEVELS,
+    Hypothesis,
+    Roles,
+    scenario,
+)
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, GREEN, PINK_ITEM, RED
 from phase_ppl.world.registry import Registry
 from phase_ppl.world.rooms import ROOMS_OF_RAY
-from phase_ppl.world.scene import Turning
+from phase_ppl.world.scene import PHASE, Scene, Turning, World
+from phase_ppl.world.worlds import named
 
 _TRIES: Final = 200  # draws that a layout may refuse before the family is said to be impossible
 
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A family of events."""
+    """A family of events of PHASE."""
 
     name: str  # as users call it
     # ``function(draw)`` or, with variants, ``function(draw, variant)``
@@ -87,7 +104,85 @@ class Family:
         return drawn
 
 
+def pairs_showing(what: str, wanted: Hypothesis | Roles) -> list[tuple[int, int]]:
+    """Return the pairs of agents whose effective goals make the scenario ``what``."""
+    goals = wanted.effective_goals
+    return [
+        (one, other)
+        for one, other in itertools.combinations(range(len(goals)), 2)
+        if scenario(goals[one], goals[other], wanted.world, (one, other)) == what
+    ]
+
+
+@dataclasses.dataclass(frozen=True)
+class CastFamily:
+    """A family of events of other worlds than PHASE."""
+
+    name: str  # as users call it
+    # ``function(draw)`` or, with variants, ``function(draw, variant)``; None: draw anew
+    function: Callable[..., tuple[Scene, Roles] | None]
+    # what some two agents show; with "independent" all do, or a single one is alone
+    scenario: str
+    variants: tuple[str, ...]  # names of its variants; empty where there are none
+    summary: str  # first line of the function's documentation
+    world: World | None  # whose it is; None: any with enough of the following
+    needs: Mapping[str, int]  # least number of "agents", "items" and "landmarks"
+
+    def lacks(self, world: World) -> str:
+        """Return why a world cannot have it; "" where it can."""
+        if world == PHASE or self.world not in (None, world):
+            whose = "other worlds" if self.world is None else f"the world {self.world.name!r}"
+            return f"the family {self.name!r} is of {whose}, not of {world.name!r}"
+        if self.world is not None:
+            return ""
+        there = {what: len(getattr(world, what)) for what in self.needs}
+        few = [what for what, least in self.needs.items() if there[what] < least]
+        wanted, has = (
+            " and ".join(f"{n[what]} {what if n[what] != 1 else what[:-1]}" for what in few)
+            for n in (self.needs, there)
+        )
+        return f"the family {self.name!r} needs {wanted}; {world.name!r} has {has}" if few else ""
+
+    def draw(self, world: World, seed: int, variant: str | None = None) -> CastSituation:
+        """Return a situation in which no goal to get somewhere is true at the start."""
+        draw, reason = CastDraw(world, np.random.default_rng(seed)), ""
+        for _ in range(_TRIES):
+            try:
+                return self._drawn_with(draw, variant)
+            except CannotDraw as refused:
+                reason = str(refused)
+        raise InvalidSettingError(
+            f"family {self.name!r} found no situation in {_TRIES} draws in {world.name!r}"
+            + (f", the last since {reason}" if reason else "")
+        )
+
+    def _drawn_with(self, draw: CastDraw, variant: str | None) -> CastSituation:
+        found = self.function(draw) if variant is None else self.function(draw, variant)
+        if found is None:
+            draw.refuse("it returned None")
+        told = f"family {self.name!r} drew {shown(found)}, expected"
+        if not (isinstance(found, tuple) and len(found) == 2):
+            raise InvalidSettingError(f"{told} a scene and roles, or None")
+        scene, roles = found
+        if not (isinstance(scene, Scene) and isinstance(roles, Roles)):
+            raise InvalidSettingError(f"{told} a scene and roles, or None")
+        if not scene.world == roles.world == draw.world:
+            raise InvalidSettingError(f"{told} a scene and roles of the world {draw.world.name!r}")
+        n, showing = len(roles.world.agents), len(pairs_showing(self.scenario, roles))
+        if showing < (n * (n - 1) // 2 if self.scenario == "independent" else 1):
+            raise InvalidSettingError(
+                f"family {self.name!r} drew {roles}, which is not {self.scenario}"
+            )
+        for agent, goal in enumerate(roles.effective_goals):
+            literal = goal_literal(goal, agent, draw.world)
+            if literal.positive and is_true(literal, scene.start, scene):
+                draw.refuse(f"{draw.world.goals[goal]!r} is true at the start")
+        return CastSituation(scene, roles)
+
+
 FAMILIES: Final = Registry[Family]("family", entry_points="phase_ppl.families")
+CAST_FAMILIES: Final = Registry[CastFamily]("family", entry_points="phase_ppl.families")
+"""Of other worlds than PHASE, whose names may be the same."""
 
 
 def register_family(
@@ -96,13 +191,26 @@ def register_family(
     scenario: str,
     layouts: Sequence[int] = tuple(LAYOUTS),
     variants: Sequence[str] = (),
-) -> Callable[[Callable[..., Situation]], Callable[..., Situation]]:
+    world: World | str | None = PHASE,
+    agents: int = 1,
+    items: int = 0,
+    landmarks: int = 1,
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator that makes a family known under ``name``.
 
-    Arguments as the attributes of :class:`Family`.
+    Args:
+        name: as users call it, without a colon.
+        scenario: what its events show, in other worlds of some two agents; "independent" of all.
+        layouts: numbers of PHASE's layouts that it can be drawn in.
+        variants: names of its variants, one of which the function is then given too.
+        world: whose it is, or the name of a ready-made one; None: any but PHASE that has enough of
+            the following. In PHASE the function takes a ``Draw`` and returns a ``Situation``,
+            elsewhere it takes a :class:`CastDraw` and returns a scene and roles, or None for
+            another draw.
+        agents, items, landmarks: least numbers, where ``world`` is None.
 
     Raises:
-        UnknownNameError: an unknown scenario or layout.
+        UnknownNameError: an unknown scenario, layout or world.
         InvalidSettingError: the name is taken by another function, or holds a colon.
     """
     if scenario not in SCENARIOS:
@@ -112,30 +220,89 @@ def register_family(
             raise unknown_name("layout", layout, map(str, LAYOUTS))
     if not layouts or ":" in name:
         raise InvalidSettingError(f"family {name!r}: expected layouts, and a name without ':'")
-
-    return FAMILIES.register(
+    world = named(world) if isinstance(world, str) else world
+    instance_of("world", world, (World, type(None)), "a phase_ppl.World, the name of one, or None")
+    if world == PHASE:
+        return FAMILIES.register(
+            name,
+            lambda function, summary: Family(
+                name, function, scenario, tuple(layouts), tuple(variants), summary
+            ),
+        )
+    needs = {"agents": agents, "items": items, "landmarks": landmarks}
+    for what, n in needs.items():
+        whole_number(what, n, 0)
+    return CAST_FAMILIES.register(
         name,
-        lambda function, summary: Family(
-            name, function, scenario, tuple(layouts), tuple(variants), summary
+        lambda function, summary: CastFamily(
+            name, function, scenario, tuple(variants), summary, world, needs
         ),
     )
 
 
-def available_families() -> list[str]:
-    """Return the names of all families, sorted."""
-    return FAMILIES.names()
+def available_families(world: World | str = PHASE) -> list[str]:
+    """Return the names of all families that a world, or the ready-made one of a name, has."""
+    world = named(world) if isinstance(world, str) else world
+    if world == PHASE:
+        return FAMILIES.names()
+    return [name for name, family in CAST_FAMILIES.items() if not family.lacks(world)]
 
 
 def family_and_variant(cell: str) -> tuple[Family, str | None]:
-    """Return what "FAMILY" or "FAMILY:VARIANT" names."""
+    """Return what "FAMILY" or "FAMILY:VARIANT" names in PHASE."""
+    name, _, _ = cell.partition(":")
+    return FAMILIES[name], _variant(FAMILIES[name], cell)
+
+
+def cast_family_and_variant(cell: str, world: World) -> tuple[CastFamily, str | None]:
+    """Return what "FAMILY" or "FAMILY:VARIANT" names in a world other than PHASE.
+
+    Raises:
+        UnknownNameError: there is no such family or variant.
+        InvalidSettingError: the family is of another world, or needs a larger cast.
+    """
+    name, _, _ = cell.partition(":")
+    if name not in CAST_FAMILIES.names():
+        if name in FAMILIES.names():
+            raise InvalidSettingError(
+                f"the family {name!r} is for the world PHASE only, not {world.name!r}"
+            )
+        raise unknown_name(f"family of {world.name!r}", name, available_families(world))
+    family = CAST_FAMILIES[name]
+    lacking = family.lacks(world)
+    if lacking:
+        raise InvalidSettingError(lacking)
+    return family, _variant(family, cell)
+
+
+def draw_situation(cell: str, world: World | str, seed: int) -> CastSituation:
+    """Return the scene and roles that a family draws in another world than PHASE.
+
+    As :func:`phase_ppl.generate` does; ``phase_ppl.simulate(scene, roles, ...)`` takes them.
+
+    Args:
+        cell: FAMILY or FAMILY:VARIANT.
+        world: the world, or the name of a ready-made one.
+        seed: the same seed gives the same situation.
+
+    Raises:
+        UnknownNameError: there is no such world, family or variant.
+        InvalidSettingError: the world is PHASE, or cannot have the family; or what the family draws
+            is not what it should be, or nothing.
+    """
+    world = named(world) if isinstance(world, str) else world
+    family, variant = cast_family_and_variant(cell, world)
+    return family.draw(world, whole_number("seed", seed, 0), variant)
+
+
+def _variant(family: Family | CastFamily, cell: str) -> str | None:
     name, colon, variant = cell.partition(":")
-    family = FAMILIES[name]
     if not family.variants and not colon:
-        return family, None
+        return None
     if variant not in family.variants:
         allowed = [f"{name}:{known}" for known in family.variants] or [name]
         raise unknown_name("variant", cell, allowed)
-    return family, variant
+    return variant
 
 
 @register_family("chasing", scenario="opposing")
@@ -313,6 +480,53 @@ def independent(draw: Draw, variant: str) -> Situation:
         (*sizes, *item_sizes),
         (draw.strength(), draw.strength()),
     )
+
+
+# --- in worlds of any cast ------------------------------------------------------------------------
+
+
+@register_family("independent", scenario="independent", world=None)
+def independent_of_any(draw: CastDraw) -> CastSituation:
+    """Each agent runs an errand that has nothing to do with those of the others."""
+    return draw.situation()
+
+
+@register_family("help", scenario="collaborative", world=None, agents=2, items=1)
+def help_of_any(draw: CastDraw) -> CastSituation:
+    """One agent helps another to get an item somewhere; further agents run errands."""
+    helper, helped, *_ = draw.agents()
+    goal = draw.errand(helped, of_item=True)
+    return draw.situation({helped: goal}, {(helper, helped): "help"})
+
+
+@register_family("collab", scenario="collaborative", world=None, agents=2, items=1)
+def collab_of_any(draw: CastDraw) -> CastSituation:
+    """Two agents want the same item at the same landmark; further agents run errands."""
+    goal = f"{draw.item()} to {draw.landmark()}"
+    return draw.situation(dict.fromkeys(draw.agents()[:2], goal))
+
+
+@register_family("compete", scenario="competing", world=None, agents=2, items=1, landmarks=2)
+def compete_of_any(draw: CastDraw) -> CastSituation:
+    """Two agents want the same item at landmarks of their own; further agents run errands."""
+    item, here = draw.item(), draw.landmark()
+    places = here, draw.landmark(but=[here])
+    goals = [f"{item} to {place}" for place in places]
+    return draw.situation(dict(zip(draw.agents(), goals, strict=False)))
+
+
+@register_family("hinder", scenario="opposing", world=None, agents=2)
+def hinder_of_any(draw: CastDraw) -> CastSituation:
+    """One agent hinders another in an errand; further agents run errands."""
+    hinderer, hindered, *_ = draw.agents()
+    return draw.situation({hindered: draw.errand(hindered)}, {(hinderer, hindered): "hinder"})
+
+
+@register_family("chasing", scenario="opposing", world=None, agents=2)
+def chasing_of_any(draw: CastDraw) -> CastSituation:
+    """One agent chases another; further agents run errands."""
+    chaser, chased, *_ = draw.agents()
+    return draw.situation({chaser: f"get to {chased}"}, {(chased, chaser): "hinder"})
 
 
 # --- the same situation elsewhere -----------------------------------------------------------------

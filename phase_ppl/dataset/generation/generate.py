@@ -201,22 +201,23 @@ def generate(  # type: ignore[misc]
     Each event follows from ``seed`` and its number in the plan: the set is the same for any number
     of workers, and after any interruption.
 
-    In another world than PHASE a situation is a random scene with roles; kept are events in which
-    an agent with a goal of its own reaches it. All are made of one number, the ``seed`` of their
-    entry: ``world.random_scene(seed)``, ``roles(world, seed)`` and ``phase_ppl.simulate(...,
-    seed=seed)``.
+    In another world than PHASE a situation is one of a family, drawn as by
+    :func:`phase_ppl.draw_situation`, or by default a random scene with roles,
+    ``world.random_scene(seed)`` and ``roles(world, seed)``; of these kept are events in which an
+    agent with a goal of its own reaches it. All are made of one number, the ``seed`` of their
+    entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.dataset.generated`).
         n: number of events in the proportions of ``cells``; None: the numbers of ``cells``. Needed
-            in another world than PHASE.
+            in another world than PHASE where no cells are given.
         world: the world, or the name of a ready-made one.
-        roles: of another world than PHASE: function ``(world, seed)`` that draws who wants what,
-            such as :func:`phase_ppl.roles.draw`, or that of a prior of one's own,
+        roles: of random scenes in another world than PHASE: function ``(world, seed)`` that draws
+            who wants what, such as :func:`phase_ppl.roles.draw`, or that of a prior of one's own,
             ``functools.partial(phase_ppl.roles.draw, prior=...)``; where it returns None, scene and
             roles are drawn anew. By default all goals are alike, and all ways to help or hinder.
-        cells: FAMILY or FAMILY:VARIANT -> number; by default the paper's 500
-            (``available_families`` lists the families).
+        cells: FAMILY or FAMILY:VARIANT -> number; by default the paper's 500, in another world
+            random scenes with roles (``available_families`` lists the families of a world).
         splits: name -> share; by default the paper's 320 / 80 / 100.
         copies: further copies of each event with other reflections and colours, in its split.
         replans: further copies of each event at most, in its split: the same situation simulated
@@ -229,7 +230,7 @@ def generate(  # type: ignore[misc]
             world nothing is cut.
         max_tries: draws after which an event is given up; default 200.
         reflect, recolour: whether events are reflected, and colours exchanged, at random; by
-            default those of PHASE. Like families, copies and replans they are of PHASE only.
+            default those of PHASE. Like copies and replans they are of PHASE only.
         keep_rejected: whether rejected draws are kept, with the reason.
         resume: go on with what ``out`` holds.
         other_versions: also where that was made by other versions of this package, or of what it

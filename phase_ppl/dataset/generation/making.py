@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.dataset.generation.copies import Recording, recoloured, record, reflected
-from phase_ppl.dataset.generation.families import changed, family_and_variant
+from phase_ppl.dataset.generation.families import changed, family_and_variant, pairs_showing
 from phase_ppl.dataset.generation.plan import (
     MOST_TRIES,
     REFLECTION_SHARES,
@@ -22,14 +22,13 @@ from phase_ppl.dataset.generation.plan import (
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.physics.actions import DIRECTIONS
 from phase_ppl.simulator.joint import JointSimulator, simulate
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, company
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE, Scene, World
 
@@ -38,25 +37,40 @@ MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push with
 Measures = Mapping[str, Any]
 
 
-def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> str | None:
-    """Return why a recording does not show its scenario; None where it does."""
-    wanted = [goal_literal(goal, agent) for agent, goal in enumerate(hypothesis.effective_goals)]
-    if any(start and one.positive for start, one in zip(found["at_start"], wanted, strict=True)):
+def reason_against(scenario: str, wanted: Hypothesis | Roles, found: Measures) -> str | None:
+    """Return why an event does not show its scenario; None where it does.
+
+    Of three agents and more, two are enough that want what makes the scenario, and show it;
+    independent are all.
+    """
+    world, n_agents = wanted.world, len(wanted.world.agents)
+    literals = [goal_literal(goal, a, world) for a, goal in enumerate(wanted.effective_goals)]
+    if any(start and one.positive for start, one in zip(found["at_start"], literals, strict=True)):
         return "a goal is true at the start"
     if max(found["stuck"]) > MAX_STUCK:
         return "an agent is stuck"
-    # whoever wants an item somewhere has to touch it
-    both_touch = all(
-        one.subject < len(AGENTS) or ENTITIES[one.subject] in items
-        for one, items in zip(wanted, found["touched"], strict=True)
-    )
-    if scenario in ("collaborative", "competing") and not both_touch:
-        return "not both touch the item"
-    if scenario in ("collaborative", "independent") and not all(found["at_end"]):
-        return "a goal is not reached"
-    if scenario == "opposing" and found["closest"] >= NEAR:
-        return "the agents never come near each other"
-    return None
+    if scenario == "independent":
+        return None if all(found["at_end"]) else "a goal is not reached"
+
+    def against(pair: tuple[int, int]) -> str | None:
+        # whoever wants an item somewhere has to touch it
+        both_touch = all(
+            literals[agent].subject < n_agents
+            or world.entities[literals[agent].subject] in found["touched"][agent]
+            for agent in pair
+        )
+        if scenario in ("collaborative", "competing") and not both_touch:
+            return "not both touch the item"
+        if scenario == "collaborative" and not all(found["at_end"][agent] for agent in pair):
+            return "a goal is not reached"
+        closest = found["closest"] if world == PHASE else found["closest"][_named(world, pair)]
+        if scenario == "opposing" and closest >= NEAR:
+            return "the agents never come near each other"
+        return None
+
+    pairs = pairs_showing(scenario, wanted) if n_agents > 2 else [(0, 1)]
+    reasons = [against(pair) for pair in pairs]
+    return None if None in reasons else reasons[0]
 
 
 # --- what can be seen in a recording ---------------------------------------------------------
@@ -83,26 +97,16 @@ def measures(recording: Recording) -> dict[str, Any]:
     * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
     """
     track, scene = recording.trajectory, recording.scene
-    apart = np.linalg.norm(track[:, 0, :2] - track[:, 1, :2], axis=1) / scene.radius[:2].sum()
-    items = range(BLUE_ITEM, BLUE_ITEM + len(ITEMS))
-    touched = [
-        [ENTITIES[item] for item in items
-         if any(touches(agent, item, frame, scene.radius) for frame in track)]
-        for agent in range(len(AGENTS))
-    ]  # fmt: skip
-    steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
-    pushes = np.isin(recording.actions[1:], PUSHES) & (steps[:, : len(AGENTS)] < STILL)
+    closest, met = _of_pair(track, scene, (0, 1))
+    of_bodies = _of_bodies(track, scene, recording.actions[1:])
     return {
         **_of_goals(track, scene, recording.hypothesis),
-        "closest": float(apart.min()),
-        "met": sum(touches(0, 1, frame, scene.radius) for frame in track),
-        "touched": touched,
+        "closest": closest,
+        "met": met,
+        "touched": of_bodies["touched"],
         "held": (recording.held >= 0).mean(axis=0).tolist(),
-        "moved": steps.sum(axis=0).tolist(),
-        "stuck": [
-            max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
-            for of_agent in pushes.T.tolist()
-        ],
+        "moved": of_bodies["moved"],
+        "stuck": of_bodies["stuck"],
     }
 
 
@@ -120,18 +124,61 @@ def _of_goals(track: FloatArray, scene: Scene, wanted: Hypothesis | Roles) -> di
     }
 
 
-def measures_elsewhere(event: Event) -> dict[str, Any]:
-    """Return facts about an event of another world than PHASE, as :func:`measures`.
+def _of_pair(track: FloatArray, scene: Scene, pair: tuple[int, int]) -> tuple[float, int]:
+    """Return how near two agents come, in units of the sum of their sizes, and how often touch."""
+    n_agents, (one, other) = len(scene.world.agents), pair
+    apart = np.linalg.norm(track[:, one, :2] - track[:, other, :2], axis=1)
+    met = sum(touches(one, other, frame, scene.radius, n_agents) for frame in track)
+    return float((apart / scene.radius[[one, other]].sum()).min()), met
 
-    ``frames``, ``at_start``, ``ever``, ``at_end``, ``moved``, and ``reached`` [agent]: whether it
-    has a goal of its own that became true.
-    """
-    track = event.observation.trajectory
-    found = _of_goals(track, event.scene, event.truth)
-    own = zip(event.truth.stated, found["at_start"], found["at_end"], strict=True)
+
+def _of_bodies(track: FloatArray, scene: Scene, actions: IntArray) -> dict[str, Any]:
+    """Return ``touched``, ``moved`` and ``stuck``, of (step, agent) actions."""
+    world = scene.world
+    n_agents = len(world.agents)
     steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
+    pushes = np.isin(actions, PUSHES) & (steps[:, :n_agents] < STILL)
+    return {
+        "touched": [
+            [world.entities[item] for item in range(n_agents, len(world.entities))
+             if any(touches(agent, item, frame, scene.radius, n_agents) for frame in track)]
+            for agent in range(n_agents)
+        ],
+        "moved": steps.sum(axis=0).tolist(),
+        "stuck": [
+            max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
+            for of_agent in pushes.T.tolist()
+        ],
+    }  # fmt: skip
+
+
+def measures_elsewhere(event: Event) -> dict[str, Any]:
+    """Return facts about a simulated event of another world than PHASE, as :func:`measures`.
+
+    ``closest`` and ``met`` are by pair, such as "red & green"; ``held`` is missing; and there is
+    ``reached`` [agent]: whether it has a goal of its own that became true.
+    """
+    track, world, wanted = event.observation.trajectory, event.scene.world, event.truth
+    found = _of_goals(track, event.scene, wanted)
+    own = zip(wanted.stated, found["at_start"], found["at_end"], strict=True)
     reached = [goal is not None and end and not start for goal, start, end in own]
-    return {**found, "reached": reached, "moved": steps.sum(axis=0).tolist()}
+    pairs = {
+        _named(world, pair): _of_pair(track, event.scene, pair)
+        for pair in itertools.combinations(range(len(world.agents)), 2)
+    }
+    assert event.thoughts is not None
+    return {
+        **found,
+        "reached": reached,
+        "closest": {name: closest for name, (closest, _) in pairs.items()},
+        "met": {name: met for name, (_, met) in pairs.items()},
+        **_of_bodies(track, event.scene, event.thoughts.actions),
+    }
+
+
+def _named(world: World, pair: tuple[int, int]) -> str:
+    """Return what measures call two agents, such as "red & green"."""
+    return " & ".join(world.keys[agent] for agent in pair)
 
 
 # --- making ----------------------------------------------------------------------------------
@@ -163,8 +210,8 @@ class Made(NamedTuple):
 def make(plan: Plan, slot: Slot) -> Made:
     """Draw and simulate situations of a slot until one shows what it should.
 
-    In PHASE a situation is one of a family, and its event has copies; in another world it is a
-    random scene with roles.
+    In PHASE a situation is one of a family, and its event has copies; in another world it is one of
+    a family, or a random scene with roles.
     """
     made = Made(slot, [], [], [])
     tried = _tried_in_phase if plan.world == PHASE else _tried_elsewhere
@@ -271,41 +318,60 @@ def event_of(recording: Recording, id: str) -> Event:
 
 
 def _tried_elsewhere(plan: Plan, made: Made, attempt: int) -> None:
-    """Draw a scene with roles; keep its event if an agent reaches a goal of its own."""
+    """Draw a situation; keep its event if it is good.
+
+    Of a family it is one that shows its scenario, of random scenes with roles one in which an agent
+    reaches a goal of its own.
+    """
     slot, world = made.slot, plan.world
     seed, id = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt, f"{slot.name}-{attempt}"
-    roles = (plan.roles or uniform_roles)(world, seed)
-    if roles is None:
-        made.rejected.append(Rejected(id, "roles that are not wanted", None, {}, False))
-        return
-    instance_of("what roles returned", roles, Roles, "phase_ppl's Roles, or None")
-    if roles.world != world:
-        raise InvalidSettingError(
-            f"roles returned those of the world {roles.world.name!r}, not {world.name!r}"
-        )
-    if not roles.is_possible:
-        made.rejected.append(Rejected(id, "nobody can act on such roles", None, {}, False))
-        return
-    scene = dataclasses.replace(world.random_scene(seed), turning=plan.turning)
+    family, variant = plan.families.get(slot.cell, (None, None))
+    if family is not None:
+        scene, roles = family.draw(world, seed, variant)
+    else:
+        drawn = _drawn_roles(plan, seed)
+        if isinstance(drawn, str):
+            made.rejected.append(Rejected(id, drawn, None, {}, False))
+            return
+        scene, roles = world.random_scene(seed), drawn
+    scene = dataclasses.replace(scene, turning=plan.turning)
     event = simulate(scene, roles, frames=plan.frames, seed=seed, planner=plan.planner, id=id)
     found = measures_elsewhere(event)
-    if not any(found["reached"]):
-        event = dataclasses.replace(event, thoughts=None)
-        made.rejected.append(Rejected(id, "no goal is reached", event, found, False))
+    event = dataclasses.replace(event, thoughts=None)
+    reason = None if any(found["reached"]) else "no goal is reached"
+    if family is not None:
+        reason = reason_against(family.scenario, roles, found)
+    if reason is not None:
+        made.rejected.append(Rejected(id, reason, event, found, False))
         return
-    made.events.append(dataclasses.replace(event, id=slot.name, thoughts=None))
+    of_family = {} if family is None else {"family": family.name, "variant": variant}
+    made.events.append(dataclasses.replace(event, id=slot.name))
     made.entries.append(
         {
             "id": slot.name,
             "group": slot.name,
             "split": slot.split,
             "world": world.name,
+            **of_family,
             "attempt": attempt,
             "seed": seed,
             "roles": roles.to_dict(),
             "measures": found,
         }
     )
+
+
+def _drawn_roles(plan: Plan, seed: int) -> Roles | str:
+    """Return the roles of a random scene, or why there are none."""
+    roles = (plan.roles or uniform_roles)(plan.world, seed)
+    if roles is None:
+        return "roles that are not wanted"
+    instance_of("what roles returned", roles, Roles, "phase_ppl's Roles, or None")
+    if roles.world != plan.world:
+        raise InvalidSettingError(
+            f"roles returned those of the world {roles.world.name!r}, not {plan.world.name!r}"
+        )
+    return roles if roles.is_possible else "nobody can act on such roles"
 
 
 def uniform_roles(world: World, seed: int) -> Roles:

@@ -13,12 +13,17 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.dataset.generation.families import MOST_CHANGES, family_and_variant
+from phase_ppl.dataset.generation.families import (
+    MOST_CHANGES,
+    CastFamily,
+    cast_family_and_variant,
+    family_and_variant,
+)
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import check_memory, instance_of, number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
@@ -83,7 +88,8 @@ class Slot(NamedTuple):
     """An event to be made, with its copies."""
 
     number: int  # of the slot, from 0
-    cell: str  # FAMILY or FAMILY:VARIANT, or of another world than PHASE ``cell_of`` it
+    # FAMILY or FAMILY:VARIANT, or ``cell_of`` another world than PHASE: random scenes with roles
+    cell: str
     split: str  # name of the split that it and its copies belong to
 
     @property
@@ -101,7 +107,8 @@ class Plan:
         InvalidSettingError: a number that is not allowed.
     """
 
-    # FAMILY or FAMILY:VARIANT -> number of events; in another world ``cell_of`` it -> number
+    # FAMILY or FAMILY:VARIANT -> number of events; in another world also ``cell_of`` it, of random
+    # scenes with roles
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     # name -> share, in any unit
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
@@ -118,20 +125,21 @@ class Plan:
     planner: str | PlannerConfig = "fast"  # "fast", "paper" or a ``PlannerConfig``
     seed: int = 0  # of everything random
     max_tries: int = MAX_TRIES  # draws after which a slot is given up
-    world: World = PHASE  # another than PHASE has no families, reflections and other colours
-    roles: DrawRoles | None = None  # of such a world; None: all that can be wanted is alike
+    world: World = PHASE  # another than PHASE has no reflections and other colours
+    # of the random scenes of such a world; None: all that can be wanted is alike
+    roles: DrawRoles | None = None
 
     def __post_init__(self) -> None:
         for given in ("cells", "splits"):
             instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
-        if self.world != PHASE:
-            self._check_elsewhere()
-        elif self.roles is not None:
-            raise InvalidSettingError("roles are for other worlds: families draw those of PHASE")
         for cell, n in self.cells.items():
             if self.world == PHASE:
                 family_and_variant(cell)
             whole_number(cell, n, 0)
+        if self.world != PHASE:
+            self._check_elsewhere()
+        elif self.roles is not None:
+            raise InvalidSettingError("roles are for other worlds: families draw those of PHASE")
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
         for name, share in self.splits.items():
@@ -162,19 +170,29 @@ class Plan:
 
     def _check_elsewhere(self) -> None:
         """Refuse what knows PHASE only."""
-        odd = [f"the family {cell!r}" for cell in self.cells if cell != cell_of(self.world)]
-        names = ("copies", "replans", "reflect", "recolour")
-        odd += [f"{name}={getattr(self, name)}" for name in names if getattr(self, name)]
-        if odd:
-            raise InvalidSettingError(
-                f"{odd[0]} is for the world PHASE only, not {self.world.name!r}"
-            )
+        for name in ("copies", "replans", "reflect", "recolour"):
+            if getattr(self, name):
+                raise InvalidSettingError(
+                    f"{name}={getattr(self, name)} is for the world PHASE only, not "
+                    f"{self.world.name!r}"
+                )
         whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
+        random = cell_of(self.world)
+        families = {
+            cell: cast_family_and_variant(cell, self.world) for cell in self.cells if cell != random
+        }
+        # by themselves and not by name, since worker processes know no families of others
+        object.__setattr__(self, "families", families)
+        for family, variant in families.values():  # what a function of others does is found out now
+            family.draw(self.world, self.seed, variant)
         if self.roles is not None and not callable(self.roles):
             raise InvalidSettingError(
                 f"roles={shown(self.roles)}, expected a function (world, seed) such as "
                 "phase_ppl.roles.draw"
             )
+
+    families: ClassVar[Mapping[str, tuple[CastFamily, str | None]]] = {}
+    """Cell -> family and variant, in another world than PHASE."""
 
     @property
     def looks(self) -> list[Look]:
@@ -200,6 +218,11 @@ class Plan:
             record["world"] = self.world.to_dict()
             if self.roles is not None:
                 record["roles"] = _function_record(self.roles)
+            if self.families:
+                record["families"] = {
+                    family.name: _function_record(family.function)
+                    for family, _ in self.families.values()
+                }
         return dict(json.loads(json.dumps(record, default=dict)))
 
 

@@ -5,17 +5,23 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import agent_outline, is_agent, penetration, shapes_meet
-from phase_ppl.world.goals import literal_goal
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.goals import goal_literal, literal_goal, possible_goals
+from phase_ppl.world.hypothesis import (
+    STRENGTH_LEVELS,
+    STRENGTH_RANGE,
+    Hypothesis,
+    Roles,
+    scenario,
+)
 from phase_ppl.world.names import AGENTS, ENTITIES, Literal, Predicate
 from phase_ppl.world.rooms import N_ROOMS, RAY_DIRECTIONS, ROOMS_OF_RAY, Rooms
-from phase_ppl.world.scene import ARENA, Scene, Turning
+from phase_ppl.world.scene import ARENA, Scene, Turning, World
 
 LAYOUTS: Final[Mapping[int, tuple[float, float, float, float]]] = {
     0: (0, 0, 0, 0), 2: (10, 5, 0, 0), 4: (10, 7.5, 0, 0), 6: (10, 0, 5, 0), 7: (10, 5, 5, 0),
@@ -246,3 +252,129 @@ def overlaps(
         for outline, rounding in (*agents, *discs)
         for wall in walls
     )
+
+
+# --- in worlds of any cast ------------------------------------------------------------------------
+
+Option = TypeVar("Option")
+
+
+class CastSituation(NamedTuple):
+    """What is to be simulated in another world than PHASE."""
+
+    scene: Scene
+    roles: Roles
+
+
+class CastDraw:
+    """One draw of a situation in a world of any cast, in the names of that world.
+
+    Attributes:
+        world: the world.
+        rng: of everything that is drawn.
+    """
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        self.world, self.rng = world, rng
+
+    def refuse(self, reason: str = "") -> NoReturn:
+        """End this draw: another is made. If all are refused, the last reason is told."""
+        raise CannotDraw(reason)
+
+    def one_of(self, options: Iterable[Option]) -> Option:
+        """Return one of some, all equally likely; the draw is refused where there is none."""
+        allowed = list(options)
+        return allowed[int(self.rng.integers(len(allowed)))] if allowed else self.refuse()
+
+    def agents(self) -> list[str]:
+        """Return the names of all agents in random order."""
+        return [self.world.agents[i] for i in self.rng.permutation(len(self.world.agents))]
+
+    def item(self, *, but: Sequence[str] = ()) -> str:
+        """Return the name of an item other than ``but``."""
+        return self.one_of(name for name in self.world.items if name not in but)
+
+    def landmark(self, *, but: Sequence[str] = ()) -> str:
+        """Return the name of a landmark other than ``but``."""
+        return self.one_of(name for name in self.world.landmark_names if name not in but)
+
+    def room(self, *, but: Sequence[str | int] = ()) -> int:
+        """Return the number of a room other than some, by number or by a landmark that is there."""
+        rooms = Rooms.from_walls(np.array(self.world.walls), self.world.arena, self.world.quadrants)
+        centre = {one.name: np.array([one.x, one.y]) for one in self.world.landmarks}
+        others = [int(rooms.room_of(centre[one])) if one in centre else one for one in but]
+        return self.one_of(room for room in range(len(rooms)) if room not in others)
+
+    def strength(self, low: float = STRENGTH_RANGE[0], high: float = STRENGTH_RANGE[1]) -> float:
+        """Return a force between two, newtons."""
+        return float(self.rng.uniform(low, high))
+
+    def errand(self, agent: str, *, of_item: bool = False) -> str:
+        """Return a goal to get the agent itself, or an item, somewhere: a landmark or a room.
+
+        With ``of_item`` only to get an item somewhere.
+        """
+        return self.one_of(
+            goal
+            for goal in self._errands(agent)
+            if not of_item or goal_literal(goal, 0, self.world).subject >= len(self.world.agents)
+        )
+
+    def _errands(self, agent: str) -> list[str]:
+        """Return the goals that agents have for themselves, and not about each other."""
+        holder, n_agents = self.world.agent(agent), len(self.world.agents)
+        goals = possible_goals(holder, self.world)
+        literals = (goal_literal(goal, holder, self.world) for goal in goals)
+        return [
+            self.world.goals[goal]
+            for goal, literal in zip(goals, literals, strict=True)
+            if literal.positive
+            and literal.predicate is not Predicate.TOUCH
+            and (literal.subject == holder or literal.subject >= n_agents)
+        ]
+
+    def situation(
+        self,
+        goals: Mapping[str, str | int] | None = None,
+        relation: Mapping[tuple[str, str], str] | None = None,
+        strength: Mapping[str, float] | float | None = None,
+        *,
+        rooms: Mapping[str, Any] | None = None,
+        near: Mapping[str, str] | None = None,
+        size: Mapping[str, float] | float | None = None,
+    ) -> CastSituation:
+        """Return a situation with all drawn that is not given.
+
+        Agents without a goal that neither help nor hinder run an errand that has nothing to do with
+        what the others want.
+
+        Args:
+            goals: name of an agent -> its own goal.
+            relation: (who, whom) -> "help" or "hinder".
+            strength: newtons by name, or of all; of those not named any.
+            rooms, near, size: where they start and how large they are, as of
+                :meth:`phase_ppl.World.random_scene`.
+        """
+        world, own = self.world, dict(goals or {})
+        others = [name for name in self.agents() if name not in own]
+        others = [name for name in others if not any(name == who for who, _ in relation or {})]
+        forces = {name: self.strength() for name in world.agents}
+        if isinstance(strength, Mapping):
+            forces |= strength
+        elif strength is not None:
+            forces = dict.fromkeys(world.agents, strength)
+        anything = {name: possible_goals(world.agent(name), world)[0] for name in others}
+        roles = Roles.of(world, own | anything, relation, forces)
+        wanted = {world.agent(a): g for a, g in roles.goals.items() if a not in others}
+        for name in others:
+            agent = world.agent(name)
+            own[name] = wanted[agent] = self.one_of(
+                errand
+                for errand in self._errands(name)
+                if all(
+                    scenario(errand, goal, world, (agent, other)) == "independent"
+                    for other, goal in wanted.items()
+                )
+            )
+        scene = world.random_scene(self.rng, rooms=rooms, near=near, size=size)
+        return CastSituation(scene, Roles.of(world, own, relation, forces))

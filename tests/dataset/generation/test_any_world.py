@@ -103,7 +103,12 @@ def test_all_goals_and_ways_to_help_or_hinder_are_drawn_alike() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"n": 2, "cells": {"chasing": 1}}, "the family 'chasing' is for the world PHASE only"),
+        ({"n": 2, "cells": {"help_lift": 1}}, "the family 'help_lift' is for the world PHASE only"),
+        ({"cells": {"help": 1}}, "the family 'help' needs 2 agents; 'solo' has 1 agent"),
+        (
+            {"cells": {"hlep": 1}},
+            "unknown family of 'solo' 'hlep'; did you mean 'help'|allowed: 'ind",
+        ),
         ({"n": 2, "copies": 1}, "copies=1 is for the world PHASE only, not 'solo'"),
         ({"n": 2, "replans": 1}, "replans=1 is for"),
         ({"n": 2, "reflect": True}, "reflect=True is for"),
