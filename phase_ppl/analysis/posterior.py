@@ -16,19 +16,17 @@ from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
-from phase_ppl.analysis.prior_change import (
-    changed_text,
-    check_overlap,
-    reweighted,
-    settings_under,
-)
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label, own_quantity
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
+    changed_text,
+    check_overlap,
     check_tree,
+    reweighted,
+    settings_under,
     shape_of_draws,
     simulation_of_draw,
     space_of_tree,
