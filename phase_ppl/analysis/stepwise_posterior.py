@@ -263,7 +263,7 @@ class StepwisePosterior(EventPosterior):
         return priors.named(prior) if isinstance(prior, str) else prior
 
     def under(self, prior: Callable[..., object]) -> StepwisePosterior:
-        from phase_ppl.models.world_prior import stepwise_prior
+        from phase_ppl.models.stepwise import stepwise_prior
 
         table = self._table
         masses, attrs = stepwise_prior(prior, table.space.world, table.levels)
