@@ -222,7 +222,7 @@ def _goals(world: World, agent: int, self_goals: bool) -> Page:
 
 def the(name: str) -> str:
     """Return a name in a sentence: "the ball", but "Anna"."""
-    return name if name[0].isupper() else f"the {name}"
+    return name if name[0].isupper() or name.startswith("the ") else f"the {name}"
 
 
 def _css(world: World, colour: Colour) -> str | None:

@@ -131,6 +131,8 @@ def test_goals_are_asked_for_in_words() -> None:
     assert dict(red["options"])["get to Anna"] == "get to Anna"
     assert dict(anna["options"])["not agents near"] == "not agents near"
     assert relation["legend"] == "How do they stand to each other?"
+    names = {"ball": "the ball", "Anna": "Anna", "the wolf": "the wolf"}
+    assert {name: plan.the(name) for name in names} == names
 
 
 def test_phase_is_asked_as_it_was() -> None:

@@ -70,7 +70,7 @@ const QUESTIONS = {
   goals: question => {
     const words = new Map(question.options), rest = new Map(words);
     const radio = goal => { rest.delete(goal); return element("input", { type: "radio", name: question.name, value: goal, "aria-label": words.get(goal) }); };
-    const tables = question.tables.map(({ heads, columns, rows }) => element("table", {},
+    const tables = question.tables.map(({ heads, columns, rows }) => element("table", { class: columns.length > 4 && "many" },
       element("thead", {},
         element("tr", {}, element("td", { rowspan: 2 }, "to get \u2026"), ...heads.map(head => element("th", { colspan: columns.length, scope: "colgroup" }, head))),
         element("tr", {}, ...heads.flatMap(() => columns.map(([name, colour]) => element("th", { scope: "col" }, swatch(colour, name), name))))),
