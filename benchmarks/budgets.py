@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the small world is the tes
 
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import RUN_COLUMNS, Comparison, distances
-from phase_ppl.inference.reference import error_of, of_masses, of_pairs
+from phase_ppl.inference.compare import error_of, of_masses, of_pairs
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS
 from tests.inference.toy import few_goals, walkers, walking_event

@@ -49,7 +49,7 @@ def make_study(folder: Path, n_videos: int, raters: int, trials: int) -> Study:
             dataclasses.replace(event, observation=ppl.Observation(frames), id=f"video-{number}")
         )
 
-    def no_clips(folder: Path) -> None:
+    def no_clips(folder: Path, world: ppl.World) -> None:
         folder.mkdir()
         for name in CLIPS:
             (folder / f"{name}.mp4").touch()

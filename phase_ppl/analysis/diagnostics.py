@@ -26,8 +26,8 @@ from phase_ppl.analysis.tree import (
 )
 from phase_ppl.analysis.verdict import ALONE, FEW_DRAWS, verdict
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
-from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.scene import Scene

@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import xarray as xr
@@ -16,19 +16,16 @@ from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
-from phase_ppl.analysis.prior_change import (
-    changed_text,
-    check_overlap,
-    reweighted,
-    settings_under,
-)
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label, own_quantity
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
+    changed_text,
+    check_overlap,
     check_tree,
+    reweighted,
+    settings_under,
     shape_of_draws,
     simulation_of_draw,
     space_of_tree,
@@ -40,6 +37,9 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.files import check_output, existing_file, write_bytes
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 HINDSIGHT: Final = (
     "Hindsight, not what an observer believed at the time: the hypotheses were proposed from the "
@@ -292,6 +292,8 @@ class Posterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
+        from phase_ppl.analysis.stepwise_posterior import is_stepwise
+
         if is_stepwise(source):
             raise InvalidEventError(
                 f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
@@ -392,6 +394,8 @@ def load_posterior(
         InvalidSettingError: weights or a burn-in for one that has no draws.
         UnknownNameError: there are no such weights.
     """
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
+
     if not is_stepwise(existing_file(path)):
         return Posterior.load(path, weights, burn_in=burn_in, scenario=scenario)
     for name, given in (("weights", weights), ("burn_in", burn_in)):

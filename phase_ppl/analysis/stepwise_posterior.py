@@ -22,7 +22,6 @@ from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
-from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.stepwise_table import (
@@ -35,6 +34,7 @@ from phase_ppl.analysis.stepwise_table import (
     table_of,
 )
 from phase_ppl.analysis.summary import plain, wrapped
+from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
@@ -263,7 +263,7 @@ class StepwisePosterior(EventPosterior):
         return priors.named(prior) if isinstance(prior, str) else prior
 
     def under(self, prior: Callable[..., object]) -> StepwisePosterior:
-        from phase_ppl.models.world_prior import stepwise_prior
+        from phase_ppl.models.stepwise import stepwise_prior
 
         table = self._table
         masses, attrs = stepwise_prior(prior, table.space.world, table.levels)

@@ -246,10 +246,12 @@ def _by_prior(found: Mapping[str, Any]) -> list[str]:
     signs, below = [], 0.0
     for most, says in (
         (0.5, "The prior decides, not the video"),
-        (ALONE, "The video alone does not decide"),
+        (ALONE, f"The video alone does not decide, which takes {ALONE}"),
     ):
         names = [
-            f"{_asked(name)} '{one['label']}' {one['without_prior']:.2f}"
+            # rounded down, so that what is short of a limit is not shown as it
+            f"{math.floor(100 * one['without_prior']) / 100:.2f} for {_asked(name)} "
+            f"'{one['label']}'"
             for name, one in found["leaders"].items()
             if one["sure"]
             and one["without_prior"] is not None
@@ -258,8 +260,8 @@ def _by_prior(found: Mapping[str, Any]) -> list[str]:
         below = math.nextafter(most, 1)
         if names:
             signs.append(
-                f"{says}: with all {_combined(found)} alike beforehand, {' and '.join(names)} "
-                "would have no more."
+                f"{says}: with all {_combined(found)} alike beforehand there would be "
+                f"{' and '.join(names)}."
             )
     return signs
 

@@ -32,8 +32,7 @@ from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.models.neural import needs_torch
 from phase_ppl.models.socialgnn import store
-from phase_ppl.models.socialgnn.examples import Examples
-from phase_ppl.models.socialgnn.graphs import frame_graphs
+from phase_ppl.models.socialgnn.graphs import Examples, frame_graphs
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
@@ -153,7 +152,7 @@ def _train(
     settings: TrainingSettings,
     progress: bool | None,
 ) -> None:
-    from phase_ppl.models.socialgnn.training import fit
+    from phase_ppl.models.socialgnn.network import fit
 
     training, validation = (
         Examples(splits[name], settings.variant) for name in (TRAINING, VALIDATION)

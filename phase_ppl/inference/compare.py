@@ -1,46 +1,383 @@
-"""Kernels against each other: the same event, the same budget, several seeds."""
+"""Kernels against each other: the same event, the same budget, several seeds.
+
+And against a reference, such as the posterior of goals by enumeration, where every pair g of
+effective goals is simulated. Its mass is the mean over strengths s ~ P(s) and simulator seeds w of
+
+    P(g | s) L(g, s, w)
+
+which needs a few simulations of each of the pairs that have prior mass, some 1150 under the
+paper's prior, and no Markov chain. Where the log likelihood of a pair varies by several nats from
+seed to seed, the mean of a few of them is a poor estimate of what it stands for: the tables of
+halves of the simulations say how poor.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
+import math
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jax import random
+from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
 from phase_ppl.analysis.comparison import (
     CURVE_COLUMNS,
     RUN_COLUMNS,
     Comparison,
+    Marginals,
     accuracy,
     curve,
+    distances,
     efficiency,
+    marginals,
     of_truth,
 )
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.quantities import relation_codes
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.entries import Entry, Spec, entries
+from phase_ppl.inference.entries import Entry, Spec, entries, entry_of
 from phase_ppl.inference.infer import CHAINS
-from phase_ppl.inference.reference import Reference, reference_of
 from phase_ppl.inference.runs.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
+from phase_ppl.inference.stepwise import filter_event
+from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import event_salt
+from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
 from phase_ppl.simulator.processes import slots_of
+from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    SimulationError,
+    shown,
+    unknown_name,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 from phase_ppl.world.identity import versions, versions_so_far
 from phase_ppl.world.progress import is_shown
+from phase_ppl.world.scene import PHASE, check_phase
 from phase_ppl.world.shards import SHARD, Shard
+
+PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
+SPLITS: Final = 3  # ways in which the simulations of a pair are parted into halves
+_POOL: Final = 32  # draws of strengths, of which each pair takes a few
+_NO_MASS: Final = -60.0  # log probability below which a pair is not simulated
+
+
+class Enumeration(NamedTuple):
+    """Posterior of the effective goals."""
+
+    probability: FloatArray  # (goal_red, goal_green), sum 1
+    # (split, 2, goal_red, goal_green) the same from either half of the simulations of each pair,
+    # parted in ``SPLITS`` ways
+    halves: FloatArray
+    simulations: int  # how many were made
+
+
+class Plan(NamedTuple):
+    """What an enumeration is going to simulate."""
+
+    pairs: NDArray[np.int64]  # (pair, 2) effective goals of red and green that have prior mass
+    strengths: FloatArray  # (draw, 2) newtons, from the prior
+    log_prior: FloatArray  # (pair, draw) log P(pair | strengths)
+
+
+def plan_enumeration(model: Model, seed: int = 0) -> Plan:
+    """Return the pairs of goals that a model's prior allows, with their probabilities."""
+    program = EventProgram(model, 0, 1)
+    keys = random.split(random.key(seed), _POOL)
+    drawn = jax.jit(jax.vmap(program.draw_prior))(keys)
+    strengths = np.stack([np.asarray(drawn[name], float) for name in STRENGTH_SITES], axis=1)
+    possible = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
+    repeated = {name: np.tile(strengths[:, i], len(possible))
+                for i, name in enumerate(STRENGTH_SITES)}  # fmt: skip
+    log_joint = log_prior_of_effective(model.prior, np.repeat(possible, _POOL, axis=0), repeated)
+    log_joint = log_joint.reshape(len(possible), _POOL)
+    log_prior = log_joint - np.logaddexp.reduce(log_joint, axis=0)
+    kept = log_prior.max(axis=1) > _NO_MASS
+    return Plan(possible[kept], strengths, log_prior[kept])
+
+
+def enumerate_goals(
+    event: Event,
+    model: Model,
+    plan: Plan,
+    *,
+    per_pair: int = PER_PAIR,
+    seed: int = 0,
+    workers: int | None = None,
+    executor: Executor | None = None,
+) -> Enumeration:
+    """Return the posterior of the effective goals by simulating all pairs of a plan.
+
+    ``per_pair`` times each, with strengths and a simulator seed of their own; an even number, at
+    most 32.
+    """
+    rng = np.random.default_rng(seed)
+    which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.pairs])
+    hypotheses = [
+        Hypothesis(int(red), int(green), (0, 0), *(float(s) for s in plan.strengths[draw]))
+        for (red, green), draws in zip(plan.pairs, which, strict=True)
+        for draw in draws
+    ]
+    seeds = _seeds(event, model, hypotheses, seed)
+    simulator = model.build_simulator()
+    with Runner(
+        simulator, event.scene, event.observation, workers=workers, executor=executor
+    ) as runner:
+        results = runner.run(hypotheses, seeds)
+    errors = np.array([result.errors for result in results])
+    usable = np.array([result.completed for result in results])
+    if not usable.any():
+        raise SimulationError(f"no simulation was completed; the first: {results[0].failure}")
+    by_frame = model.error_likelihood.log_prob(np.where(usable[:, None], errors, 0.0))
+    log_likelihood = np.asarray(by_frame)
+    log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
+    log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
+    return of_masses(plan.pairs, log_mass, usable.reshape(which.shape))
+
+
+def of_masses(
+    pairs: NDArray[np.int64], log_mass: FloatArray, usable: NDArray[np.bool_]
+) -> Enumeration:
+    """Return the posterior, whole and from halves, of what was simulated.
+
+    ``log_mass`` and ``usable``, whether it was completed, are (pair, repeat).
+    """
+    weight = np.exp(log_mass - log_mass.max())
+    rng = np.random.default_rng(0)
+    halves = []
+    for split in range(SPLITS):
+        order = rng.permutation(log_mass.shape[1]) if split else np.arange(log_mass.shape[1])
+        halves.append(
+            [_table(pairs, weight[:, order[h::2]], usable[:, order[h::2]]) for h in (0, 1)]
+        )
+    return Enumeration(_table(pairs, weight, usable), np.array(halves), log_mass.size)
+
+
+def _table(pairs: NDArray[np.int64], weight: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+    """Return (goal_red, goal_green) the mean weights of the usable simulations, of sum 1."""
+    table = np.zeros((N_GOALS, N_GOALS))
+    table[tuple(pairs.T)] = weight.sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
+    total = table.sum()
+    return table / total if total > 0 else table  # of a half in which nothing was completed
+
+
+def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) -> list[int]:
+    """Return the simulator seeds; with fixed noise, those that a kernel would take."""
+    if model.noise == "fresh":
+        drawn = np.random.default_rng([seed, 1]).integers(0, MAX_SEED, len(hypotheses))
+        return [int(value) for value in drawn]
+    salt = event_salt(event.scene, event.observation)
+    program = EventProgram(model, 0, event.observation.n_frames, salt)
+    sites = {name: jnp.array([h.effective_goals[i] for h in hypotheses])
+             for i, name in enumerate(GOAL_SITES)}  # fmt: skip
+    sites[ALPHA_SITE] = jnp.zeros(len(hypotheses), jnp.int32)
+    for i, name in enumerate(STRENGTH_SITES):
+        sites[name] = jnp.array([h.strengths[i] for h in hypotheses], jnp.float32)
+    seeds = jax.jit(jax.vmap(program.simulator_seed, in_axes=(None, 0)))(random.key(0), sites)
+    return [int(value) for value in np.asarray(seeds)]
+
+
+Halves: TypeAlias = tuple[Marginals, Marginals]  # what two halves of the same simulations say
+ENUMERATION: Final = "enumeration"
+LONG: Final = 10  # how many times the budget a reference may take
+LONG_RUN: Final = "local_mh"  # kernel of the reference where enumeration takes too much
+
+
+@dataclasses.dataclass(frozen=True)
+class Reference:
+    """The reference that was asked for."""
+
+    given: Posterior | None  # a posterior, or None
+    enumeration: bool  # whether goals may be enumerated
+    kernel: Entry | None  # of a long run, or None
+    budget: Budget  # what the reference may take
+    weights: str  # of the draws of a long run
+    per_pair: int = PER_PAIR  # simulations of each pair of goals, where these are enumerated
+
+    @classmethod
+    def asked_for(
+        cls,
+        reference: Posterior | Spec | None,
+        event: Event,
+        budget: Budget,
+        chains: int,
+        settings: SimpleSettings,
+        weights: str,
+    ) -> Reference:
+        """Return what the argument ``reference`` of a comparison means."""
+        if isinstance(reference, Posterior):
+            if not np.array_equal(reference.observed(), event.observation.trajectory):
+                raise InvalidEventError(
+                    f"the reference is of {reference.event_id}, another event than {event.id}"
+                )
+            return cls(reference, False, None, budget, weights)
+        if reference == ENUMERATION or (
+            isinstance(reference, tuple) and reference[:1] == (ENUMERATION,)
+        ):
+            check_phase(
+                event.scene, 'a reference by enumeration (the kernel "enumerate" is another)'
+            )
+            per_pair = _per_pair(reference) if isinstance(reference, tuple) else PER_PAIR
+            return cls(None, True, None, budget, weights, per_pair)
+        long = dataclasses.replace(budget, amount=LONG * budget.amount)
+        spec = LONG_RUN if reference is None else reference
+        run = entry_of("reference", spec, chains, settings, own_length=True)
+        if not run.length:
+            run = dataclasses.replace(run, length={"budget": long})
+        return cls(None, reference is None and event.scene.world == PHASE, run, long, weights)
+
+    def record(self) -> Any:
+        """Return what was asked for, as a file keeps it."""
+        if self.given is not None:
+            digest = hashlib.sha256()
+            for probabilities in marginals(self.given).values():
+                digest.update(probabilities.round(9).tobytes())
+            return {"posterior": digest.hexdigest()[:16]}
+        if self.kernel is None:
+            more = {} if self.per_pair == PER_PAIR else {"per_pair": self.per_pair}
+            return [ENUMERATION, more] if more else ENUMERATION
+        return {"enumeration if affordable": self.enumeration, "kernel": self.kernel.record()}
+
+
+def _per_pair(reference: tuple[Any, ...]) -> int:
+    """Return what ``("enumeration", {"per_pair": n})`` asks for."""
+    options = reference[1] if len(reference) == 2 else None
+    if not isinstance(options, Mapping) or set(options) != {"per_pair"}:
+        raise InvalidSettingError(
+            f'reference={shown(reference)}, expected ("enumeration", {{"per_pair": n}})'
+        )
+    number = whole_number("per_pair", options["per_pair"])
+    if number % 2 or number > _POOL:
+        raise InvalidSettingError(
+            f"per_pair={number}, expected an even number of at most {_POOL}, for there to be halves"
+        )
+    return number
+
+
+def reference_of(
+    asked: Reference,
+    event: Event,
+    model: Model,
+    seed: int,
+    workers: int | None,
+    executor: Executor | None = None,
+) -> dict[str, Any]:
+    """Return the reference: ``description``, ``marginals``, ``simulations``, ``error``.
+
+    The last says how far the marginals can be trusted: the total variation between what two halves
+    of the simulations, or of the chains, say; ``tv_goals`` (mean of both agents) and
+    ``tv_relation``. The whole is nearer than this to what it estimates: at half of it
+    where errors are small, and at three quarters where single simulations decide. It knows nothing
+    of what all chains have in common, such as what none of them has found. None where there are no
+    halves.
+    """
+
+    def said(
+        description: str, found: Mapping[str, Any], simulations: int, halves: Sequence[Halves]
+    ) -> dict[str, Any]:
+        return {
+            "description": description,
+            "marginals": dict(found),
+            "simulations": simulations,
+            "error": error_of(halves),
+        }
+
+    if asked.enumeration and is_stepwise(model.likelihood):
+        table = filter_event(event, model, seed=seed, threads=workers, progress=False)
+        return said("the sum over a table of all hypotheses", marginals(table), 0, [])
+    if asked.enumeration:
+        plan, each = plan_enumeration(model, seed), asked.per_pair
+        if asked.kernel is None or _affordable(plan, asked, event):
+            options: dict[str, Any] = {"seed": seed, "workers": workers, "executor": executor}
+            found = enumerate_goals(event, model, plan, per_pair=each, **options)
+            words = f"enumeration of {len(plan.pairs)} pairs of goals, {each} simulations each"
+            halves = [(of_pairs(one), of_pairs(two)) for one, two in found.halves]
+            return said(words, of_pairs(found.probability), found.simulations, halves)
+    if asked.given is not None:
+        post = asked.given
+        words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
+    else:
+        assert asked.kernel is not None
+        run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
+        post = asked.kernel.run(event, model, asked.budget, run_seed, workers, executor)
+        post = Posterior(post.tree, asked.weights)
+        length = ", ".join(str(value) for value in asked.kernel.length.values())
+        words = (
+            f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as "
+            "far as its chains have mixed"
+        )
+    return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+
+
+def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
+    simulations = len(plan.pairs) * asked.per_pair
+    frames = simulations * event.observation.n_frames
+    needed = {"simulations": simulations, "frames": frames, "seconds": math.inf}
+    return needed[asked.budget.unit] <= asked.budget.amount
+
+
+def of_pairs(probability: FloatArray) -> dict[str, FloatArray]:
+    """Return the marginals of a table (goal_red, goal_green)."""
+    red, green = np.indices(probability.shape)
+    relation = relation_codes(red.ravel(), green.ravel())["relation"]
+    return {
+        "goal_red": probability.sum(axis=1),
+        "goal_green": probability.sum(axis=0),
+        "relation": np.bincount(relation, probability.ravel(), len(RELATIONS)),
+    }
+
+
+def _halves_of(post: Posterior) -> list[Halves]:
+    """Return the marginals of halves of the chains; none with fewer than two."""
+    n_chains = post.tree["posterior"].sizes["chain"]
+    if n_chains < 2 or post.weights != "count":
+        return []
+    table = post.to_dataframe()
+    labels = {name: post.marginal(name)[name].values for name in marginals(post)}
+    chain = table["chain"].to_numpy()
+    halves: list[Halves] = []
+    for upper in (chain >= n_chains // 2, chain % 2 == 1):
+        shares = []
+        for chosen in (table[~upper], table[upper]):
+            total = max(chosen["weight"].sum(), np.finfo(float).tiny)
+            sums = {
+                name: chosen.groupby(name)["weight"].sum().reindex(labels[name], fill_value=0.0)
+                for name in labels
+            }
+            shares.append({name: values.to_numpy() / total for name, values in sums.items()})
+        halves.append((shares[0], shares[1]))
+    return halves
+
+
+def error_of(halves: Sequence[Halves]) -> dict[str, float] | None:
+    """Return the mean distances between halves, as :func:`reference_of` says."""
+    if not halves:
+        return None
+    apart = [distances(one, other) for one, other in halves]
+    return {name: float(np.mean([one[name] for one in apart])) for name in apart[0]}
+
 
 BUDGET: Final = simulations(500)
 REPEATS: Final = 8
@@ -103,7 +440,7 @@ def compare(
         chains: particles M.
         seed: a whole number >= 0.
         reference: what the results are compared with: a posterior of the same event and model,
-            "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), with more than 4
+            "enumeration" in PHASE (:mod:`phase_ppl.inference.compare`), with more than 4
             simulations of each pair of goals as ``("enumeration", {"per_pair": 16})``, or a
             kernel as in ``kernels``, whose options may have a ``budget`` or ``iterations``;
             without, it has ten times the budget. By default enumeration, if ten times the budget

@@ -96,7 +96,7 @@ class Entry:
         return post
 
 
-def entry(
+def entry_of(
     label: str | None, spec: Spec, chains: int, settings: SimpleSettings, own_length: bool = False
 ) -> Entry:
     """Return the kernel that a user names, called ``label`` or by its name.
@@ -143,7 +143,7 @@ def entries(
     named: Iterable[tuple[str | None, Spec]] = (
         list(kernels.items()) if isinstance(kernels, Mapping) else [(None, k) for k in kernels]
     )
-    found = [entry(label, spec, chains, settings) for label, spec in named]
+    found = [entry_of(label, spec, chains, settings) for label, spec in named]
     if not found:
         raise InvalidSettingError("kernels is empty: name at least one")
     labels = [one.label for one in found]

@@ -8,16 +8,13 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import SUFFIXES, Checkpoint
 from phase_ppl.inference.runs.run import Kernel, Run, check_event, model_again
 from phase_ppl.inference.runs.sampler import RunOptions, sample
 from phase_ppl.inference.settings import Budget, SimpleSettings
-from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError, shown
 from phase_ppl.world.event import Event
@@ -27,6 +24,8 @@ from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
@@ -162,6 +161,8 @@ def infer(
     check_event(event)
     settings = SimpleSettings.of(event.scene.world) if settings is None else settings
     if model is None and kernel is None and event.scene.world != PHASE:
+        from phase_ppl.models.stepwise import StepwiseLikelihood
+
         model = Model(likelihood=StepwiseLikelihood())
     model = _complete_model(model, planner, settings)
     if kernel is None and is_stepwise(model.likelihood):
@@ -173,6 +174,8 @@ def infer(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"
                 )
+        from phase_ppl.inference.stepwise import filter_event
+
         return filter_event(event, model, seed=seed, threads=workers, progress=progress)
     kernel = "local_mh" if kernel is None else kernel
     run = Run(event, model, kernel, kernel_options, settings, chains, seed)

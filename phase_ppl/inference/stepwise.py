@@ -19,9 +19,9 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, log_prior_of_pairs
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import Reading, stacked
+from phase_ppl.models.effective import place_of_level
 from phase_ppl.models.model import Model, checked_sites
-from phase_ppl.models.stepwise import StepwiseLikelihood, place_of_level
-from phase_ppl.models.world_prior import stepwise_prior
+from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_of_workers, whole_number

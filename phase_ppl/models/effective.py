@@ -2,7 +2,8 @@
 
 A helper or hinderer acts on the other's goal, so its own stated goal changes nothing: the prior
 of an effective pair is the sum over all stated goals and alphas that lead to it. Sites of a
-user's own are averaged out over draws from the prior.
+user's own are averaged out over draws from the prior. Where strengths are levels, a prior is a
+table of masses (:func:`prior_table`).
 """
 
 from __future__ import annotations
@@ -21,20 +22,24 @@ from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models.density import (
+    NO_DENSITY,
     remembered,
     trace_log_density,
 )
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import effective_table
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, effective_table
 
 Prior = Callable[[], object]
 
 _CHUNK = 4096
 _OWN_DRAWS = 64
 _PRIORS_KEPT = 16
+_TABLES_KEPT = 8
+_NODES = 4  # at which a continuous prior is evaluated in the cell of each level of strength
 _STATED_SITES = (*GOAL_SITES, ALPHA_SITE)
 
 
@@ -162,3 +167,80 @@ def _trace(prior: Prior, key: jax.Array, given: Mapping[str, Any]) -> dict[str, 
     program = handlers.seed(handlers.substitute(prior, dict(given)), key)
     trace: dict[str, Any] = handlers.trace(program).get_trace()
     return trace
+
+
+def cells(levels: FloatArray) -> FloatArray:
+    """Return (level + 1,) the bounds, in newtons, between which each level is the nearest one."""
+    between = (levels[1:] + levels[:-1]) / 2
+    return np.concatenate([STRENGTH_RANGE[:1], between, STRENGTH_RANGE[1:]])
+
+
+def place_of_level(strengths: Any, levels: FloatArray) -> Any:
+    """Return the places of the levels that stand for strengths, an array or a number."""
+    return np.searchsorted(cells(levels)[1:-1], strengths)
+
+
+@remembered(_TABLES_KEPT)
+def prior_table(
+    prior: Any, levels: tuple[float, ...], own: tuple[tuple[str, tuple[float, ...]], ...] = ()
+) -> FloatArray:
+    """Return log prior masses of goals, alpha and levels of strength, their sum 1.
+
+    A level stands for all strengths nearer to it than to any other and has their mass: with
+    strengths alike between 150 and 600 N, the four default levels have 1/6, 1/3, 1/3 and 1/6. A
+    continuous prior is integrated over them with ``_NODES`` Gauss-Legendre nodes each.
+
+    Args:
+        prior: NumPyro program over the hypothesis sites.
+        levels: (n,) of strength, newtons, ascending.
+        own: further sites of the prior, with all the values that each can take.
+
+    Returns:
+        (stated_goal_red, stated_goal_green, alpha, *own, strength_red, strength_green).
+    """
+    strengths = np.array(levels)
+    trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
+    nodes = [nodes_of(trace[name]["fn"], strengths) for name in STRENGTH_SITES]
+    stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
+        ALPHA_SITE: np.arange(len(ALPHAS))
+    }
+    stated |= {name: np.array(values) for name, values in own}
+    forces = {name: values for name, (values, _) in zip(STRENGTH_SITES, nodes, strict=True)}
+    if strengths_apart(prior):  # a thousand times fewer densities
+        densities = _densities(prior, stated)[..., None, None] + _densities(prior, forces)
+    else:
+        densities = _densities(prior, stated | forces)
+    densities[densities <= NO_DENSITY] = -np.inf
+    densities += np.log(nodes[0][1])[:, None] + np.log(nodes[1][1])
+    highest = densities.max()
+    if not np.isfinite(highest):
+        raise InvalidSettingError("the prior gives no mass to any hypothesis")
+    masses = np.exp(densities - highest)
+    for axis, (values, _) in enumerate(nodes, len(stated)):
+        place = place_of_level(values, strengths)
+        of_levels = [masses.compress(place == i, axis).sum(axis) for i in range(len(levels))]
+        masses = np.stack(of_levels, axis)
+    with np.errstate(divide="ignore"):
+        table = np.log(masses / masses.sum())
+    table.setflags(write=False)
+    return table
+
+
+def _densities(prior: Any, values: Mapping[str, NDArray[Any]]) -> FloatArray:
+    """Return the log density at all combinations of values of some sites, an axis for each."""
+    columns = dict(zip(values, np.meshgrid(*values.values(), indexing="ij"), strict=True))
+    flat = {name: column.ravel() for name, column in columns.items()}
+    return log_prior_of_hypotheses(prior, flat).reshape([len(one) for one in values.values()])
+
+
+def nodes_of(found: Any, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return strengths at which to evaluate their distribution, and the newtons of each."""
+    if found.support.is_discrete:
+        values = np.asarray(found.enumerate_support(expand=False), np.float64).ravel()
+        return values, np.ones(len(values))
+    places, weights = np.polynomial.legendre.leggauss(_NODES)
+    low, high = cells(levels)[:-1, None], cells(levels)[1:, None]
+    return (
+        ((low + high) / 2 + (high - low) / 2 * places).ravel(),
+        ((high - low) / 2 * weights).ravel(),
+    )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
 
 import numpy as np
@@ -45,9 +46,9 @@ class TrajectoryLikelihood(Protocol):
 
 def is_stepwise(likelihood: object) -> TypeGuard[StepwiseLikelihood]:
     """Whether it is the closed loop's, of which nothing is simulated."""
-    from phase_ppl.models.stepwise import StepwiseLikelihood  # loads planner and physics
-
-    return isinstance(likelihood, StepwiseLikelihood)
+    # where there is one, its module is loaded; another run need not load planner and physics
+    module = sys.modules.get("phase_ppl.models.stepwise")
+    return module is not None and isinstance(likelihood, module.StepwiseLikelihood)
 
 
 class InNats:

@@ -20,9 +20,8 @@ from phase_ppl.models.density import (
     remembered,
     trace_log_density,
 )
-from phase_ppl.models.effective import strengths_apart
+from phase_ppl.models.effective import cells, place_of_level, prior_table, strengths_apart
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
-from phase_ppl.models.stepwise import cells, place_of_level, prior_table
 from phase_ppl.world.arrays import FloatArray
 
 _PRIORS_KEPT: Final = 8

@@ -29,8 +29,8 @@ from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models import priors
+from phase_ppl.models.effective import nodes_of, place_of_level
 from phase_ppl.models.sites import IMPOSSIBLE
-from phase_ppl.models.stepwise import nodes_of, place_of_level
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number

@@ -9,7 +9,6 @@ products, and tables of all goals are not needed.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -19,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from phase_ppl.models import effective, own_sites, roles
+from phase_ppl.models import effective, roles
 from phase_ppl.models.density import Program, remembered
-from phase_ppl.models.stepwise import prior_table
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import HypothesisSpace, space_of
@@ -96,22 +94,6 @@ def kept_prior(prior: Program) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
         "log_prior_goals": (("agent", "goal"), found.goals),
         "log_prior_company": (("way",), found.company),
     }
-
-
-def stepwise_prior(
-    prior: Callable[..., object], world: World, levels: tuple[float, ...]
-) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    """Return what a file of what was read step by step keeps of a prior: variables, attributes.
-
-    In PHASE ``log_prior``, of all hypotheses, and the names of further ``sites``; elsewhere
-    ``log_prior_goals``, ``log_prior_company`` and ``log_prior_strengths``. Levels of strength are
-    in newtons, ascending.
-    """
-    if world == PHASE:
-        further = json.dumps(list(own_sites.further_sites(prior)))
-        return {"log_prior": prior_table(prior, levels)}, {"sites": further}
-    found = roles.factors(prior, world, levels)._asdict()
-    return {f"log_prior_{name}": values for name, values in found.items()}, {}
 
 
 def drawn_stated(

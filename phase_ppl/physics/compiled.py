@@ -15,7 +15,7 @@ from phase_ppl.physics.constants import (
     SHARED_WELD_SWEEPS,
     WORLD_INNER_STEPS,
 )
-from phase_ppl.physics.contacts import find_contacts
+from phase_ppl.physics.contacts import find_contacts, rub, solve
 from phase_ppl.physics.flat import (
     ANGLE,
     BIAS_SPIN,
@@ -34,7 +34,6 @@ from phase_ppl.physics.flat import (
     to_state,
 )
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
-from phase_ppl.physics.solver import rub, solve
 from phase_ppl.physics.welds import attach, find_grab, mend, place_frame, turn_frame
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING

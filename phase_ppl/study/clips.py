@@ -1,4 +1,4 @@
-"""The little films of the introduction, made by the package's own world."""
+"""The little films of the introduction: those of PHASE, and what can be shown of any world."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene, World
 
 _WAIT, _GO, _BACK = Action.NO_FORCE, Action.UP, Action.DOWN
 _LEFT, _RIGHT, _STOP = Action.TURN_LEFT, Action.TURN_RIGHT, Action.STOP
@@ -22,14 +22,17 @@ _WALL: Final = [[[16.0, 12.0], [16.0, 22.0]]]
 _FAR: Final = ((9.0, 4.5, 0.0), (23.0, 4.5, 0.0))
 """Where items are that have no part in a clip."""
 
+Track = Sequence[tuple[Action, int]]
+"""Of an agent: what it does, and for how many planner steps."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Clip:
     """A film: who is where, and what red and green do, as (action, planner steps)."""
 
     start: Sequence[tuple[float, float, float]]
-    red: Sequence[tuple[Action, int]]
-    green: Sequence[tuple[Action, int]]
+    red: Track
+    green: Track
     radius: Sequence[float] = (1.2, 1.2, 1.2, 1.2)
     strengths: tuple[float, float] = (450.0, 450.0)
     walls: Sequence[Sequence[Sequence[float]]] = ()
@@ -41,11 +44,14 @@ class Clip:
 
     def trajectory(self) -> FloatArray:
         """Return (time, entity, coord)."""
-        red, green = ([a for a, n in track for _ in range(n)] for track in (self.red, self.green))
-        world = PymunkWorld(self.scene, self.strengths)
-        frames = [np.array(self.start)]
-        frames += [world.step(actions) for actions in zip(red, green, strict=True)]
-        return np.array(frames)
+        return _acted(self.scene, (self.red, self.green), self.strengths)
+
+
+def _acted(scene: Scene, tracks: Sequence[Track], strengths: Sequence[float]) -> FloatArray:
+    """Return (time, entity, coord) of what comes of agents' actions."""
+    actions = ([action for action, n in track for _ in range(n)] for track in tracks)
+    world = PymunkWorld(scene, strengths)
+    return np.array([scene.start, *map(world.step, zip(*actions, strict=True))])
 
 
 _SIDEWAYS: Final = -np.pi / 2  # angle of an agent that looks to the right
@@ -87,11 +93,26 @@ CLIPS: Final[Mapping[str, Clip]] = {
 """Name, as ``study.toml`` uses it -> film."""
 
 
-def make_clips(folder: Path) -> None:
-    """Write the films into a folder, those that are not there."""
+def clip_names(world: World) -> tuple[str, ...]:
+    """Return the names of the films that there are of a world."""
+    return tuple(CLIPS) if world == PHASE else ("moving", "sight")
+
+
+def make_clips(folder: Path, world: World = PHASE) -> None:
+    """Write the films into a folder, those that are not there.
+
+    Of another world than PHASE these are its agents about in a random scene, and what they see.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    for name, clip in CLIPS.items():
-        path = folder / f"{name}.mp4"
-        if not path.is_file():
-            observed = Observation(clip.trajectory())
-            render.video(observed, path, clip.scene, fields_of_view=clip.sight)
+    for name in clip_names(world):
+        path, clip = folder / f"{name}.mp4", CLIPS[name]
+        if path.is_file():
+            continue
+        if world == PHASE:
+            scene, track = clip.scene, clip.trajectory()
+        else:
+            moving, n = CLIPS["moving"], len(world.agents)
+            scene = world.random_scene(0)
+            tracks = [(moving.red, moving.green)[agent % 2] for agent in range(n)]
+            track = _acted(scene, tracks, clip.strengths[:1] * n)
+        render.video(Observation(track), path, scene, fields_of_view=clip.sight)

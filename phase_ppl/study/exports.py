@@ -17,14 +17,17 @@ import numpy as np
 from phase_ppl import __version__
 from phase_ppl.dataset.load import save_events
 from phase_ppl.evaluation.csv_file import csv_bytes
+from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.study.plan import the
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import COMPLETE, Store, trajectory_sha256
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.files import write_bytes
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import PHASE, World
 
 README: Final = "README.md"
 SLIPPED: Final = 500.0
@@ -39,13 +42,6 @@ _VIEWING: Final = {
     "video": "id of the event in events.json",
 }
 _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
-    "judgments.csv": {
-        **_VIEWING,
-        "goal_red": "what the red agent is after: one of the 36 goals",
-        "goal_green": "what the green agent is after, likewise",
-        "relation": "friendly, neutral or adversarial",
-        "response_time": "seconds from when the page was shown until it was answered",
-    },
     "tags.csv": {
         **_VIEWING,
         "label": "a label that the participant chose for the video; a row each",
@@ -114,7 +110,21 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
         "lag_ms": "most by which a frame of the step was late, milliseconds",
     },
 }  # fmt: skip
-"""Table -> column -> what is in it."""
+"""Table -> column -> what is in it; of judgments :func:`_columns` has them."""
+
+
+def _columns(world: World) -> dict[str, Mapping[str, str]]:
+    """Return table -> column -> what is in it, of a study in a world."""
+    said: dict[str, str] = {}
+    pairs = pairs_of(world)
+    for question, agent in zip(questions_of(world), world.agents, strict=False):
+        which = ", likewise" if said else f": one of the {len(world.goals)} goals"
+        said[question] = f"what {the(agent)} is after{which}"
+    for question, pair in pairs.items():
+        whose = f"of {' and '.join(map(the, pair))}: " if len(pairs) > 1 else ""
+        said[question] = f"{whose}friendly, neutral or adversarial"
+    last = {"response_time": _COLUMNS["viewings.csv"]["response_time"]}
+    return {"judgments.csv": {**_VIEWING, **said, **last}, **_COLUMNS}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -233,7 +243,7 @@ def write(
             "steps.csv": "what was done and pressed, from which trajectories follow bit for bit",
         }
     for name, rows in tables.items():
-        columns = list(_COLUMNS[name])
+        columns = list(_columns(settings.world)[name])
         cells = ([row[column] for column in columns] for row in rows)
         write_bytes(out / name, (".csv",), csv_bytes(columns, cells))
     readme = _readme(store, settings, len(included), include, files, _totals(asked))
@@ -295,13 +305,18 @@ def _people(store: Store, settings: Settings) -> list[dict[str, Any]]:
         mine = seen.get(person["participant"], [])
         person["answers"] = len(mine)
         person["checks_missed"] = sum(
-            one.get("relation") not in settings.checks.get(one["video"], ())
-            for one in mine
+            _is_missed(one, settings.checks.get(one["video"])) for one in mine
             if one["role"] == "check"
-        )
+        )  # fmt: skip
         still = now - person["seen"] < 60 * settings.place_kept
         person["outcome"] = person["outcome"] or ("at it" if still else "left")
     return found
+
+
+def _is_missed(viewing: Mapping[str, Any], accepted: Mapping[str, Sequence[str]] | None) -> bool:
+    if accepted is None:  # a check that is none any more
+        return True
+    return any(viewing.get(question) not in answers for question, answers in accepted.items())
 
 
 def _totals(people: Sequence[Mapping[str, Any]]) -> str:
@@ -402,7 +417,7 @@ def _readme(
     store: Store, settings: Settings, n: int, include: Sequence[str],
     files: Mapping[str, str], totals: str,
 ) -> str:  # fmt: skip
-    kind = settings.kind
+    kind, columns = settings.kind, _columns(settings.world)
     lines = [
         f"{_TITLE} of {kind}: {settings.title}", "",
         f"Made {time.strftime('%Y-%m-%d')} by phase_ppl {__version__}; the study was begun with "
@@ -417,11 +432,12 @@ def _readme(
     ]  # fmt: skip
     for name, what in files.items():
         lines += [f"### {name}", "", *([f"{what[0].upper()}{what[1:]}.", ""] if what else [])]
-        if name in _COLUMNS:
+        if name in columns:
             lines += ["| column | content |", "|---|---|"]
-            lines += [f"| `{column}` | {text} |" for column, text in _COLUMNS[name].items()] + [""]
+            lines += [f"| `{column}` | {text} |" for column, text in columns[name].items()] + [""]
+    of = "" if settings.world == PHASE else ', ppl.load_events("events.json")'
     reads = {
-        "judgment": 'ppl.load_judgments("judgments.csv")',
+        "judgment": f'ppl.load_judgments("judgments.csv"{of})',
         "tagging": 'ppl.load_tags("tags.csv")',
         "likeness": 'ppl.load_likeness("likeness.csv")',
     }

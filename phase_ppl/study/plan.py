@@ -12,11 +12,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from phase_ppl.evaluation.experiments import LABELS
+from phase_ppl.evaluation.prediction import pairs_of
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Participant
-from phase_ppl.world.goals import GOALS, is_self_referring
+from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.names import Literal, Predicate
+from phase_ppl.world.picture import Colour
+from phase_ppl.world.scene import PHASE, World
 
 GENDERS: Final = ("female", "male", "non-binary", "other")
 LIKENESS: Final = ("1: very unlikely", "2", "3", "4", "5: very likely")
@@ -144,22 +147,100 @@ def questions(settings: Settings, page: str) -> list[Page]:
         return []
     if settings.kind == "tagging":
         return [_one("labels", "What happens? Choose all that fit.", LABELS, kind="many")]
-    found = [
-        {"name": f"goal_{agent.split()[0]}", "kind": "goals", "agent": agent,
-         "legend": f"What does the {agent} want?", "self_goals": settings.self_goals}
-        for agent in AGENTS
-    ]  # fmt: skip
-    found.append(_one("relation", "How do they stand to each other?", RELATIONS))
+    world, pairs = settings.world, pairs_of(settings.world)
+    found = [_goals(world, agent, settings.self_goals) for agent in range(len(world.agents))]
+    for name, pair in pairs.items():
+        who = "they" if len(pairs) == 1 else " and ".join(map(the, pair))
+        found.append(_one(name, f"How do {who} stand to each other?", RELATIONS))
     if settings.kind == "likeness":
         legend = " ".join(settings.texts["likeness"].split())
         found.append(_one("likeness", legend, list(enumerate(LIKENESS, 1))))
     return found
 
 
-def allowed_goals(agent: str, self_goals: bool) -> list[str]:
-    """Return the goals that people can choose for an agent."""
-    number = AGENTS.index(agent)
-    return [g for i, g in enumerate(GOALS) if self_goals or not is_self_referring(i, number)]
+@functools.lru_cache(maxsize=64)
+def _goals(world: World, agent: int, self_goals: bool) -> Page:
+    """Return the question about an agent's goal: tables of bodies and where they are to be.
+
+    Goals that stand in no table are shown in a row below.
+    """
+    goals = _by_literal(world, agent, self_goals)
+    others = [other for other in range(len(world.agents)) if other != agent]
+    bodies = [*range(len(world.agents), len(world.entities)), agent, *others]
+    words: dict[str, str] = {}  # goal -> the same in words, in the order of the page
+
+    def cells(predicate: Predicate, body: int, places: Mapping[int, str]) -> list[str | None]:
+        found = []
+        for way, positive in (("to", True), ("away from", False)):
+            for place, called in places.items():
+                found.append(goal := goals.get(Literal(predicate, body, place, positive)))
+                if goal is not None:
+                    mover = f"{who[body]} " * (predicate is Predicate.ON or body != agent)
+                    words[goal] = f"get {mover}{way} {called}"
+        return found
+
+    def table(of: str, heads: Sequence[tuple[str, Colour]], rows: Mapping[int, Any]) -> Page:
+        return {
+            "heads": [f"\u2026 to{of}", f"\u2026 away from{of}"],
+            "columns": [[name, _css(world, colour)] for name, colour in heads],
+            "rows": [
+                [who[body], _css(world, world.entity_colours[body]), row]
+                for body, row in rows.items()
+            ],
+        }
+
+    who = {body: "itself" if body == agent else the(world.entities[body]) for body in bodies}
+    places = {n: the(one.name.replace(" lm", " landmark")) for n, one in enumerate(world.landmarks)}
+    heads = [(one.name.removesuffix(" lm"), one.colour) for one in world.landmarks]
+    tables = [
+        table(" the landmark", heads, {b: cells(Predicate.ON, b, places) for b in bodies}),
+    ]
+    touched = {
+        body: who[body]
+        for body in (*bodies[: len(world.items)], *others, *[agent] * self_goals)
+        if world.entities[body] in (world.touchable or ())
+    }
+    rows = {body: cells(Predicate.TOUCH, body, touched) for body in bodies}
+    rows = {body: row for body, row in rows.items() if any(row)}
+    if set(rows) - {agent}:
+        heads = [(world.entities[body], world.entity_colours[body]) for body in touched]
+        tables.append(table("", heads, rows))
+    else:  # beside each other: to and away from the same
+        both = (goals.get(Literal(Predicate.TOUCH, agent, body, way))
+                for body in touched for way in (True, False))  # fmt: skip
+        words |= {goal: words.pop(goal) for goal in both if goal is not None}
+    words |= {goal: goal for literal, goal in goals.items() if literal.predicate is Predicate.OWN}
+    return {
+        "name": f"goal_{world.keys[agent]}",
+        "kind": "goals",
+        "legend": f"What does {the(world.agents[agent])} want?",
+        "colour": _css(world, world.entity_colours[agent]),
+        "options": [[goal, said] for goal, said in words.items()],
+        "tables": tables,
+    }
+
+
+def the(name: str) -> str:
+    """Return a name in a sentence: "the ball", but "Anna"."""
+    return name if name[0].isupper() or name.startswith("the ") else f"the {name}"
+
+
+def _css(world: World, colour: Colour) -> str | None:
+    """Return the colour that stands beside a name; in PHASE names say it."""
+    return None if world == PHASE else "rgb({}, {}, {})".format(*colour)
+
+
+def allowed_goals(agent: int, self_goals: bool, world: World = PHASE) -> list[str]:
+    """Return the goals that people can choose for an agent of a world, in its order."""
+    return list(_by_literal(world, agent, self_goals).values())
+
+
+def _by_literal(world: World, agent: int, self_goals: bool) -> dict[Literal, str]:
+    """Return what an agent's goals make true -> the goals, of two that are the same the first."""
+    found: dict[Literal, str] = {}
+    for goal in range(len(world.goals)) if self_goals else possible_goals(agent, world):
+        found.setdefault(goal_literal(goal, agent, world), world.goals[goal])
+    return found
 
 
 @functools.lru_cache(maxsize=256)
@@ -218,8 +299,6 @@ def _fitting(question: Page, answer: Any) -> Any:
         answer = [option for option in options if option in several]
         fits = bool(several) and len(answer) == len(several)
     else:
-        if question["kind"] == "goals":
-            options = allowed_goals(question["agent"], question["self_goals"])
         # 3.0 and True are equal to options, and are none
         fits = any(type(answer) is type(one) and answer == one for one in options)
     if not fits:

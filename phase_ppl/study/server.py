@@ -26,7 +26,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from phase_ppl.study import plan
-from phase_ppl.study.clips import CLIPS
+from phase_ppl.study.clips import clip_names
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Participant, Refused, Store
 from phase_ppl.world.event import Event
@@ -369,6 +369,6 @@ class Pages:
     async def clip(self, request: Request) -> Response:
         """A film of the introduction."""
         name = request.path_params["name"]
-        if name not in CLIPS:
+        if name not in clip_names(self.site.settings.world):
             raise HTTPException(404, "there is no such film")
         return FileResponse(self.site.folder / "clips" / f"{name}.mp4", media_type="video/mp4")

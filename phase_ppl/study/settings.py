@@ -14,11 +14,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from phase_ppl.evaluation.judgments import checked_answer
-from phase_ppl.study.clips import CLIPS
+from phase_ppl.evaluation.prediction import checked_answer, pairs_of
+from phase_ppl.study.clips import clip_names
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.files import existing_file
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene, World
 
 FILE: Final = "study.toml"
 KINDS: Final = ("judgment", "tagging", "likeness", "play")
@@ -33,8 +33,7 @@ _RANGES: Final[Mapping[str, tuple[int, float]]] = {
 }  # fmt: skip
 """Of whole numbers, the least and the most."""
 
-_CHOICES: Final = {"view": ("own", "all"), "partner": ("either", "person", "computer"),
-                   "clip": ("", *CLIPS)}  # fmt: skip
+_CHOICES: Final = {"view": ("own", "all"), "partner": ("either", "person", "computer")}
 """Of texts, those of which one is allowed."""
 
 
@@ -76,8 +75,9 @@ class Settings:
     Attributes:
         text: of the file.
         All others: as in the file. ``quiz`` has (question, options, right answer), ``tutorial``
-        (Markdown, name of a clip or ""), ``checks`` event id -> accepted relations, ``play`` is
-        there in a study of play alone.
+        (Markdown, name of a clip or ""), ``checks`` event id -> question -> accepted answers,
+        ``play`` is there in a study of play alone.
+        world: that the events are of, which have it.
     """
 
     kind: str
@@ -98,10 +98,11 @@ class Settings:
     texts: Mapping[str, str]
     tutorial: Sequence[tuple[str, str]]
     quiz: Sequence[tuple[str, tuple[str, ...], str]]
-    checks: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    checks: Mapping[str, Mapping[str, tuple[str, ...]]] = dataclasses.field(default_factory=dict)
     play: PlaySettings = None  # type: ignore[assignment]
     self_goals: bool = False
     text: str = ""
+    world: World = PHASE
 
     @functools.cached_property
     def sha256(self) -> str:
@@ -109,31 +110,31 @@ class Settings:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @classmethod
-    def read(cls, path: Path) -> Settings:
-        """Read ``study.toml``."""
+    def read(cls, path: Path, world: World = PHASE) -> Settings:
+        """Read ``study.toml`` of a study of events of a world."""
         source = existing_file(path)
         try:
             text = source.read_text("utf-8")
-            return cls.parse(text)
+            return cls.parse(text, world)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InvalidSettingError(f"{source}: {error}") from None
         except (InvalidSettingError, ValueError) as error:
             raise type(error)(f"{source}: {error}") from None
 
     @classmethod
-    def parse(cls, text: str) -> Settings:
+    def parse(cls, text: str, world: World = PHASE) -> Settings:
         """Read the text of ``study.toml``; what is left out is as in the template."""
         given = tomllib.loads(text)
         if given.get("kind") not in KINDS:
             raise unknown_name("kind", given.get("kind"), KINDS)
-        found = _table("", given, tomllib.loads(template(given["kind"], title="")))
-        for name, check in (("tutorial", _step), ("quiz", _question)):
+        found = _table("", given, tomllib.loads(template(given["kind"], title="", world=world)))
+        for name, check in (("tutorial", functools.partial(_step, world)), ("quiz", _question)):
             found[name] = [check(f"[[{name}]] number {n}", e) for n, e in enumerate(found[name], 1)]
         if "checks" in found:
-            found["checks"] = {event: _relations(event, a) for event, a in found["checks"].items()}
+            found["checks"] = {e: _accepted(e, a, world) for e, a in found["checks"].items()}
         if "play" in found:
             found["play"] = PlaySettings(**found["play"])
-        return cls(**found, text=text)
+        return cls(**found, text=text, world=world)
 
 
 _TYPES: Final = {str: "text", int: "a whole number", bool: "true or false", dict: "a table",
@@ -141,8 +142,9 @@ _TYPES: Final = {str: "text", int: "a whole number", bool: "true or false", dict
 
 
 def template(
-    kind: str, title: str, *, trials: int = 10, raters: int = 20, n_videos: int = 100
-) -> str:
+    kind: str, title: str, *, trials: int = 10, raters: int = 20, n_videos: int = 100,
+    world: World = PHASE,
+) -> str:  # fmt: skip
     """Return the text of a new ``study.toml``, with codes of its own."""
     import jinja2
 
@@ -161,6 +163,10 @@ def template(
         raters=raters,
         most_entries=max(100, 3 * people),
         codes={name: code() for name in names},
+        world=world,
+        of_phase=world == PHASE,
+        alone=len(world.agents) == 1,
+        pair=next(iter(pairs_of(world)), None),
         minutes=12 + trials if kind == "play" else max(5, 5 + -(-trials * 3 // 4)),
     )
 
@@ -195,8 +201,10 @@ def _table(
     return found
 
 
-def _step(where: str, given: Any) -> tuple[str, str]:
+def _step(world: World, where: str, given: Any) -> tuple[str, str]:
     entry = _table(where, given, {"text": "", "clip": ""}, ["text"])
+    if entry["clip"] not in ("", *clip_names(world)):
+        raise unknown_name(f"clip in {where}", entry["clip"], ("", *clip_names(world)))
     return entry["text"], entry["clip"]
 
 
@@ -211,7 +219,16 @@ def _question(where: str, given: Any) -> tuple[str, tuple[str, ...], str]:
     return entry["question"], options, entry["answer"]
 
 
-def _relations(event: str, accepted: Any) -> tuple[str, ...]:
-    if not isinstance(accepted, list) or not accepted:
-        raise InvalidSettingError(f"[checks] {event} is {shown(accepted)}, expected relations")
-    return tuple(checked_answer("relation", answer) for answer in accepted)
+def _accepted(event: str, given: Any, world: World) -> dict[str, tuple[str, ...]]:
+    """Return question -> accepted answers; a list is of the relation where there is one pair."""
+    pairs = list(pairs_of(world))
+    if isinstance(given, list) and len(pairs) == 1:
+        given = {pairs[0]: given}
+    lists = given.values() if isinstance(given, dict) else ()
+    if not lists or not all(isinstance(one, list) and one for one in lists):
+        expected = "relations" if len(pairs) == 1 else "a table of questions with lists of answers"
+        raise InvalidSettingError(f"[checks] {event} is {shown(given)}, expected {expected}")
+    return {
+        question: tuple(checked_answer(question, answer, world) for answer in answers)
+        for question, answers in given.items()
+    }

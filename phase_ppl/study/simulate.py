@@ -7,9 +7,11 @@ of it shows a lab its export and figures before anybody is paid; it says nothing
 from __future__ import annotations
 
 import contextlib
+import csv
 import dataclasses
 import hashlib
 import http.client
+import itertools
 import json
 import os
 import queue
@@ -18,7 +20,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -29,15 +31,18 @@ import numpy as np
 from phase_ppl.evaluation import evaluate as evaluation_module
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.experiments import LABELS
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import Prediction, questions_of
+from phase_ppl.evaluation.tables import true_answers
 from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
 from phase_ppl.study.study import CLIPS_FOLDER, VIDEOS, Study
 from phase_ppl.world.checks import nonnegative_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
+from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import scenario
 from phase_ppl.world.progress import Bar
+from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study as Judged
@@ -325,22 +330,21 @@ class Person:
         return self._judged(self.beliefs[self.events[film]], page)
 
     def _judged(self, belief: Prediction, page: Mapping[str, Any]) -> dict[str, Any]:
-        goals = {
-            question: plan.allowed_goals(agent, self.settings.self_goals)
-            for agent, question in GOAL_QUESTIONS.items()
-        }
-        allowed: Mapping[str, Sequence[str]] = {**QUESTIONS, **goals}
+        world, self_goals = self.settings.world, self.settings.self_goals
+        allowed: dict[str, Sequence[str]] = {**questions_of(world)}
+        for agent, question in zip(range(len(world.agents)), allowed, strict=False):
+            allowed[question] = plan.allowed_goals(agent, self_goals, world)
         drawn = {q: self._drawn(belief, q, options) for q, options in allowed.items()}
         asked = {question["name"] for question in page["questions"]}
         if "labels" in asked:
-            return {"labels": self._labels(drawn["goal_red"], drawn["goal_green"])}
+            return {"labels": self._labels(list(drawn.values())[: len(world.agents)])}
         if "likeness" in asked:
             rating = int(np.clip(round(self.rng.normal(*_RATING)), 1, 5))
             return {**drawn, "likeness": rating}
         return drawn
 
     def _drawn(self, belief: Prediction, question: str, options: Sequence[str]) -> str:
-        labels = QUESTIONS[question]
+        labels = questions_of(self.settings.world)[question]
         if question in belief.probabilities:
             shares = np.array([belief.probabilities[question][labels.index(o)] for o in options])
         else:
@@ -349,9 +353,12 @@ class Person:
             shares = np.ones(len(options))
         return str(self.rng.choice(options, p=shares / shares.sum()))
 
-    def _labels(self, red: str, green: str) -> list[str]:
-        likely = dict(_LIKELY[scenario(red, green)])
-        for goal in (red, green):
+    def _labels(self, goals: Sequence[str]) -> list[str]:
+        likely: dict[str, float] = {}
+        for one, other in itertools.combinations(range(len(goals)), 2):
+            pair = goals[one], goals[other]
+            likely |= _LIKELY[scenario(*pair, self.settings.world, (one, other))]
+        for goal in goals:
             for start, labels in _BY_GOAL.items():
                 if goal.startswith(start):
                     likely |= labels
@@ -369,6 +376,9 @@ def _figures(kind: str, out: Path, copy: Study) -> list[str]:
     if kind == "tagging":
         figures.tags(out / "tags.csv", out / "tags.png")
         return [f"\nFigure: {out / 'tags.png'}"]
+    events = [event for event in copy.events.values() if event.truth is not None]
+    if copy.settings.world != PHASE:
+        return _right(out / "judgments.csv", events, questions_of(copy.settings.world))
     judged: Judged = load_judgments(out / "judgments.csv")
     lines = [f"\n{judged}"]
     if kind == "likeness":
@@ -377,9 +387,17 @@ def _figures(kind: str, out: Path, copy: Study) -> list[str]:
             f"{load_likeness(out / 'likeness.csv').summary()}",
             f"Figure: {out / 'likeness.png'}",
         ]
-    events = [event for event in copy.events.values() if event.truth is not None]
     if any(event.id in judged.judgments for event in events):
         right = judged.accuracy(events)
         for name in ("goal_accuracy", "relation_accuracy"):
             lines.append(f"{name}: {right[name]['value']:.2f}")
     return lines
+
+
+def _right(path: Path, events: Sequence[Event], questions: Iterable[str]) -> list[str]:
+    """Return of each question, in words, which share of the answers in a file is true."""
+    true = {event.id: true_answers(event) for event in events}
+    with open(path, encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["video"] in true]
+    found = {q: [row[q] == true[row["video"]][q] for row in rows] for q in questions if rows}
+    return [f"{question}: {np.mean(right):.2f} right" for question, right in found.items()]

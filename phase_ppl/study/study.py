@@ -23,17 +23,18 @@ from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.evaluation.registry import check_installed
+from phase_ppl.evaluation.tables import world_of
 from phase_ppl.study import exports
 from phase_ppl.study import settings as settings_module
 from phase_ppl.study import store as store_module
-from phase_ppl.study.clips import CLIPS, make_clips
+from phase_ppl.study.clips import clip_names, make_clips
 from phase_ppl.study.exports import Status
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.store import Stimulus, Store
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, locked, writable_folder, write_bytes
+from phase_ppl.world.files import as_path, existing_file, locked, writable_folder, write_bytes
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import check_phase
@@ -67,7 +68,8 @@ class Study:
 
     def __init__(self, folder: PathLike) -> None:
         self.folder = as_path(folder)
-        self.settings = Settings.read(self.folder / settings_module.FILE)
+        file = existing_file(self.folder / settings_module.FILE)
+        self.settings = Settings.read(file, world_of(list(self.events.values())))
         with self.store() as store:
             kind = store.fact("kind")
             if self.settings.kind != kind:
@@ -97,8 +99,8 @@ class Study:
 
         Args:
             folder: empty, or yet to be made.
-            events: to be shown; of a study of play, those whose scenes, goals and strengths are to
-                be played; of likeness, those that people played.
+            events: to be shown, all of one world; of a study of play, those whose scenes, goals and
+                strengths are to be played; of likeness, those that people played.
             kind: "judgment", "tagging", "likeness" or "play".
             generated: of likeness, the counterparts of ``events``: same scene, goals, strengths.
                 Default: they are simulated.
@@ -110,6 +112,8 @@ class Study:
 
         Raises:
             UnknownNameError: there is no such kind.
+            InvalidSettingError: events are of several worlds; or of another than PHASE, and it is
+                a study of play or likeness.
             InvalidEventError: events have no truth where it is needed, or no counterpart.
             OutputError: the folder is not empty, or cannot be written.
         """
@@ -126,7 +130,8 @@ class Study:
             raise OutputError(f"{target} is not empty: a study gets a folder of its own")
         with locked(target):
             target.chmod(0o700)
-            make_clips(target / CLIPS_FOLDER)
+            world = shown[0].scene.world
+            make_clips(target / CLIPS_FOLDER, world)
             if kind != "play":
                 names = [secrets.token_hex(12) for _ in shown]
                 hidden = [dataclasses.replace(e, id=n) for e, n in zip(shown, names, strict=True)]
@@ -140,7 +145,9 @@ class Study:
             if kind != "play":  # a person sees one group, and of copies one
                 alike = {s.copies or s.event for s in stimuli if s.grp in (None, "played")}
                 trials = min(trials, len(alike))
-            text = template(kind, title, trials=trials, raters=raters, n_videos=len(stimuli))
+            text = template(
+                kind, title, trials=trials, raters=raters, n_videos=len(stimuli), world=world
+            )
             write_bytes(target / settings_module.FILE, (".toml",), text.encode())
         return cls(target)
 
@@ -177,7 +184,7 @@ class Study:
                 if stimulus.file and (not film.is_file() or _digest(film) != stimulus.sha256):
                     why = "has changed" if film.is_file() else "is missing"
                     raise InvalidEventError(f"{film}, of event {stimulus.event!r}, {why}")
-        for name in CLIPS:
+        for name in clip_names(self.settings.world):
             clip = self.folder / CLIPS_FOLDER / f"{name}.mp4"
             if not clip.is_file():
                 raise InvalidEventError(f"{clip} is missing")
@@ -353,13 +360,13 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
     is_path = isinstance(events, str | os.PathLike)
     source = load_events(events) if is_path and (as_path(events) / MANIFEST).is_file() else events
     found = all_events(source)
-    for event in found:
-        check_phase(event.scene, "a study")
+    world_of(found)
     groups: dict[str, str] = {}
     if isinstance(source, GeneratedEvents):
         groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}
     if kind in ("likeness", "play"):
         for event in found:
+            check_phase(event.scene, f"a study of {kind}")
             _check_truth(event, kind)
     if kind != "likeness":
         several = [groups.get(event.id) for event in found]

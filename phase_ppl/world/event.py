@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
@@ -18,10 +19,24 @@ from phase_ppl.world.hypothesis import (
     relation,
     scenario,
 )
+from phase_ppl.world.names import Literal
 from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
 from phase_ppl.world.picture import drawn
 from phase_ppl.world.scene import PHASE, Scene, check_inside
-from phase_ppl.world.thoughts import Thoughts
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Thoughts:
+    """What all agents thought; step k is decided at frame k and leads to frame k + 1."""
+
+    subgoals: tuple[tuple[Literal, Literal], ...]  # (step, agent) what each was about
+    actions: IntArray  # (step, agent) what it did, an index into the names of actions
+    # (step, agent) share of its belief particles in which that was the subgoal
+    agreeing: FloatArray
+    seen: BoolArray  # (step, agent, entity) whether it had the entity in view
+    held: IntArray  # (step, agent) the item that it held, or ``NOTHING``
+    # (step, agent, particle, entity, [x, y, angle]) its beliefs, units and radians
+    particles: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,6 +7,7 @@ an agent's centre of mass lies at local (0, -R / 6).
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any, Final
 
@@ -178,3 +179,24 @@ def deepest_overlap(scene: Any) -> tuple[str, float]:
             depth = penetration(shape, shapes[other], rounding[e] + rounding[other])
             found[f"the {scene.world.entities[other]} and {name}"] = depth
     return max(found.items(), key=lambda item: item[1])
+
+
+def overlaps(
+    start: FloatArray, radius: FloatArray, walls: FloatArray, n_agents: int = len(AGENTS)
+) -> bool:
+    """Whether any two shapes overlap, or one a wall.
+
+    The shapes start at (entity, coord) x, y [units], angle [rad], and have sizes (entity,) [units];
+    walls (n, 2, 2) are along the axes. The first entities are agents.
+    """
+    entities = range(len(start))
+    pairs = itertools.combinations(entities, 2)
+    if any(shapes_meet(first, second, start, radius, n_agents=n_agents) for first, second in pairs):
+        return True
+    discs = ((start[entity, None, :2], float(radius[entity])) for entity in entities[n_agents:])
+    agents = ((agent_outline(start[e], float(radius[e])), 0.0) for e in entities[:n_agents])
+    return any(
+        penetration(outline, wall, rounding) > 0
+        for outline, rounding in (*agents, *discs)
+        for wall in walls
+    )

@@ -18,7 +18,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Registry(Generic[Entry]):
-    """Name -> entry. Ours are imported, and other packages' loaded, when it is first asked.
+    """Name -> entry. All are loaded when one is asked for that is not known yet.
 
     Args:
         what: is registered, for messages.
@@ -64,7 +64,7 @@ class Registry(Generic[Entry]):
 
     def __getitem__(self, name: str) -> Entry:
         """Return the entry of that name."""
-        if name not in self.names():
+        if name not in self.entries and name not in self.names():
             raise unknown_name(self._what, name, self.names())
         return self.entries[name]
 

@@ -19,8 +19,7 @@ import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.what_if import Change
 from phase_ppl.closed_loop.hidden_state import reconstructed
-from phase_ppl.models.effective import strengths_apart
-from phase_ppl.models.stepwise import prior_table
+from phase_ppl.models.effective import prior_table, strengths_apart
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.geometry import is_on
 from phase_ppl.world.names import NOTHING

@@ -102,7 +102,7 @@ def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
 
 @needs_torch
 def test_who_is_red_hardly_matters_to_the_relation() -> None:
-    from phase_ppl.models.socialgnn.examples import LOOKS, Examples
+    from phase_ppl.models.socialgnn.graphs import LOOKS, Examples
     from phase_ppl.models.socialgnn.network import Ensemble
 
     # learned, not built in: so only on average
@@ -197,16 +197,16 @@ def test_interrupted_training_keeps_what_is_finished(
     data: Path, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    from phase_ppl.models.socialgnn import training
+    from phase_ppl.models.socialgnn import network
 
-    fit, out = training.fit, tmp_path / "out"
+    fit, out = network.fit, tmp_path / "out"
 
     def stops(*given: Any) -> Any:
         if given[3] == 1:
             raise KeyboardInterrupt
         return fit(*given)
 
-    monkeypatch.setattr(training, "fit", stops)
+    monkeypatch.setattr(network, "fit", stops)
     command = ["train", "socialgnn", "--data", str(data), "--out", str(out), "--seeds", "2",
                "--option", "epochs=3", "--quiet"]  # fmt: skip
     assert main(command) == 130

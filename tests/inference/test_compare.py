@@ -15,8 +15,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import distances
 from phase_ppl.inference import entries as entries_module
-from phase_ppl.inference.entries import entries
-from phase_ppl.inference.reference import (
+from phase_ppl.inference.compare import (
     Reference,
     enumerate_goals,
     error_of,
@@ -25,6 +24,7 @@ from phase_ppl.inference.reference import (
     plan_enumeration,
     reference_of,
 )
+from phase_ppl.inference.entries import entries
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError

@@ -16,10 +16,9 @@ from jax import random
 
 import phase_ppl as ppl
 from phase_ppl.inference.kernels.enumeration import Enumeration
-from phase_ppl.inference.kernels.gibbs import GibbsKernel
 from phase_ppl.inference.kernels.importance import Importance
 from phase_ppl.inference.kernels.smc import SMC
-from phase_ppl.inference.kernels.wrapped import Ensemble, SampleAdaptive
+from phase_ppl.inference.kernels.wrapped import Ensemble, GibbsKernel, SampleAdaptive
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models.density import compiled_quickly
 from phase_ppl.models.likelihood import RadialLikelihood

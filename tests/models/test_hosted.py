@@ -14,7 +14,7 @@ import pytest
 from jax import lax, random
 from jax.experimental.compilation_cache import compilation_cache
 
-from phase_ppl.models import kept
+from phase_ppl.models import hosted
 from phase_ppl.models.bridge import SimulatorBridge, request_errors
 from phase_ppl.models.hosted import Hosted
 from tests.models.test_bridge import N_FRAMES, Counting, sites_of
@@ -31,7 +31,7 @@ def kept_by_jax() -> Any:
 @pytest.fixture(autouse=True)
 def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Has programs kept in a folder, and not by JAX, whose own files cannot be kept once more."""
-    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    monkeypatch.setattr(hosted, "folder", lambda: tmp_path)
     before = kept_by_jax()
     jax.config.update("jax_compilation_cache_dir", None)
     compilation_cache.reset_cache()
@@ -86,7 +86,7 @@ def test_cut_at_its_simulations_a_program_computes_what_it_does_as_a_whole(tmp_p
     cut, runner = called(Hosted(chain), KEYS)
     assert cut == whole
     assert [len(batch) for batch in runner.batches] == [5, 5]
-    assert list(tmp_path.glob(f"*{kept.SUFFIX}"))
+    assert list(tmp_path.glob(f"*{hosted.SUFFIX}"))
 
 
 def test_errors_beyond_the_observation_are_0() -> None:
@@ -98,7 +98,7 @@ def test_simulations_in_a_loop_are_run_from_within(tmp_path: Path) -> None:
     found, runner = called(Hosted(in_a_loop), jnp.int32(4))
     assert found[:N_FRAMES] == [6.0] * N_FRAMES
     assert len(runner.batches) == 4
-    assert not list(tmp_path.glob(f"*{kept.SUFFIX}"))
+    assert not list(tmp_path.glob(f"*{hosted.SUFFIX}"))
 
 
 def test_what_was_compiled_once_is_not_compiled_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,7 +120,7 @@ def test_what_is_identified_is_not_even_traced_again(monkeypatch: pytest.MonkeyP
 
 def test_code_of_another_version_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     called(Hosted(chain, "a chain"), KEYS)
-    monkeypatch.setattr(kept, "versions", lambda: {"source": "another"})
+    monkeypatch.setattr(hosted, "versions", lambda: {"source": "another"})
     monkeypatch.setattr(jax, "make_jaxpr", None)
     with pytest.raises(TypeError):
         called(Hosted(chain, "a chain"), KEYS)
@@ -129,7 +129,7 @@ def test_code_of_another_version_is_not_taken(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize("damage", [b"", b"x" * 100, None])
 def test_a_damaged_file_is_reported_and_made_anew(damage: bytes | None, tmp_path: Path) -> None:
     first, _ = called(Hosted(chain, "a chain"), KEYS)
-    for file in tmp_path.glob(f"*{kept.SUFFIX}"):
+    for file in tmp_path.glob(f"*{hosted.SUFFIX}"):
         file.write_bytes(file.read_bytes()[:-1] if damage is None else damage)
     with pytest.warns(RuntimeWarning, match="compiled anew"):
         again, _ = called(Hosted(chain, "a chain"), KEYS)
@@ -138,10 +138,10 @@ def test_a_damaged_file_is_reported_and_made_anew(damage: bytes | None, tmp_path
 
 
 def test_the_files_not_used_for_longest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept, "MOST", 3)
+    monkeypatch.setattr(hosted, "MOST", 3)
     for number in range(5):
-        kept.write_outline(f"{number}", number)
-        kept.read_outline("0")
+        hosted.write_outline(f"{number}", number)
+        hosted.read_outline("0")
     names = {file.stem for file in tmp_path.iterdir()}
     assert len(names) == 3
     assert "4" in names
@@ -153,7 +153,7 @@ def test_a_folder_that_cannot_be_written_changes_nothing(
     first, _ = called(Hosted(chain), KEYS)
     (tmp_path / "file").write_text("in the way")
     for place in (None, tmp_path / "file" / "folder"):
-        monkeypatch.setattr(kept, "folder", functools.partial(lambda p: p, place))
+        monkeypatch.setattr(hosted, "folder", functools.partial(lambda p: p, place))
         assert called(Hosted(chain, "a chain"), KEYS)[0] == first
 
 
@@ -161,14 +161,14 @@ def test_what_jax_keeps_itself_is_left_to_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.undo()
-    assert kept.folder() == kept.cache_folder()
+    assert hosted.folder() == hosted.cache_folder()
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    assert kept.folder() is None
+    assert hosted.folder() is None
 
 
 def test_code_that_was_changed_since_it_was_imported_is_not_remembered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert kept.outline_name("a function") is not None
-    monkeypatch.setattr(kept, "_IMPORTED", 0.0)
-    assert kept.outline_name("a function") is None
+    assert hosted.outline_name("a function") is not None
+    monkeypatch.setattr(hosted, "_IMPORTED", 0.0)
+    assert hosted.outline_name("a function") is None

@@ -13,12 +13,14 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.models.socialgnn import store
-from phase_ppl.models.socialgnn.examples import AS_IT_IS, LOOKS, Examples
 from phase_ppl.models.socialgnn.graphs import (
+    AS_IT_IS,
     CONTACT,
+    LOOKS,
     NEAR,
     PROXIMITY,
     VARIANTS,
+    Examples,
     Graphs,
     Variant,
     edge_slots,
@@ -258,8 +260,7 @@ def test_the_lstm_of_the_original_reads_edges_side_by_side_and_zeros() -> None:
 @needs_torch
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
-    from phase_ppl.models.socialgnn.network import Ensemble
-    from phase_ppl.models.socialgnn.training import fit
+    from phase_ppl.models.socialgnn.network import Ensemble, fit
 
     events = eight()
     examples = Examples(events, variant)
@@ -280,7 +281,7 @@ def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
 def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
     import torch
 
-    from phase_ppl.models.socialgnn.training import fit
+    from phase_ppl.models.socialgnn.network import fit
 
     settings = TrainingSettings(epochs=2)
     examples = Examples(eight(), "message_passing")
@@ -297,7 +298,7 @@ def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
 
 @needs_torch
 def test_it_stops_when_the_validation_gets_no_better() -> None:
-    from phase_ppl.models.socialgnn.training import fit
+    from phase_ppl.models.socialgnn.network import fit
 
     events = eight()
     settings = dataclasses.replace(SETTINGS, epochs=400, patience=3)
@@ -314,18 +315,18 @@ def test_it_stops_when_the_validation_gets_no_better() -> None:
 
 @needs_torch
 def test_training_that_leads_nowhere_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from phase_ppl.models.socialgnn import training
+    from phase_ppl.models.socialgnn import network
 
-    right = training.loss
-    monkeypatch.setattr(training, "loss", lambda *given: right(*given) * float("nan"))
+    right = network.loss
+    monkeypatch.setattr(network, "loss", lambda *given: right(*given) * float("nan"))
     examples = Examples(eight(), "original")
     with pytest.raises(InvalidSettingError, match=r"after 1 epochs with learning_rate=0\.02"):
-        training.fit(examples, examples, dataclasses.replace(SETTINGS, variant="original"), 0)
+        network.fit(examples, examples, dataclasses.replace(SETTINGS, variant="original"), 0)
 
 
 @needs_torch
 def test_rare_relations_weigh_more_and_events_one_on_average() -> None:
-    from phase_ppl.models.socialgnn.training import class_weights
+    from phase_ppl.models.socialgnn.network import class_weights
 
     relations = [0, 0, 0, 0, 1, 2, 2, 2]
     weights = class_weights(relations).numpy()
@@ -338,8 +339,7 @@ def test_rare_relations_weigh_more_and_events_one_on_average() -> None:
 def test_the_loss_is_that_of_the_relation_and_of_each_agents_goal() -> None:
     import torch
 
-    from phase_ppl.models.socialgnn.network import Outputs
-    from phase_ppl.models.socialgnn.training import loss
+    from phase_ppl.models.socialgnn.network import Outputs, loss
 
     examples = [Examples([walk(0, 1)], "extended")(0)]
     even = Outputs(torch.zeros(1, 3), torch.zeros(1, 2, 36))

@@ -44,7 +44,7 @@ def near_goals(name: str = "near", **changes: Any) -> ppl.Event:
 def make_study(folder: Path, events: Sequence[ppl.Event], **play: Any) -> Study:
     """A study of play without films, quiz and demographics, whose sessions are short."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
+        patch.setattr("phase_ppl.study.study.make_clips", lambda folder, world: None)
         Study.new(folder, events, "play", raters=1000)
     file = folder / "study.toml"
     given = {"steps_per_second": 12, "limit": 18, "hold": 2, "wait_at_most": 60, **play}

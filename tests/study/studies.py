@@ -15,7 +15,7 @@ import pytest
 from starlette.testclient import TestClient
 
 import phase_ppl as ppl
-from phase_ppl.study.clips import CLIPS
+from phase_ppl.study.clips import clip_names
 from phase_ppl.study.study import Study
 
 HOST = "http://localhost"
@@ -29,10 +29,10 @@ def short_events(n: int = 3) -> list[ppl.Event]:
     return [dataclasses.replace(e, observation=o) for e, o in zip(events, begins, strict=True)]
 
 
-def empty_clips(folder: Path) -> None:
+def empty_clips(folder: Path, world: ppl.World = ppl.worlds.PHASE) -> None:
     """Stand for the films of the introduction."""
     folder.mkdir()
-    for name in CLIPS:
+    for name in clip_names(world):
         (folder / f"{name}.mp4").touch()
 
 

@@ -91,7 +91,7 @@ def test_copies_in_a_generated_set_are_known(
                              {"id": "independent", "group": "a"}]  # fmt: skip
 
     monkeypatch.setattr("phase_ppl.study.study.GeneratedEvents", Generated)
-    monkeypatch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
+    monkeypatch.setattr("phase_ppl.study.study.make_clips", lambda folder, world: None)
     study = Study.new(tmp_path / "study", Generated(short_events()), workers=1, progress=False)
     with study.store() as store:
         assert [s.copies for s in store.stimuli().values()] == ["a", None, "a"]

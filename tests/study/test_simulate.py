@@ -142,7 +142,7 @@ def test_nothing_of_the_extra_is_imported_by_the_base() -> None:
 def test_commands_make_look_at_and_export_a_study(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study_module, "make_clips", lambda folder: None)
+    monkeypatch.setattr(study_module, "make_clips", lambda folder, world: None)
     made = tmp_path / "made"
     file = tmp_path / "short.json"
     ppl.save_events(short_events(2), file)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.geometry import agent_outline, is_agent, penetration, shapes_meet
+from phase_ppl.world.geometry import is_agent, overlaps
 from phase_ppl.world.goals import goal_literal, literal_goal, possible_goals
 from phase_ppl.world.hypothesis import (
     STRENGTH_LEVELS,
@@ -231,27 +230,6 @@ def agent_to(agent: int, landmark: int) -> int:
 def approach(agent: int) -> int:
     """Return the goal of an agent to get to the other one."""
     return literal_goal(Literal(Predicate.TOUCH, agent, len(AGENTS) - 1 - agent))
-
-
-def overlaps(
-    start: FloatArray, radius: FloatArray, walls: FloatArray, n_agents: int = len(AGENTS)
-) -> bool:
-    """Whether any two shapes overlap, or one a wall.
-
-    The shapes start at (entity, coord) x, y [units], angle [rad], and have sizes (entity,) [units];
-    walls (n, 2, 2) are along the axes. The first entities are agents.
-    """
-    entities = range(len(start))
-    pairs = itertools.combinations(entities, 2)
-    if any(shapes_meet(first, second, start, radius, n_agents=n_agents) for first, second in pairs):
-        return True
-    discs = ((start[entity, None, :2], float(radius[entity])) for entity in entities[n_agents:])
-    agents = ((agent_outline(start[e], float(radius[e])), 0.0) for e in entities[:n_agents])
-    return any(
-        penetration(outline, wall, rounding) > 0
-        for outline, rounding in (*agents, *discs)
-        for wall in walls
-    )
 
 
 # --- in worlds of any cast ------------------------------------------------------------------------

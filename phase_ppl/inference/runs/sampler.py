@@ -20,7 +20,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import jax
 import numpy as np
@@ -37,7 +37,6 @@ from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.runs.length import Length, Pace
 from phase_ppl.inference.runs.run import Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
-from phase_ppl.inference.stepwise import TableRunner, filter_event
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted
@@ -57,6 +56,9 @@ from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.identity import versions
 from phase_ppl.world.progress import Progress
 from phase_ppl.world.space import space_of
+
+if TYPE_CHECKING:
+    from phase_ppl.inference.stepwise import TableRunner
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES: Final = 3000
@@ -174,6 +176,8 @@ def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
                 raise InvalidSettingError(
                     f"{name}={shown(given)}: a stepwise likelihood simulates nothing"
                 )
+        from phase_ppl.inference.stepwise import TableRunner, filter_event
+
         post = filter_event(
             *(run.event, run.model),
             seed=run.seed,

@@ -68,26 +68,29 @@ const QUESTIONS = {
     };
   },
   goals: question => {
-    const other = question.agent === "red agent" ? "green agent" : "red agent";
-    const rows = [["blue item", "the blue item"], ["pink item", "the pink item"], [question.agent, "itself"], [other, `the ${other}`]];
-    const ways = ["to", "away from"], places = ["blue", "green", "red", "yellow"];
-    const radio = (value, words) => element("input", { type: "radio", name: question.name, value, "aria-label": words });
-    const head = element("thead", {},
-      element("tr", {}, element("td", { rowspan: 2 }, "to get \u2026"), ...ways.map(way => element("th", { colspan: 4, scope: "colgroup" }, `\u2026 ${way} the landmark`))),
-      element("tr", {}, ...ways.flatMap(() => places.map(place => element("th", { scope: "col" }, element("span", { class: `swatch ${place}` }), place)))));
-    const body = element("tbody", {}, ...rows.map(([entity, words]) => element("tr", {}, element("th", { scope: "row" }, words),
-      ...ways.flatMap(way => places.map(place => element("td", {}, element("label", { class: "cell" },
-        radio(`Get ${entity} ${way} ${place} lm`, `get ${words} ${way} the ${place} landmark`))))))));
-    const agents = question.self_goals ? [other, question.agent] : [other];
-    const social = agents.flatMap(agent => ways.map(way => element("label", { class: "choice" },
-      radio(`get ${way} ${agent}`, `get ${way} ${agent === other ? `the ${other}` : "itself"}`), `to get ${way} ${agent === other ? `the ${other}` : "itself"}`)));
-    const made = fieldset(question, element("table", {}, head, body), element("div", { class: "row" }, ...social));
+    const words = new Map(question.options), rest = new Map(words);
+    const radio = goal => { rest.delete(goal); return element("input", { type: "radio", name: question.name, value: goal, "aria-label": words.get(goal) }); };
+    const tables = question.tables.map(({ heads, columns, rows }) => element("table", { class: columns.length > 4 && "many" },
+      element("thead", {},
+        element("tr", {}, element("td", { rowspan: 2 }, "to get \u2026"), ...heads.map(head => element("th", { colspan: columns.length, scope: "colgroup" }, head))),
+        element("tr", {}, ...heads.flatMap(() => columns.map(([name, colour]) => element("th", { scope: "col" }, swatch(colour, name), name))))),
+      element("tbody", {}, ...rows.map(([name, colour, goals]) => element("tr", {}, element("th", { scope: "row" }, swatch(colour), name),
+        ...goals.map(goal => element("td", {}, goal && element("label", { class: "cell" }, radio(goal)))))))));
+    const others = [...rest].map(([goal, words]) => element("label", { class: "choice" }, radio(goal), words.startsWith("get ") ? `to ${words}` : words));
+    const made = fieldset(question, ...tables, others.length ? element("div", { class: "row" }, ...others) : null);
     return { element: made, answer: () => made.querySelector("input:checked")?.value };
   },
 };
 
 function fieldset(question, ...children) {
-  return element("fieldset", { class: question.kind }, element("legend", {}, question.legend), ...children);
+  return element("fieldset", { class: question.kind }, element("legend", {}, swatch(question.colour), question.legend), ...children);
+}
+
+/** A little square of a colour, or of one that the style sheet knows by name. */
+function swatch(colour, name) {
+  const made = element("span", { class: colour || !name ? "swatch" : `swatch ${name}` });
+  if (colour) made.style.background = colour;
+  return colour || name ? made : null;
 }
 
 function radios(question, layout) {

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.dataset.authors.names import (
+from phase_ppl.dataset.authors.videos import (
     Place,
     Recorded,
     file_name,
@@ -19,8 +19,8 @@ from phase_ppl.dataset.authors.names import (
     goal_string,
     parse_name,
     place_in_id,
+    repaired,
 )
-from phase_ppl.dataset.authors.videos import repaired
 from phase_ppl.dataset.load import load_event, load_events
 from phase_ppl.dataset.motion import full_turn
 from phase_ppl.world.arrays import FloatArray

@@ -15,7 +15,7 @@ from phase_ppl.cli import main
 from phase_ppl.closed_loop.goal_filter import GoalFilter
 from phase_ppl.inference import stepwise as enumerate_
 from phase_ppl.models import priors
-from phase_ppl.models.stepwise import place_of_level, prior_table
+from phase_ppl.models.effective import place_of_level, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS

@@ -1,0 +1,337 @@
+"""Studies of events of other worlds than PHASE: what is asked, refused, and comes out."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'study' is not installed")
+from starlette.testclient import TestClient
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
+from phase_ppl.evaluation.tables import true_answers
+from phase_ppl.study import plan
+from phase_ppl.study.clips import clip_names, make_clips
+from phase_ppl.study.settings import Settings, template
+from phase_ppl.study.simulate import serving, simulate
+from phase_ppl.study.study import Study
+from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
+from phase_ppl.world.goals import goal_literal, possible_goals
+from phase_ppl.world.hypothesis import Roles
+from tests.browser import needs_browser, running_browser
+from tests.study.studies import HOST, Person, edit, empty_clips
+from tests.study.test_browser import Window
+
+NURSERY = ppl.World(
+    ["red agent", "Anna"], ["ball"], {"cot": (4, 4), "window": (20, 16)}, arena=(0, 24, 0, 20),
+    predicates=[ppl.Predicate("agents near", "red agent", "Anna", within=6),
+                ppl.Predicate("get cosy", "ball", "cot", within=3)],
+    name="nursery",
+)  # fmt: skip
+EMPTY = ppl.World(["Bo", "Mia"], [], {"home": (4, 4)}, arena=(0, 12, 0, 12), name="empty")
+WORLDS = [ppl.worlds.PHASE, ppl.worlds.SOLO, ppl.worlds.TRIO, NURSERY, EMPTY]
+GOALS = {
+    "solo": {"red agent": "ball to home"},
+    "trio": {"red agent": "get to green agent", "green agent": "blue ball to home",
+             "purple agent": "get to blue ball"},
+    "nursery": {"red agent": "agents near", "Anna": "not get cosy"},
+}  # fmt: skip
+
+every_world = pytest.mark.parametrize("world", WORLDS, ids=lambda world: world.name)
+
+
+def still_events(world: ppl.World, n: int = 2) -> list[ppl.Event]:
+    """Events in which nobody moves, and what the agents would be after."""
+    found = []
+    for seed in range(n):
+        scene = world.random_scene(seed)
+        hinders = {("purple agent", "green agent"): "hinder"} if world is ppl.worlds.TRIO else None
+        roles = Roles.of(world, GOALS[world.name], hinders)
+        track = np.repeat(scene.start[None], 4, axis=0)
+        event = ppl.Event(scene, ppl.Observation(track), id=f"{world.name}-{seed}", truth=roles)
+        found.append(event)
+    return found
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Make a study of a world, without the films of the introduction."""
+    monkeypatch.setattr("phase_ppl.study.study.make_clips", empty_clips)
+    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
+
+    def made(world: ppl.World, kind: str = "judgment") -> Study:
+        events = still_events(world)
+        return Study.new(tmp_path / "study", events, kind, workers=1, progress=False)
+
+    return made
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+# --- what is asked --------------------------------------------------------------------------------
+
+
+def asked(world: ppl.World, **given: Any) -> list[dict[str, Any]]:
+    settings = Settings.parse('kind = "judgment"', world)
+    return plan.questions(dataclasses.replace(settings, **given), "trial-1")
+
+
+@every_world
+def test_every_goal_that_an_agent_can_have_is_offered_once(world: ppl.World) -> None:
+    questions = asked(world)
+    assert [question["name"] for question in questions] == list(questions_of(world))
+    for agent, question in enumerate(questions[: len(world.agents)]):
+        offered = [goal for goal, _ in question["options"]]
+        assert sorted(offered) == sorted(world.goals[g] for g in possible_goals(agent, world))
+        cells = [g for one in question["tables"] for *_, row in one["rows"] for g in row if g]
+        assert len(cells) == len(set(cells))
+        assert set(cells) <= set(offered)
+        for one in question["tables"]:
+            assert {len(row) for *_, row in one["rows"]} == {2 * len(one["columns"])}
+        assert len({words for _, words in question["options"]}) == len(offered)
+    relations = questions[len(world.agents) :]
+    assert [one["name"] for one in relations] == list(pairs_of(world))
+
+
+@every_world
+def test_goals_of_ones_own_are_each_offered_once_too(world: ppl.World) -> None:
+    for agent, question in enumerate(asked(world, self_goals=True)[: len(world.agents)]):
+        offered = [goal for goal, _ in question["options"]]
+        literals = [goal_literal(goal, agent, world) for goal in offered]
+        assert len(set(literals)) == len(literals)
+        assert set(literals) == {goal_literal(g, agent, world) for g in world.goals}
+
+
+def test_goals_are_asked_for_in_words() -> None:
+    red, green, purple, *relations = asked(ppl.worlds.TRIO)
+    assert red["legend"] == "What does the red agent want?"
+    said = dict(red["options"])
+    assert said["Get blue ball to home"] == "get the blue ball to the home"
+    assert said["Get red agent away from pond"] == "get itself away from the pond"
+    assert said["get to pink ball"] == "get to the pink ball"
+    assert said["Get green agent to purple agent"] == "get the green agent to the purple agent"
+    assert said["get away from green agent"] == "get away from the green agent"
+    assert "get to red agent" in dict(green["options"])
+    assert "get to purple agent" not in dict(purple["options"])
+    assert relations[1]["legend"] == (
+        "How do the red agent and the purple agent stand to each other?"
+    )
+    red, anna, relation = asked(NURSERY)
+    assert anna["legend"] == "What does Anna want?"
+    assert dict(red["options"])["get to Anna"] == "get to Anna"
+    assert dict(anna["options"])["not agents near"] == "not agents near"
+    assert relation["legend"] == "How do they stand to each other?"
+    names = {"ball": "the ball", "Anna": "Anna", "the wolf": "the wolf"}
+    assert {name: plan.the(name) for name in names} == names
+
+
+def test_phase_is_asked_as_it_was() -> None:
+    red, _, relation = asked(ppl.worlds.PHASE)
+    (only,) = red["tables"]
+    assert [name for name, _ in only["columns"]] == ["blue", "green", "red", "yellow"]
+    assert [name for name, _, _ in only["rows"]] == [
+        "the blue item", "the pink item", "itself", "the green agent"
+    ]  # fmt: skip
+    assert red["options"][0] == [
+        "Get blue item to blue lm",
+        "get the blue item to the blue landmark",
+    ]
+    assert [goal for goal, _ in red["options"][-2:]] == [
+        "get to green agent", "get away from green agent"
+    ]  # fmt: skip
+    assert relation["name"] == "relation"
+
+
+@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
+def test_answers_are_goals_of_the_world(world: ppl.World) -> None:
+    settings = Settings.parse('kind = "judgment"', world)
+    right = true_answers(still_events(world, 1)[0])
+    assert plan.checked(settings, "trial-1", right) == (right, None)
+    for bad in ("Get blue item to red lm", "get to red agent", None, ""):
+        with pytest.raises(plan.Unfit, match="goal_red"):
+            plan.checked(settings, "trial-1", {**right, "goal_red": bad})
+    with pytest.raises(plan.Unfit, match="expected answers to"):
+        plan.checked(settings, "trial-1", {**right, "relation": "friendly"})
+
+
+@every_world
+@pytest.mark.parametrize("kind", ["judgment", "tagging"])
+def test_the_template_is_of_the_world(world: ppl.World, kind: str) -> None:
+    found = Settings.parse(template(kind, "x", world=world), world)
+    assert {clip for _, clip in found.tutorial} - {""} <= set(clip_names(world))
+    everything = " ".join(text for text, _ in found.tutorial)
+    if world is not ppl.worlds.PHASE:
+        for name in (*world.entities, *world.landmark_names):
+            assert name in everything
+        assert "blue" not in found.texts["consent"]
+    quiz = " ".join(question for question, _, _ in found.quiz)
+    assert ("stand to each other" in quiz) is (kind == "judgment" and len(world.agents) > 1)
+    assert ("item is harder" in quiz) is bool(world.items)
+    if kind == "judgment":
+        assert all(one.name in everything for one in world.predicates)
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["play", "likeness"])
+def test_what_other_worlds_cannot_have_is_named(kind: str, tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidSettingError, match=f"a study of {kind} knows the world PHASE only, not 'solo'"
+    ):
+        Study.new(tmp_path / "study", still_events(ppl.worlds.SOLO), kind)
+    assert not (tmp_path / "study").exists()
+
+
+def test_events_are_of_one_world(tmp_path: Path) -> None:
+    events = [*still_events(ppl.worlds.SOLO), *still_events(NURSERY)]
+    with pytest.raises(InvalidSettingError, match="of the worlds 'solo', 'nursery', expected"):
+        Study.new(tmp_path / "study", events)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("[[tutorial]]\ntext = 'x'\nclip = 'carrying'", "unknown clip in .* 'carrying'.*moving"),
+        ("[checks]\nx = ['friendly']", "x is .*, expected a table of questions"),
+        ("[checks]\nx = {relation_red_green = 'friendly'}", "expected a table of questions"),
+        ("[checks]\nx = {}", "expected a table of questions"),
+        ("[checks]\nx = {relation = ['friendly']}", "unknown question 'relation'"),
+        ("[checks]\nx = {goal_red = ['get to red lm']}", "unknown goal 'get to red lm'"),
+    ],
+)
+def test_mistakes_are_named_in_the_worlds_words(line: str, message: str) -> None:
+    with pytest.raises(PhasePPLError, match=message):
+        Settings.parse(f'kind = "judgment"\n{line}\n', ppl.worlds.TRIO)
+
+
+# --- what comes out -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
+def test_an_export_has_the_worlds_names(make: Any, world: ppl.World, tmp_path: Path) -> None:
+    study = make(world)
+    given = true_answers(still_events(world, 1)[0])
+    with TestClient(study.app(), base_url=HOST) as client:
+        person = Person(client)
+        person.finish(study, given)
+        assert person.get("/clip/carrying.mp4").status_code == 404
+        assert person.get("/clip/sight.mp4").status_code == 200
+    out = study.export(tmp_path / "out")
+    rows = table(out / "judgments.csv")
+    columns = ["participant", "video", *questions_of(world), "response_time"]
+    assert [list(row) for row in rows] == [columns, columns]
+    for row in rows:
+        assert {question: row[question] for question in questions_of(world)} == given
+    assert {row["video"] for row in rows} == set(study.events)
+    text = (out / "README.md").read_text("utf-8")
+    assert all(f"| `{column}` |" in text for column in columns)
+    assert f"one of the {len(world.goals)} goals" in text
+    (event, _) = ppl.load_events(out / "events.json")
+    assert event.scene.world == world
+    assert true_answers(event) == given
+
+
+@pytest.mark.parametrize("accepted", ["friendly", "adversarial"])
+def test_checks_are_of_questions_of_the_world(make: Any, accepted: str, tmp_path: Path) -> None:
+    check = f'[checks]\ntrio-1 = {{ relation_green_purple = ["{accepted}"] }}'
+    study = edit(make(ppl.worlds.TRIO), "[checks]", check)
+    given = true_answers(still_events(ppl.worlds.TRIO, 1)[0])
+    assert given["relation_green_purple"] == "adversarial"
+    with TestClient(study.app(), base_url=HOST) as client:
+        Person(client).finish(study, given)
+    (person,) = table(study.export(tmp_path / "out") / "participants.csv")
+    assert person["checks_missed"] == str(int(accepted == "friendly"))
+    assert [row["video"] for row in table(tmp_path / "out" / "judgments.csv")] == ["trio-0"]
+
+
+@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
+def test_scripted_people_answer_as_a_model_believes(
+    make: Any, world: ppl.World, tmp_path: Path
+) -> None:
+    study = make(world)
+    sure = {
+        name: Prediction(name, answers=true_answers(event), world=world)
+        for name, event in study.events.items()
+    }
+    out = tmp_path / "out"
+    text = simulate(study, out, 3, predictions=sure, lapse=0, drop_outs=0, progress=False)
+    for question in questions_of(world):
+        assert f"{question}: 1.00 right" in text
+    rows = table(out / "judgments.csv")
+    assert len(rows) == 6
+    for row in rows:
+        assert {q: row[q] for q in questions_of(world)} == dict(sure[row["video"]].answers)
+
+
+def test_scripted_people_tag_events_of_any_world(make: Any, tmp_path: Path) -> None:
+    study = make(ppl.worlds.TRIO, "tagging")
+    simulate(study, tmp_path / "out", 3, model="last_frame", drop_outs=0, progress=False)
+    assert set(ppl.load_tags(tmp_path / "out" / "tags.csv").viewers) == {3}
+
+
+# --- films and pages ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("world", WORLDS[1:], ids=lambda world: world.name)
+def test_the_introductions_films_show_its_agents_move(
+    world: ppl.World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = {}
+
+    def film(observed: ppl.Observation, path: Path, scene: ppl.Scene, **given: Any) -> None:
+        shown[path.name] = given
+        assert scene.world == world
+        track = observed.trajectory[:, : len(world.agents), :2]
+        assert (np.linalg.norm(np.diff(track, axis=0), axis=-1).sum(axis=0) > 1).all()
+
+    monkeypatch.setattr("phase_ppl.study.clips.render.video", film)
+    make_clips(tmp_path, world)
+    assert shown == {
+        "moving.mp4": {"fields_of_view": False}, "sight.mp4": {"fields_of_view": True}
+    }  # fmt: skip
+
+
+@needs_browser
+def test_a_browser_goes_through_a_study_of_three_agents(tmp_path: Path) -> None:
+    world, file, folder = ppl.worlds.TRIO, tmp_path / "trio.json", tmp_path / "study"
+    ppl.save_events(still_events(world), file)
+    assert main(["study", "new", str(folder), str(file), "--workers", "1", "--quiet"]) == 0
+    study = Study(folder)
+    given: dict[str, dict[str, str]] = {}
+    with running_browser() as browser, serving(study) as address:
+        window = Window(browser, study, address)
+        window.prepare()
+        for number in (1, 2):
+            window.sees(f"Animation {number} of 2")
+            window.watch()
+            window.press("Next")
+            window.says("6 questions are still open.")
+            window.page.evaluate("window.scrollTo(0, 400)")
+            assert window.page.locator("video").bounding_box()["y"] >= 0, "the film stays in view"
+            answers = given[f"trial-{number}"] = {}
+            questions = plan.questions(study.settings, "trial-1")
+            for place, question in enumerate(questions):
+                value, words = question["options"][
+                    (17 * number + 5 * place) % len(question["options"])
+                ]
+                group = window.page.get_by_role("group", name=question["legend"])
+                group.get_by_label(words, exact=True).check()
+                answers[question["name"]] = value
+            window.press("Next")
+        window.sees("About you")
+        window.press("Next")
+        window.sees(study.settings.title)
+        assert window.faults == []
+    rows = table(study.export(tmp_path / "out") / "judgments.csv")
+    assert [{q: row[q] for q in questions_of(world)} for row in rows] == list(given.values())
