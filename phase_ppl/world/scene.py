@@ -457,13 +457,15 @@ class World:
                 left, right, low, high = plan.borders(room)
                 start[one, :2] = (left, low) + share[one] * (right - left, high - low)
             for one, other in beside:
-                place = self.landmarks[other - n][1:4] if other >= n else (*start[other, :2], 0.0)
-                touching = radius[one] + (place[2] if other >= n else radius[other])
-                angle, gap = 2 * np.pi * share[one, 0], NEARBY * share[one, 1]
-                start[one, :2] = place[:2] + (touching + gap) * np.array(
-                    [np.cos(angle), np.sin(angle)]
-                )
-                if within.get(one, plan.room_of(place[:2])) != plan.room_of(start[one, :2]):
+                if other < n:
+                    centre, reach = start[other, :2], radius[other]
+                else:
+                    _, x, y, reach, *_ = self.landmarks[other - n]
+                    centre = np.array([x, y])
+                way = 2 * np.pi * share[one, 0]
+                apart = radius[one] + reach + NEARBY * share[one, 1]
+                start[one, :2] = centre + apart * np.array([np.cos(way), np.sin(way)])
+                if within.get(one, plan.room_of(centre)) != plan.room_of(start[one, :2]):
                     break
             else:
                 try:
