@@ -100,7 +100,7 @@ def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
         if judgments is not None:
             shares = {question: judgments.distribution(question) for question in judgments.counts}
             given = {question: share for question, share in shares.items() if share is not None}
-            found[event.id] = Prediction(event.id, given)
+            found[event.id] = Prediction(event.id, given, world=event.scene.world)
     return found
 
 

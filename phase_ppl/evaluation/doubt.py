@@ -46,12 +46,13 @@ from phase_ppl.evaluation.bootstrap import (
     resampled,
     weighted_mean,
 )
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import Prediction, labels_of
 from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.evaluation.tables import Facts, Said, facts, predicted, said
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
+from phase_ppl.world.scene import PHASE
 
 BINS: Final = 10
 _STREAM: Final = 0xD0B7
@@ -73,8 +74,8 @@ def doubt_of(
 def doubt(
     known: Facts, model: Said, ids: Sequence[str], seed: int, resamples: int
 ) -> dict[str, Any] | None:
-    """Return what the module describes, of events as arrays."""
-    if not any(known.judgments):
+    """Return what the module describes, of events as arrays; None in other worlds than PHASE."""
+    if known.world != PHASE or not any(known.judgments):
         return None
     p, people = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
     there = ~np.isnan(p[:, 0]) & ~np.isnan(people[:, 0])
@@ -351,7 +352,8 @@ def _halves(
                 answers = np.zeros((len(names), len(ratings)), np.int64)
                 for who, row in judgments.responses.items():
                     if question in row:
-                        answers[places[who], QUESTIONS[question].index(row[question])] = 1
+                        answer = labels_of(question, judgments.world).index(row[question])
+                        answers[places[who], answer] = 1
                 one = in_one @ answers
             else:
                 given = np.flatnonzero(ratings)

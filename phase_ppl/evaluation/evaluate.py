@@ -144,8 +144,6 @@ def evaluate(
     slots = slots_of(workers, executor)
     given = all_events(events, split)
     world = world_of(given)
-    if judgments is not None:
-        check_phase(given[0].scene, "a file of people's judgments")
     chosen = judged(given, judgments)
     check_world(model, world)
     if limit is not None:

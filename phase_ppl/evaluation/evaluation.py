@@ -61,9 +61,11 @@ class Evaluation:
         (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
+        judged = any(event.judgments for event in self.events)
+        of_phase = world_of(self.events) == PHASE
         found = {
             **evaluate_predictions(self.events, self.predictions),
-            "people": human_accuracy(self.events) if world_of(self.events) == PHASE else None,
+            "people": human_accuracy(self.events) if judged or of_phase else None,
             "reference_models": reference_models(self.events),
             "failures": self.failures,
             "settings": self.settings,

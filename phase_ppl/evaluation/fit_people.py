@@ -21,6 +21,7 @@ from phase_ppl.models.observer.perception import Perception
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
+from phase_ppl.world.scene import check_phase
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
@@ -67,12 +68,14 @@ def fit_people(
 
     Raises:
         InvalidEventError: nobody judged any event; or something cannot be read.
-        InvalidSettingError, UnknownNameError: a setting that cannot be used.
+        InvalidSettingError, UnknownNameError: a setting that cannot be used, or events of another
+            world than PHASE.
     """
     for name, number in (("draws", draws), ("warmup", warmup), ("chains", chains)):
         whole_number(name, number)
     program, name = as_observer(observer)
     everything = all_events(events)
+    check_phase(everything[0].scene, "fit_people")
     study = judgments
     if study is not None and not isinstance(study, Study):
         study = load_judgments(study, everything)

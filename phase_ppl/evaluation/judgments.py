@@ -11,7 +11,9 @@
 ``goal_red``, ``goal_green`` (effective goals, the paper's strings) and ``relation`` (friendly,
 neutral, adversarial); ``response_time`` [s] may be. Columns come in any order, and there are no
 others. A cell may be empty except in the first two; nothing is assumed in its place. UTF-8, cells
-separated by commas; case and spaces around an answer do not matter.
+separated by commas; case and spaces around an answer do not matter. About events of another world
+than PHASE the questions are that world's (:func:`~phase_ppl.evaluation.prediction.questions_of`),
+as ``goal_purple`` and ``relation_red_purple``.
 """
 
 from __future__ import annotations
@@ -32,14 +34,18 @@ from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.csv_file import read_rows
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
-from phase_ppl.evaluation.prediction import QUESTIONS, checked_answer, reference_predictions
+from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
+from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
+from phase_ppl.world.scene import PHASE, World
 
-COLUMNS: Final = ("participant", "video", *QUESTIONS, "response_time")
-"""Columns of a study, all of which its table has."""
+
+def columns_of(world: World) -> tuple[str, ...]:
+    """Return the columns of a study about events of a world, all of which its table has."""
+    return ("participant", "video", *questions_of(world), "response_time")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,11 +53,13 @@ class Study:
     """What participants said about videos.
 
     Attributes:
-        table: a row per participant and video, with the columns :data:`COLUMNS`; answers as the
+        table: a row per participant and video, with the columns :func:`columns_of`; answers as the
             labels spell them, None where there is none; response times in seconds, NaN likewise.
+        world: of the events.
     """
 
     table: pd.DataFrame
+    world: World = PHASE
 
     @property
     def participants(self) -> tuple[str, ...]:
@@ -62,10 +70,12 @@ class Study:
     def judgments(self) -> Mapping[str, Judgments]:
         """Video -> judgments of the participants who answered a question about it."""
         responses: dict[str, dict[str, dict[str, str]]] = {}
-        for row in self.table[["participant", "video", *QUESTIONS]].to_dict("records"):
-            given = {q: row[q] for q in QUESTIONS if isinstance(row[q], str)}
+        for row in self.table.to_dict("records"):
+            given = {q: row[q] for q in questions_of(self.world) if isinstance(row[q], str)}
             responses.setdefault(row["video"], {})[row["participant"]] = given
-        found = {video: Judgments.of_responses(rows) for video, rows in responses.items()}
+        found = {
+            video: Judgments.of_responses(rows, self.world) for video, rows in responses.items()
+        }
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
     def accuracy(
@@ -97,7 +107,8 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
 
     Args:
         path: of the file.
-        events: those that may be judged; a row about another video is an error. Default: any.
+        events: those that may be judged, of one world, whose questions are asked; a row about
+            another video is an error. Default: any of PHASE.
 
     Raises:
         InvalidEventError: there is no such file, or it is no such table: columns are missing, a
@@ -107,19 +118,23 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
             matches. Messages begin with the file, and the line where it is one.
     """
     videos = None if events is None else [event.id for event in events]
+    world = world_of(events or ())
+    questions = questions_of(world)
 
     def check(cells: dict[str, str]) -> dict[str, Any]:
-        row = _row(cells)
+        row = _row(cells, world)
         if videos is not None and row["video"] not in videos:
             raise unknown_name("video", row["video"], videos)
         return row
 
-    rows = read_rows(path, check, _check_header, once=("participant", "video"))
-    if not any(row[question] for row in rows for question in QUESTIONS):
+    rows = read_rows(
+        path, check, functools.partial(_check_header, world), once=("participant", "video")
+    )
+    if not any(row[question] for row in rows for question in questions):
         raise InvalidEventError(f"{path}: holds no judgments")
     # plain objects: pandas' own text would make NaN of None
-    table = pd.DataFrame(rows, columns=list(COLUMNS), dtype=object)
-    return Study(table.astype({"response_time": float}))
+    table = pd.DataFrame(rows, columns=list(columns_of(world)), dtype=object)
+    return Study(table.astype({"response_time": float}), world)
 
 
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
@@ -128,6 +143,10 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
     Raises:
         InvalidEventError: the study has answers to none of the events.
     """
+    if (world := world_of(events)) != study.world:
+        raise InvalidEventError(
+            f"the study is about the world {study.world.name!r}, the events are of {world.name!r}"
+        )
     found = [
         dataclasses.replace(
             event,
@@ -143,31 +162,31 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
     return found
 
 
-def _check_header(header: Sequence[str]) -> None:
+def _check_header(world: World, header: Sequence[str]) -> None:
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         raise InvalidEventError(f"is {shown(header[0])}, expected cells separated by commas")
     for name in header:
-        if name not in COLUMNS:
-            raise unknown_name("column", name, COLUMNS)
+        if name not in columns_of(world):
+            raise unknown_name("column", name, columns_of(world))
         if header.count(name) > 1:
             raise InvalidEventError(f"names the column {name} twice")
     for name in ("participant", "video"):
         if name not in header:
             raise InvalidEventError(f"names no column {name}")
-    if not any(name in QUESTIONS for name in header):
-        raise InvalidEventError(f"names none of the columns {', '.join(QUESTIONS)}")
+    if not any(name in questions_of(world) for name in header):
+        raise InvalidEventError(f"names none of the columns {', '.join(questions_of(world))}")
 
 
-def _row(cells: Mapping[str, str]) -> dict[str, Any]:
+def _row(cells: Mapping[str, str], world: World) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for name in ("participant", "video"):
         if not cells[name] or not cells[name].isprintable():
             raise InvalidEventError(f"{name} is {shown(cells[name])}, expected printable text")
         row[name] = cells[name]
-    for question in QUESTIONS:
+    for question in questions_of(world):
         answer = cells.get(question)
         with in_front(f"{question}: "):
-            row[question] = checked_answer(question, answer) if answer else None
+            row[question] = checked_answer(question, answer, world) if answer else None
     row["response_time"] = _seconds(cells.get("response_time", ""))
     return row
 

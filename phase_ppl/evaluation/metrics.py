@@ -29,7 +29,7 @@ per question.
                                answers of at least that probability ``n``, ``probability``, its
                                mean, and ``accuracy``, the share that is true
 ``confusion``                  true scenario -> scenario of the two goals answered -> events; None
-                               in other worlds than PHASE, of which no judgments are read either
+                               in other worlds than PHASE
 ``human``                      see below
 ``doubt``                      whether the model doubts where people do:
                                :mod:`phase_ppl.evaluation.doubt`
@@ -93,7 +93,7 @@ from phase_ppl.evaluation.prediction import (
     reference_predictions,
 )
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.tables import KINDS, Facts, Said, at_truth, true_answer
+from phase_ppl.evaluation.tables import Facts, Said, at_truth, kinds_of, true_answer
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
@@ -248,7 +248,11 @@ def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Path, An
     found: dict[Path, Any] = {}
     for kind, prefix in PREFIX.items():
         halves = split_half(
-            known.judgments, KINDS[kind], weights, by_participant=by_participant, seed=seed
+            known.judgments,
+            kinds_of(known.world)[kind],
+            weights,
+            by_participant=by_participant,
+            seed=seed,
         )
         found["human", f"{prefix}split_half_r"] = figure(*halves)
     judged = any(one is not None for one in known.judgments)
@@ -430,7 +434,7 @@ def human_accuracy(
     Returns:
         ``n_events``; ``goal_accuracy``, ``relation_accuracy`` and ``by_scenario`` as for models
         (:mod:`phase_ppl.evaluation.metrics`), of an event the share of people who are right, with
-        intervals by how much events differ;
+        intervals by how much events differ; in other worlds ``by_agent`` and ``by_pair``;
         ``majority``, the same for the most frequent answers, ties in label order; ``ties``, the
         events in which several are the most frequent, per question; ``by_participant``, see
         :func:`participant_accuracy`, and ``confusion``, true scenario -> scenario of the goals of
@@ -458,10 +462,11 @@ def human_accuracy(
         put(place, {path: curve.figure() for path, curve in curves.items()})
         count_scenarios(place, known.scenario)
     result["majority"] = of_majority
-    result["ties"] = count_ties([one for one in known.judgments if one is not None])
+    result["ties"] = count_ties([one for one in known.judgments if one is not None], known.world)
     result["by_participant"] = result["confusion"] = None
     if known.by_participant:
         result["by_participant"] = participant_accuracy(chosen, seed=seed, resamples=resamples)
+    if known.by_participant and known.world == PHASE:
         pairs = [
             (true, SCENARIOS.index(scenario(row[_RED], row[_GREEN])))
             for true, one in zip(known.scenario, known.judgments, strict=True)
@@ -487,31 +492,40 @@ def participant_accuracy(
     Returns:
         ``n_participants``; ``goal_accuracy`` and ``relation_accuracy``; ``by_scenario``, true
         scenario -> both, of what participants said about its events, and ``n``, the participants
-        who said anything.
+        who said anything. In other worlds than PHASE ``by_agent`` and ``by_pair``.
     """
     import pandas as pd
 
+    world = tables.world_of(events)
+    kinds = kinds_of(world)
+    parts = {kind: ["\0".join(path) for path in tables.parts_of(world, kind)] for kind in kinds}
+
+    def part_of(event: Event, kind: str, place: int) -> str:
+        return parts[kind][SCENARIOS.index(event.truth.scenario) if world == PHASE else place]
+
     rows = [
-        (who, kind, event.truth.scenario, float(row[question] == true_answer(event, question)))
+        (who, kind, part_of(event, kind, i), float(row[question] == true_answer(event, question)))
         for event in events
         if event.truth is not None and (judgments := event_judgments(event)) is not None
         for who, row in judgments.responses.items()
-        for kind, questions in KINDS.items()
-        for question in questions
+        for kind, questions in kinds.items()
+        for i, question in enumerate(questions)
         if question in row
     ]
-    table = pd.DataFrame(rows, columns=["who", "kind", "scenario", "right"])
+    table = pd.DataFrame(rows, columns=["who", "kind", "part", "right"])
     people = table["who"].unique()
     weights = resampled(len(people), seed, resamples)
-    result: dict[str, Any] = {"n_participants": len(people)}
-    by_scenario: dict[str, dict[str, Any]] = {
-        name: {"n": table["who"][table["scenario"] == name].nunique()} for name in SCENARIOS
-    }
-    scopes: list[tuple[str | None, dict[str, Any]]] = [(None, result), *by_scenario.items()]
-    for scope, place in scopes:
-        part = table if scope is None else table[table["scenario"] == scope]
-        for kind in KINDS:
-            each = part[part["kind"] == kind].groupby("who")["right"].mean().reindex(people)
+    found: dict[Path, Any] = {("n_participants",): len(people)}
+    for part in dict.fromkeys(["", *(part for of_kind in parts.values() for part in of_kind)]):
+        of_part, path = (table[table["part"] == part], part.split("\0")) if part else (table, [])
+        if part:
+            found[*path, "n"] = of_part["who"].nunique()
+        for kind in kinds:
+            if part and part not in parts[kind]:
+                continue
+            each = of_part[of_part["kind"] == kind].groupby("who")["right"].mean().reindex(people)
             values = weighted_mean(weights, each.to_numpy(float))
-            place[f"{kind}_accuracy"] = figure(values, int(each.notna().sum()))
-    return {**result, "by_scenario": by_scenario}
+            found[*path, f"{kind}_accuracy"] = figure(values, int(each.notna().sum()))
+    result: dict[str, Any] = {}
+    put(result, found)
+    return result

@@ -9,15 +9,22 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.dataset.documents import in_front, of_kind
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, checked_answer, per_agent
+from phase_ppl.evaluation.prediction import (
+    GOAL_QUESTIONS,
+    checked_answer,
+    labels_of,
+    per_agent,
+    questions_of,
+)
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
+from phase_ppl.world.scene import PHASE, World
 
 MAX_RATINGS: Final = 10**9 - 1  # most ratings on one question of one event
 _COUNTS: Final = ("relation_counts", "goal_counts", "responses")
+_COUNTS_ELSEWHERE: Final = ("counts", "responses")  # of other worlds than PHASE
 
 _WITHOUT_RATINGS: Final = ("n_raters", "majority")
 """What may be all that is known of people: the authors' pickles have the majority only."""
@@ -31,11 +38,13 @@ class Judgments:
         counts: question -> ratings for its answers, in label order.
         n_raters: people who answered at least one question.
         responses: participant -> question -> answer; empty where only counts are known.
+        world: of the event; it has the questions and their answers.
     """
 
     counts: Mapping[str, IntArray]
     n_raters: int
     responses: Mapping[str, Mapping[str, str]] = dataclasses.field(default_factory=dict)
+    world: World = PHASE
 
     def distribution(self, question: str) -> FloatArray | None:
         """Return the share of each answer among those given (paper, Appendix 5); None if none."""
@@ -47,13 +56,15 @@ class Judgments:
     def share(self, question: str, answer: str) -> float | None:
         """Return the share of people who gave ``answer``; None where nobody answered."""
         shares = self.distribution(question)
-        return None if shares is None else float(shares[QUESTIONS[question].index(answer)])
+        return (
+            None if shares is None else float(shares[labels_of(question, self.world).index(answer)])
+        )
 
     def majority(self, question: str) -> str | None:
         """Return the most frequent answer, of equals the first in label order."""
         if question not in self.counts:
             return None
-        return QUESTIONS[question][int(self.counts[question].argmax())]
+        return labels_of(question, self.world)[int(self.counts[question].argmax())]
 
     def ties(self, question: str) -> int:
         """Return how many answers share the most ratings: 1 where it is clear, 0 unknown."""
@@ -63,32 +74,38 @@ class Judgments:
         return int((ratings == ratings.max()).sum())
 
     @classmethod
-    def of_responses(cls, responses: Mapping[str, Mapping[str, str]]) -> Judgments:
+    def of_responses(
+        cls, responses: Mapping[str, Mapping[str, str]], world: World = PHASE
+    ) -> Judgments:
         """Count the ratings in participant -> question -> answer; who answered nothing is no rater.
 
         Raises:
             UnknownNameError: there is no such question or answer.
         """
         given = {
-            who: {question: checked_answer(question, answer) for question, answer in row.items()}
+            who: {
+                question: checked_answer(question, answer, world)
+                for question, answer in row.items()
+            }
             for who, row in responses.items()
             if row
         }
         counts = {}
-        for question, labels in QUESTIONS.items():
+        for question, labels in questions_of(world).items():
             ratings = [labels.index(row[question]) for row in given.values() if question in row]
             if ratings:
                 counts[question] = np.bincount(ratings, minlength=len(labels)).astype(np.int64)
-        return cls(counts, len(given), given)
+        return cls(counts, len(given), given, world)
 
     @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> Judgments | None:
+    def from_record(cls, record: Mapping[str, Any], world: World = PHASE) -> Judgments | None:
         """Read the judgments of an event file; None where nobody judged.
 
         Fields: ``relation_counts`` {relation: ratings}, ``goal_counts`` {agent: {goal: ratings}},
         ``n_raters``, and ``responses``, a list of objects with ``participant`` and answers to the
         questions. All are optional, answers without ratings may be left out, fields of other names
-        (such as ``majority``) are not read. ``goal_counts`` are of effective goals.
+        (such as ``majority``) are not read. ``goal_counts`` are of effective goals. In another
+        world than PHASE ``counts`` {question: {answer: ratings}} stand for the first two.
 
         Raises:
             InvalidEventError: ratings that are negative or no whole number, more ratings than
@@ -96,14 +113,15 @@ class Judgments:
                 counts; or the record has fields, but none of those that hold ratings.
             UnknownNameError: no such agent, goal, relation or question.
         """
-        if record and not any(name in record for name in (*_COUNTS, *_WITHOUT_RATINGS)):
+        known = _COUNTS if world == PHASE else _COUNTS_ELSEWHERE
+        if record and not any(name in record for name in (*known, *_WITHOUT_RATINGS)):
             raise InvalidEventError(
-                f"has {shown(sorted(map(str, record)))}, expected one of {', '.join(_COUNTS)}"
+                f"has {shown(sorted(map(str, record)))}, expected one of {', '.join(known)}"
             )
-        counts = _counts(record)
+        counts = _counts(record, world)
         listed = record.get("responses")
         if listed is not None:
-            found = cls.of_responses(_responses(listed))
+            found = cls.of_responses(_responses(listed), world)
             for question, ratings in counts.items():
                 if not np.array_equal(ratings, found.counts.get(question, ())):
                     raise InvalidEventError(f"the counts of {question} contradict the responses")
@@ -118,23 +136,27 @@ class Judgments:
             return found if totals else None
         if not totals:
             return None
-        return cls(counts, max(totals) if n_raters is None else n_raters)
+        return cls(counts, max(totals) if n_raters is None else n_raters, world=world)
 
     def to_record(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
         record: dict[str, Any] = {"n_raters": self.n_raters}
-        if "relation" in self.counts:
-            ratings = self.counts["relation"].tolist()
-            record["relation_counts"] = dict(zip(RELATIONS, ratings, strict=True))
-        goals = {
-            agent: {
-                goal: n for goal, n in zip(GOALS, self.counts[question].tolist(), strict=True) if n
+        given = {
+            question: {
+                answer: n
+                for answer, n in zip(labels_of(question, self.world), ratings.tolist(), strict=True)
+                if n
             }
-            for agent, question in GOAL_QUESTIONS.items()
-            if question in self.counts
+            for question, ratings in self.counts.items()
         }
-        if goals:
-            record["goal_counts"] = goals
+        if self.world != PHASE:
+            record["counts"] = given
+        else:
+            if "relation" in given:
+                record["relation_counts"] = dict.fromkeys(RELATIONS, 0) | given["relation"]
+            goals = {agent: given[q] for agent, q in GOAL_QUESTIONS.items() if q in given}
+            if goals:
+                record["goal_counts"] = goals
         if self.responses:
             record["responses"] = [
                 {"participant": who, **row} for who, row in self.responses.items()
@@ -147,18 +169,22 @@ def event_judgments(event: Event) -> Judgments | None:
     if event.judgments is None:
         return None
     with in_front(f"event {event.id}: judgments: "):
-        return Judgments.from_record(event.judgments)
+        return Judgments.from_record(event.judgments, event.scene.world)
 
 
-def _counts(record: Mapping[str, Any]) -> dict[str, IntArray]:
-    given = per_agent("goal_counts", record.get("goal_counts"))
-    given["relation"] = record.get("relation_counts")
+def _counts(record: Mapping[str, Any], world: World) -> dict[str, IntArray]:
+    if world == PHASE:
+        given = per_agent("goal_counts", record.get("goal_counts"))
+        given["relation"] = record.get("relation_counts")
+    else:
+        given = of_kind("counts", record.get("counts") or {}, dict)
     counts = {}
     for question, ratings in given.items():
         if ratings is not None:
-            values = np.zeros(len(QUESTIONS[question]), np.int64)
+            labels = labels_of(question, world)
+            values = np.zeros(len(labels), np.int64)
             for answer, n in of_kind(f"the counts of {question}", ratings, dict).items():
-                place = QUESTIONS[question].index(checked_answer(question, answer))
+                place = labels.index(checked_answer(question, answer, world))
                 values[place] += _people(f"{question}: {answer!r}", n)
             if values.sum() > MAX_RATINGS:
                 raise InvalidEventError(f"{question} has more than {MAX_RATINGS} votes")

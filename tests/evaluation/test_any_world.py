@@ -13,8 +13,9 @@ import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.evaluation.prediction import Prediction, questions_of
+from phase_ppl.evaluation.ratings import event_judgments
 from phase_ppl.evaluation.tables import kinds_of, parts_of, titles_of
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.observation import Observation
 
@@ -173,7 +174,6 @@ def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path
         *((name, {}, f"'{name}' knows the world PHASE only, not 'trio'")
           for name in ("majority", "vlm", "socialgnn", "no_physics")),
         ("last_frame", {"observer": "people"}, "an observer of people knows the world PHASE"),
-        ("last_frame", {"judgments": "none.csv"}, "a file of people's judgments knows the world"),
     ],
 )  # fmt: skip
 def test_what_is_of_phase_is_refused(
@@ -181,6 +181,91 @@ def test_what_is_of_phase_is_refused(
 ) -> None:
     with pytest.raises(InvalidSettingError, match=message):
         ppl.evaluate(events, model, **more, **ONE_PROCESS)
+
+
+STUDY = f"""participant,video,goal_red,goal_green,goal_purple,relation_red_green,relation_red_purple
+p1,trio-1,{HOME},{HOME},{FIELD},friendly,neutral
+p2,trio-1,{HOME},get to red agent,{FIELD},friendly,friendly
+p1,trio-2,{HOME},get to red agent,{HOME},neutral,neutral
+p2,trio-2,{HOME},{HOME},,neutral,
+"""
+
+
+def test_people_are_scored_by_agent_and_pair_beside_a_model(
+    events: list[ppl.Event], tmp_path: Path
+) -> None:
+    file = tmp_path / "study.csv"
+    file.write_text(STUDY)
+    study = ppl.load_judgments(file, events)
+    assert study.judgments["trio-1"].share("goal_green", HOME) == 0.5
+    assert study.judgments["trio-1"].majority("relation_red_purple") == "friendly"
+    found = study.accuracy(events)
+    # p1 errs about purple's goal in the second, p2 about green's in both
+    assert found["by_agent"]["green agent"]["goal_accuracy"]["value"] == pytest.approx(0.5)
+    assert found["by_agent"]["purple agent"]["goal_accuracy"]["value"] == pytest.approx(0.75)
+    assert found["by_pair"]["red & purple"]["relation_accuracy"]["value"] == pytest.approx(0.5)
+
+    evaluation = ppl.evaluate(events, always_home, judgments=study, out=tmp_path / "out",
+                              **ONE_PROCESS)  # fmt: skip
+    kept = ppl.Evaluation.load(tmp_path / "out")
+    for one in (evaluation, kept):
+        people, human = one.metrics["people"], one.metrics["human"]
+        assert people["goal_accuracy"]["value"] == pytest.approx((5 / 6 + 2 / 3) / 2)
+        # 22 + 22 + 22 goals of two events: the model's probabilities beside people's shares
+        assert human["goal_r"]["value"] == pytest.approx(r_of_goals(events, study))
+        assert human["log_score_people"]["value"] == pytest.approx(-np.log(2) / 3, abs=0.01)
+        assert one.metrics["doubt"] is None
+    assert "people, majority" in str(evaluation)
+
+
+def r_of_goals(events: list[ppl.Event], study: ppl.Study) -> float:
+    """Return the correlation of what ``always_home`` says of goals with people's shares."""
+    told = always_home(events[0].scene, events[0].observation, 0)
+    pairs = [
+        (told[question].get(goal, 0.0), study.judgments[event.id].share(question, goal))
+        for event in events
+        for question in kinds_of(TRIO)["goal"]
+        for goal in TRIO.goals
+    ]
+    return float(np.corrcoef(np.array(pairs, float).T)[0, 1])
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "message"),
+    [
+        ("goal_purple", "goal_blue", "unknown column 'goal_blue'"),
+        (f"{FIELD},friendly", "Get blue ball to blue lm,friendly", "goal_purple: unknown goal"),
+        ("trio-2", "trio-3", "unknown video 'trio-3'"),
+        ("relation_red_purple", "relation", "unknown column 'relation'"),
+    ],
+)
+def test_a_study_of_another_world_is_read_by_its_questions(
+    events: list[ppl.Event], tmp_path: Path, was: str, now: str, message: str
+) -> None:
+    file = tmp_path / "study.csv"
+    file.write_text(STUDY.replace(was, now))
+    with pytest.raises(PhasePPLError, match=message):
+        ppl.load_judgments(file, events)
+    with pytest.raises(PhasePPLError, match="unknown column"):
+        ppl.load_judgments(file)
+
+
+def test_judgments_are_kept_with_their_event(events: list[ppl.Event], tmp_path: Path) -> None:
+    file = tmp_path / "study.csv"
+    file.write_text(STUDY)
+    study = ppl.load_judgments(file, events)
+    ppl.save_events(ppl.with_judgments(events, study), tmp_path / "events.json")
+    for event in ppl.load_events(tmp_path / "events.json"):
+        found, made = event_judgments(event), study.judgments[event.id]
+        assert found is not None
+        assert found.responses == made.responses
+        assert {q: n.tolist() for q, n in found.counts.items()} == {
+            q: n.tolist() for q, n in made.counts.items()
+        }
+    with pytest.raises(InvalidEventError, match="is about the world 'trio', the events are of"):
+        ppl.with_judgments([ppl.load_event("collaborate")], study)
+    with pytest.raises(InvalidSettingError, match="fit_people knows the world PHASE only"):
+        ppl.fit_people(events, study)
 
 
 def test_parts_of_the_metrics_are_those_of_their_questions() -> None:

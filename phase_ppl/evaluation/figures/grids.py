@@ -41,7 +41,7 @@ from phase_ppl.evaluation.figures.layout import (
     width_of,
 )
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.tables import KINDS, true_answers, world_of
+from phase_ppl.evaluation.tables import kinds_of, true_answers, world_of
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
@@ -135,7 +135,7 @@ def scatter_goals(source: Source, path: PathLike | None = None) -> Figure:
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
-    return _scatter(source, path, "goal", "goals of both agents")
+    return _scatter(source, path, "goal", "agents' goals")
 
 
 def scatter_relations(source: Source, path: PathLike | None = None) -> Figure:
@@ -165,6 +165,7 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
         note=f"Probabilities of the {what}; n: events. The area of a point grows with how many it "
         "stands for.",
     )
+    of_phase = all(one.world == PHASE for one in people.predictions.values())
     grid = figure.subplots(len(clouds), len(columns), squeeze=False, sharex=True, sharey=True)
     largest = max(n for _, points in clouds for part in points.values() for n in part.values())
     for line, (answers, points) in zip(grid, clouds, strict=True):
@@ -180,7 +181,13 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
     for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
         n = sum(scenarios.get(event, "") == name for event in people.predictions)
         style = {"color": SCENARIO_COLOURS.get(name, GREY), "fontweight": "bold"}
-        titled(top, name or "scenario not known", f"n = {n}", fontsize=NORMAL, **style)
+        titled(
+            top,
+            name or ("scenario not known" if of_phase else "all events"),
+            f"n = {n}",
+            fontsize=NORMAL,
+            **style,
+        )
         bottom.set_xlabel("people", fontsize=SMALL)
     return written(figure, path)
 
@@ -192,7 +199,7 @@ def _clouds(
     found: dict[str, _Cloud] = {}
     for event, judged in people.predictions.items():
         given = answers.predictions.get(event)
-        for question in KINDS[kind]:
+        for question in kinds_of(judged.world)[kind]:
             both = [one and one.probabilities.get(question) for one in (judged, given)]
             if any(one is None for one in both):
                 continue

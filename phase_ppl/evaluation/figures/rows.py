@@ -408,7 +408,9 @@ def people(source: Source, path: PathLike | None = None) -> Figure:
     results = opened(source)
     shown = [o for o in results.measured if o.kind != "people" and o.metrics.get("doubt")][:_MOST]
     if not shown:
-        raise NothingToDrawError("nobody judged relations to which a model gives probabilities")
+        raise NothingToDrawError(
+            "nobody judged relations in the world PHASE to which a model gives probabilities"
+        )
     figure = new_figure(
         *(7.2, 0.7 + 2.15 * len(shown)),
         note="Marks: an answer to a video, circles friendly, squares neutral, triangles "
