@@ -203,17 +203,18 @@ def test_people_are_scored_by_agent_and_pair_beside_a_model(
     # p1 errs about purple's goal in the second, p2 about green's in both
     assert found["by_agent"]["green agent"]["goal_accuracy"]["value"] == pytest.approx(0.5)
     assert found["by_agent"]["purple agent"]["goal_accuracy"]["value"] == pytest.approx(0.75)
-    assert found["by_pair"]["red & purple"]["relation_accuracy"]["value"] == pytest.approx(0.5)
+    assert found["by_pair"]["red & green"]["relation_accuracy"]["value"] == 1.0
+    assert found["by_pair"]["red & purple"]["relation_accuracy"]["value"] == 0.0  # they compete
 
     evaluation = ppl.evaluate(events, always_home, judgments=study, out=tmp_path / "out",
                               **ONE_PROCESS)  # fmt: skip
     kept = ppl.Evaluation.load(tmp_path / "out")
     for one in (evaluation, kept):
         people, human = one.metrics["people"], one.metrics["human"]
-        assert people["goal_accuracy"]["value"] == pytest.approx((5 / 6 + 2 / 3) / 2)
-        # 22 + 22 + 22 goals of two events: the model's probabilities beside people's shares
+        assert people["goal_accuracy"]["value"] == pytest.approx((5 / 6 + 1 / 2) / 2)
+        # the goals of three agents in two events: the model's probabilities beside people's shares
         assert human["goal_r"]["value"] == pytest.approx(r_of_goals(events, study))
-        assert human["log_score_people"]["value"] == pytest.approx(-np.log(2) / 3, abs=0.01)
+        assert human["goal_log_score_people"]["value"] == pytest.approx(-np.log(2) / 3)
         assert one.metrics["doubt"] is None
     assert "people, majority" in str(evaluation)
 

@@ -181,13 +181,8 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
     for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
         n = sum(scenarios.get(event, "") == name for event in people.predictions)
         style = {"color": SCENARIO_COLOURS.get(name, GREY), "fontweight": "bold"}
-        titled(
-            top,
-            name or ("scenario not known" if of_phase else "all events"),
-            f"n = {n}",
-            fontsize=NORMAL,
-            **style,
-        )
+        title = name or ("scenario not known" if of_phase else "all events")
+        titled(top, title, f"n = {n}", fontsize=NORMAL, **style)
         bottom.set_xlabel("people", fontsize=SMALL)
     return written(figure, path)
 
