@@ -7,7 +7,6 @@ of it shows a lab its export and figures before anybody is paid; it says nothing
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
 import hashlib
 import http.client
@@ -20,7 +19,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -32,17 +31,14 @@ from phase_ppl.evaluation import evaluate as evaluation_module
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.evaluation.prediction import Prediction, questions_of
-from phase_ppl.evaluation.tables import true_answers
 from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
 from phase_ppl.study.study import CLIPS_FOLDER, VIDEOS, Study
 from phase_ppl.world.checks import nonnegative_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
-from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import scenario
 from phase_ppl.world.progress import Bar
-from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study as Judged
@@ -377,9 +373,7 @@ def _figures(kind: str, out: Path, copy: Study) -> list[str]:
         figures.tags(out / "tags.csv", out / "tags.png")
         return [f"\nFigure: {out / 'tags.png'}"]
     events = [event for event in copy.events.values() if event.truth is not None]
-    if copy.settings.world != PHASE:
-        return _right(out / "judgments.csv", events, questions_of(copy.settings.world))
-    judged: Judged = load_judgments(out / "judgments.csv")
+    judged: Judged = load_judgments(out / "judgments.csv", list(copy.events.values()))
     lines = [f"\n{judged}"]
     if kind == "likeness":
         figures.likeness(out / "likeness.csv", out / "likeness.png")
@@ -390,14 +384,6 @@ def _figures(kind: str, out: Path, copy: Study) -> list[str]:
     if any(event.id in judged.judgments for event in events):
         right = judged.accuracy(events)
         for name in ("goal_accuracy", "relation_accuracy"):
-            lines.append(f"{name}: {right[name]['value']:.2f}")
+            if right[name] is not None:  # a single agent has no relation
+                lines.append(f"{name}: {right[name]['value']:.2f}")
     return lines
-
-
-def _right(path: Path, events: Sequence[Event], questions: Iterable[str]) -> list[str]:
-    """Return of each question, in words, which share of the answers in a file is true."""
-    true = {event.id: true_answers(event) for event in events}
-    with open(path, encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["video"] in true]
-    found = {q: [row[q] == true[row["video"]][q] for row in rows] for q in questions if rows}
-    return [f"{question}: {np.mean(right):.2f} right" for question, right in found.items()]

@@ -266,8 +266,8 @@ def test_scripted_people_answer_as_a_model_believes(
     }
     out = tmp_path / "out"
     text = simulate(study, out, 3, predictions=sure, lapse=0, drop_outs=0, progress=False)
-    for question in questions_of(world):
-        assert f"{question}: 1.00 right" in text
+    assert "goal_accuracy: 1.00" in text
+    assert ("relation_accuracy: 1.00" in text) == (len(world.agents) > 1)
     rows = table(out / "judgments.csv")
     assert len(rows) == 6
     for row in rows:
