@@ -50,6 +50,7 @@ def run(example: str, folder: Path) -> str:
 
 def test_all_pages_with_examples_are_known() -> None:
     assert {name: len(found) for name, found in EXAMPLES.items()} == {
+        "judgments": 1,
         "long_runs": 1,
         "many_events": 1,
     }
@@ -120,6 +121,14 @@ def test_a_notebook_runs(page: Path, tmp_path: Path, run_script: Callable[..., s
 
 def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[..., str]) -> None:
     assert "collaborative" in run_script(saved(EXAMPLES["many_events"][0], tmp_path))
+
+
+def test_people_who_judge_another_world_are_shown_beside_a_model(
+    tmp_path: Path, run_script: Callable[..., str]
+) -> None:
+    printed = run_script(saved(EXAMPLES["judgments"][0], tmp_path))
+    assert "people, majority" in printed
+    assert "agreement with people on relations" in printed
 
 
 @pytest.mark.slow

@@ -47,7 +47,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import World
+from phase_ppl.world.scene import PHASE, World
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -562,12 +562,13 @@ def _equivalence_lines(c: ModelComparison) -> list[str]:
         tests = [p_text(row[p]) for p in ("p_equivalent_holm", "p_holm")]
         model = short(row["model"], 24)
         table.append([model, word, f"{row['value']:+.2f}", between, *tests, row["verdict"]])
+    parts = "scenario" if c.world == PHASE else "agent and pair"
     words = (
         f"Tested is a model's being right minus the share of people who are right, event by event. "
         f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
         "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
         f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
-        "comparison.json has differences and equivalence by scenario too."
+        f"comparison.json has differences and equivalence by {parts} too."
     )
     title = f"equivalence with people, margin {margin:g}"
     return ["", title, *aligned(table), *wrapped(words)]

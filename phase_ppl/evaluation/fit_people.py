@@ -96,6 +96,8 @@ def evidence_from(
     **options: Any,
 ) -> Evidence:
     """Return what observers have to go by; arguments and errors as of :func:`fit_people`."""
+    for judged_event in events:  # before a model is asked
+        check_phase(judged_event.scene, "an observer of people")
     if isinstance(source, Evidence):
         return source
     if source is None or isinstance(source, Mapping):

@@ -38,7 +38,7 @@ from phase_ppl.evaluation.prediction import checked_answer, questions_of, refere
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, UnknownNameError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, World
 
@@ -128,7 +128,10 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
         return row
 
     rows = read_rows(
-        path, check, functools.partial(_check_header, world), once=("participant", "video")
+        path,
+        check,
+        functools.partial(_check_header, world, events is not None),
+        once=("participant", "video"),
     )
     if not any(row[question] for row in rows for question in questions):
         raise InvalidEventError(f"{path}: holds no judgments")
@@ -144,8 +147,9 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
         InvalidEventError: the study has answers to none of the events.
     """
     if (world := world_of(events)) != study.world:
+        of = ("another " if world.name == study.world.name else "") + repr(world.name)
         raise InvalidEventError(
-            f"the study is about the world {study.world.name!r}, the events are of {world.name!r}"
+            f"the study is about the world {study.world.name!r}, the events are of {of}"
         )
     found = [
         dataclasses.replace(
@@ -162,12 +166,16 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
     return found
 
 
-def _check_header(world: World, header: Sequence[str]) -> None:
+def _check_header(world: World, of_events: bool, header: Sequence[str]) -> None:
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         raise InvalidEventError(f"is {shown(header[0])}, expected cells separated by commas")
     for name in header:
         if name not in columns_of(world):
-            raise unknown_name("column", name, columns_of(world))
+            error = unknown_name("column", name, columns_of(world))
+            why = f"the events are of the world {world.name!r}"
+            raise UnknownNameError(
+                f"{error} ({why if of_events else 'without its events a study is one of PHASE'})"
+            )
         if header.count(name) > 1:
             raise InvalidEventError(f"names the column {name} twice")
     for name in ("participant", "video"):

@@ -32,7 +32,7 @@ per question.
                                in other worlds than PHASE
 ``human``                      see below
 ``doubt``                      whether the model doubts where people do:
-                               :mod:`phase_ppl.evaluation.doubt`
+                               :mod:`phase_ppl.evaluation.doubt`; None in other worlds than PHASE
 ``ties``                       question -> events in which several answers are the most probable;
                                None where there are no probabilities
 =============================  ===================================================================
@@ -41,8 +41,9 @@ per question.
 without "goal" are about the relation:
 
 =============================  ===================================================================
-``relation_r``, ``goal_r``     Pearson's r of model and people over all events, answers and (for
-                               goals) agents: vectors of 3 n and 72 n
+``relation_r``, ``goal_r``     Pearson's r of model and people over all events, answers and
+                               agents (of goals) or pairs of agents (of relations), of which PHASE
+                               has one: there vectors of 3 n and 72 n
 ``relation_r_given_truth``     the same after subtracting, from each answer's probability, its mean
                                over the events that have the same true relation. What is left of r
                                when it does not help to be right: whether the model is unsure where

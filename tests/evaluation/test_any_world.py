@@ -247,8 +247,52 @@ def test_a_study_of_another_world_is_read_by_its_questions(
     file.write_text(STUDY.replace(was, now))
     with pytest.raises(PhasePPLError, match=message):
         ppl.load_judgments(file, events)
-    with pytest.raises(PhasePPLError, match="unknown column"):
+    with pytest.raises(PhasePPLError, match="without its events a study is one of PHASE"):
         ppl.load_judgments(file)
+
+
+def test_a_study_of_another_world_than_that_of_the_events_is_refused(
+    events: list[ppl.Event], tmp_path: Path
+) -> None:
+    file = tmp_path / "phase.csv"
+    file.write_text("participant,video,relation\np1,trio-1,friendly\n")
+    with pytest.raises(PhasePPLError, match=r"'relation'.*\(the events are of the world 'trio'\)"):
+        ppl.load_judgments(file, events)
+    file.write_text(STUDY)
+    near = ppl.Predicate("near", "red agent", "green agent", within=4)
+    elsewhere = [moved(dataclasses.replace(TRIO, predicates=[near]), 1, None)]
+    with pytest.raises(InvalidEventError, match="the events are of another 'trio'"):
+        ppl.with_judgments(elsewhere, ppl.load_judgments(file, events))
+
+
+def test_people_who_judge_a_single_agent_have_no_relations_to_judge(tmp_path: Path) -> None:
+    goals = SOLO.goals[:2]
+    alone = [moved(SOLO, number, Roles.of(SOLO, {"red agent": goals[0]})) for number in (1, 2)]
+    file = tmp_path / "study.csv"
+    rows = [f"p{n},{event.id},{goals[n]}" for n in (0, 1) for event in alone]
+    file.write_text("\n".join(["participant,video,goal_red", *rows]))
+    study = ppl.load_judgments(file, alone)
+    assert study.accuracy(alone)["relation_accuracy"] is None
+    found = ppl.evaluate(alone, "last_frame", judgments=study, **ONE_PROCESS)
+    assert found.metrics["people"]["goal_accuracy"]["value"] == 0.5
+    assert found.metrics["human"]["goal_log_score_people"]["value"] == pytest.approx(-np.log(2))
+    assert found.metrics["human"]["relation_r"] is None
+
+
+def test_observers_of_people_refuse_another_world_before_a_model_is_asked(
+    events: list[ppl.Event], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def never(scene: ppl.Scene, observation: Observation, seed: int) -> dict[str, Any]:
+        raise AssertionError("the model was asked")
+
+    for given in (never, None):
+        with pytest.raises(InvalidSettingError, match="an observer of people knows the world"):
+            ppl.evidence_from(events, given)
+    (tmp_path / "study.csv").write_text(STUDY)
+    ppl.save_events(events, tmp_path / "events.json")
+    files = [str(tmp_path / "events.json"), "--judgments", str(tmp_path / "study.csv")]
+    assert main(["fit-people", *files, "--out", str(tmp_path / "people.json")]) != 0
+    assert "an observer of people knows the world PHASE only, not 'trio'" in capsys.readouterr().err
 
 
 def test_judgments_are_kept_with_their_event(events: list[ppl.Event], tmp_path: Path) -> None:
@@ -308,3 +352,19 @@ def test_the_terminal_evaluates_events_of_another_world(
     assert "the red agent helps the green agent" in of_event.read_text("utf-8")
     assert main(["compare-models", str(tmp_path / "two")]) == 0
     assert "relations right, by pair" in capsys.readouterr().out
+
+
+def test_the_terminal_shows_people_beside_models_of_another_world(
+    events: list[ppl.Event], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ppl.save_events(events, tmp_path / "events.json")
+    (tmp_path / "study.csv").write_text(STUDY)
+    files = [str(tmp_path / "events.json"), "--judgments", str(tmp_path / "study.csv")]
+    models = ["--model", "last_frame", "--model", "predicate", "--out", str(tmp_path / "two")]
+    assert main(["evaluate", *files, *models]) == 0
+    printed = capsys.readouterr().out
+    for words in ("people, majority", "people on goals", "people on relations"):
+        assert words in printed
+    assert "equivalence by agent and pair too" in " ".join(printed.split())
+    drawn = {path.name for path in (tmp_path / "two" / "figures").iterdir()}
+    assert {"correlation.png", "scatter_goals.png", "scatter_relations.png"} <= drawn

@@ -27,6 +27,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
+from phase_ppl.world.scene import check_phase
 
 _NODES: Final = 64  # points at which what people share about a video is summed out
 
@@ -202,7 +203,11 @@ def evidence_of(
 
     And what a model made of each, or of several readings of it; with ``made`` None surface cues
     alone. Of a posterior the hypotheses are pairs of goals, of a prediction the relations alone.
+
+    InvalidSettingError: an event is of another world than PHASE.
     """
+    for event in events:
+        check_phase(event.scene, "an observer of people")
     readings: list[list[Made]] = []
     for event in events:
         one = None if made is None else made.get(event.id)
