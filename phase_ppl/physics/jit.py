@@ -13,12 +13,15 @@ import functools
 import hashlib
 import pickle
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
 
 from phase_ppl.world.identity import source_stamp
 
@@ -108,8 +111,87 @@ class KernelCache(FunctionCache):
         warnings.warn(f"compiled anew, as {path} is {what}: {error!r}", RuntimeWarning, 2)
 
 
+class _Whole(JITCodeLibrary):
+    """The code of a kernel that Python calls, with that of all kernels it calls."""
+
+    def _optimize_final_module(self) -> None:
+        # numba has a round before this one, to find counts of references; here are none
+        passes, builder = self._codegen._module_pass_manager()
+        passes.run(self._final_module, builder)
+
+
+class _Part(JITCodeLibrary):
+    """The code of a kernel that kernels call: neither optimised nor made machine code by itself.
+
+    numba does both for every function, with all that it calls, again at each level of a nest of
+    calls; here it is done once, for the whole.
+    """
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0  # as for a function that is not there
+
+    @property
+    def codegen(self) -> Any:
+        return _NoMachineCode()
+
+
+class _NoMachineCode:
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing: there is nothing that could be told of its environment."""
+
+
+class _WholeCompiler(Compiler):
+    library: type[JITCodeLibrary] = _Whole
+
+    def __init__(self, typing: Any, target: Any, library: Any, *arguments: Any) -> None:
+        super().__init__(typing, target, library, *arguments)
+        self.state.library = self.library(self.state.targetctx.codegen(), self.library.__name__)
+        self.state.library.enable_object_caching()
+
+
+class _PartCompiler(_WholeCompiler):
+    library = _Part
+
+
+class Kernel(CPUDispatcher):
+    """A function that is compiled for Python to call, and without that for kernels to call."""
+
+    def __init__(self, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
+        super().__init__(function, targetoptions=dict(options), pipeline_class=_WholeCompiler)
+        options = {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        self._part = CPUDispatcher(function, targetoptions=options, pipeline_class=_PartCompiler)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Tell a kernel that calls this one what it is."""
+        return self._part.get_call_template(args, kws)
+
+    def get_overload(self, sig: Any) -> Any:
+        """Give a kernel that calls this one its code."""
+        return self._part.get_overload(sig)
+
+
+_IN_PARTS: Final = (0, 63) <= numba.version_info.short < (0, 69)
+"""Whether this numba is one in whose inner parts ``Kernel`` reaches; others compile by their own
+rules, which takes nearly twice as long and gives the same results."""
+
+
 def _compiled(function: Function, **options: Any) -> Function:
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    options = {"nogil": True, "error_model": "numpy", **options}
+    compiled: Any = (
+        Kernel(function, {"nopython": True, "boundscheck": None, **options})
+        if _IN_PARTS and not numba.config.DISABLE_JIT
+        else numba.njit(**options)(function)
+    )
     # without a writable place for a cache every process compiles for itself
     with contextlib.suppress(RuntimeError):
         compiled._cache = KernelCache(function)

@@ -3,14 +3,35 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 
 from phase_ppl.physics import jit
 
+NESTED = """
+from phase_ppl.physics import jit
+
+@jit.inlined_kernel
+def root(x, tolerance):
+    while abs(x * x - 2.0) > tolerance:
+        x = 0.5 * (x + 2.0 / x)
+    return x
+
+@jit.bare_kernel
+def both(x):
+    return root(x, 1e-3) - 2.0 * root(x, 1e-12)
+
+@jit.bare_kernel
+def scaled(values, x):
+    for i in range(len(values)):
+        values[i] *= both(x)
+"""
 KERNEL = "from phase_ppl.physics import jit\n\n\n@jit.{decorator}\ndef add(x):\n    return x + 1\n"
 
 
@@ -35,6 +56,26 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_kernels_are_loaded_from_disk_the_second_time(load: Any, decorator: str) -> None:
     assert sum(load(decorator).stats.cache_misses.values()) == 1
     assert sum(load(decorator).stats.cache_hits.values()) == 1
+
+
+@pytest.mark.parametrize("in_parts", [True, False])
+def test_kernels_within_kernels_give_what_python_would(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_parts: bool
+) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(jit, "_IN_PARTS", in_parts)
+    (tmp_path / "nested.py").write_text(NESTED)
+    for compiled in (1, 0):  # the second time from the disk
+        module = runpy.run_path(str(tmp_path / "nested.py"), run_name="nested")
+        values = np.array([1.0, -3.0])
+        module["scaled"](values, 1.5)
+        by_python = {"abs": abs, "root": module["root"].py_func}
+        both = FunctionType(module["both"].py_func.__code__, by_python)
+        assert values.tobytes() == (np.array([1.0, -3.0]) * both(1.5)).tobytes()
+        assert sum(module["scaled"].stats.cache_misses.values()) == compiled
+        # what kernels alone have called is not made for Python until it asks
+        assert not (in_parts and module["both"].overloads)
+        assert module["both"](1.5) == both(1.5)
 
 
 def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
