@@ -19,7 +19,7 @@ from phase_ppl.evaluation.fit_people import asked_about
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.evaluation.observers.answers import Made, evidence_of
 from phase_ppl.evaluation.observers.fit import FittedObserver
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import available_models
 from phase_ppl.models import priors
 from phase_ppl.models.model import Model
@@ -61,8 +61,8 @@ def design(
             its folder, event id -> posterior or prediction; or a prior, by name or as a program,
             or a fitted observer, which take the posteriors of ``source``. Names alone are their
             labels.
-        question: "relation", "goal_red", "goal_green", or where all have posteriors another
-            quantity with categories.
+        question: "relation", "goal_red", "goal_green", in other worlds those of its agents and
+            pairs, or where all have posteriors another quantity with categories.
         source: of the posteriors for priors and observers, any of the kinds above; it is asked
             once. Posteriors that are there already save the time: an evaluation or its folder, or
             event id -> posterior.
@@ -183,9 +183,10 @@ def _predicted(
         return names, np.asarray(marginal.values), np.asarray(marginal["error"].values)
     if not isinstance(one, Prediction):
         raise InvalidSettingError(f"{label} says nothing of the event {event!r}")
-    if question not in QUESTIONS:
-        raise unknown_name(f"question to {label}, which has predictions only:", question, QUESTIONS)
+    if question not in one.questions:
+        what = f"question to {label}, which has predictions only:"
+        raise unknown_name(what, question, one.questions)
     if question not in one.probabilities:
         raise InvalidSettingError(f"{label} has no probabilities of {question} for {event!r}")
     shares = one.probabilities[question]
-    return QUESTIONS[question], shares, one.errors.get(question, np.zeros_like(shares))
+    return one.questions[question], shares, one.errors.get(question, np.zeros_like(shares))

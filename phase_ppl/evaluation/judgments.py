@@ -102,13 +102,16 @@ class Study:
         )
 
 
-def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None = None) -> Study:
+def load_judgments(
+    path: str | os.PathLike[str],
+    events: str | os.PathLike[str] | Sequence[Event] | None = None,
+) -> Study:
     """Read a study from a CSV file of the form that the module describes.
 
     Args:
         path: of the file.
-        events: those that may be judged, of one world, whose questions are asked; a row about
-            another video is an error. Default: any of PHASE.
+        events: those that may be judged, or their file or folder, of one world, whose questions
+            are asked; a row about another video is an error. Default: any of PHASE.
 
     Raises:
         InvalidEventError: there is no such file, or it is no such table: columns are missing, a
@@ -117,8 +120,9 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
         UnknownNameError: a column, goal, relation or video is unknown; the message names close
             matches. Messages begin with the file, and the line where it is one.
     """
-    videos = None if events is None else [event.id for event in events]
-    world = world_of(events or ())
+    judged = None if events is None else all_events(events)
+    videos = None if judged is None else [event.id for event in judged]
+    world = world_of(judged or ())
     questions = questions_of(world)
 
     def check(cells: dict[str, str]) -> dict[str, Any]:

@@ -189,7 +189,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     options = {"nogil": True, "error_model": "numpy", **options}
     compiled: Any = (
         Kernel(function, {"nopython": True, "boundscheck": None, **options})
-        if _IN_PARTS and not numba.config.DISABLE_JIT
+        if _IN_PARTS and not getattr(numba.config, "DISABLE_JIT", False)
         else numba.njit(**options)(function)
     )
     # without a writable place for a cache every process compiles for itself

@@ -15,7 +15,12 @@ from phase_ppl.cli import main
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import event_judgments
 from phase_ppl.evaluation.tables import kinds_of, parts_of, titles_of
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    PhasePPLError,
+    UnknownNameError,
+)
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.observation import Observation
 
@@ -300,6 +305,7 @@ def test_judgments_are_kept_with_their_event(events: list[ppl.Event], tmp_path: 
     file.write_text(STUDY)
     study = ppl.load_judgments(file, events)
     ppl.save_events(ppl.with_judgments(events, study), tmp_path / "events.json")
+    assert ppl.load_judgments(file, tmp_path / "events.json").table.equals(study.table)
     for event in ppl.load_events(tmp_path / "events.json"):
         found, made = event_judgments(event), study.judgments[event.id]
         assert found is not None
@@ -328,6 +334,28 @@ def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:
         ppl.evaluate(both, "stepwise", **ONE_PROCESS)
     with pytest.raises(InvalidEventError, match="of the world 'PHASE', not 'trio'"):
         ppl.evaluation.prediction.as_prediction(Prediction("", answers={}), "", TRIO)
+    places = [{"home": (8.0, 8.0)}, {"home": (9.0, 8.0)}]
+    alike = [ppl.World(["red agent"], ["ball"], place, name="yard") for place in places]
+    mixed = [ppl.simulate(w.random_scene(0), ppl.roles.draw(w, 0), frames=3) for w in alike]
+    mixed = [dataclasses.replace(event, id=str(i)) for i, event in enumerate(mixed)]
+    with pytest.raises(InvalidSettingError, match=r"'yard', 'yard' \(which differ, but for the n"):
+        ppl.evaluate(mixed, "stepwise", **ONE_PROCESS)
+
+
+def test_events_that_tell_models_apart_are_found_in_any_world(events: list[ppl.Event]) -> None:
+    question = "relation_red_purple"
+    sides = {"friend": [0.9, 0.1, 0.0], "foe": [0.1, 0.1, 0.8]}
+    models = {
+        label: {
+            event.id: Prediction(event.id, {question: sides[label if i else "foe"]}, world=TRIO)
+            for i, event in enumerate(events)
+        }
+        for label in sides
+    }
+    found = ppl.design(events, models, question, lapse=0.0)
+    assert found.information.values.argmax() == 1
+    with pytest.raises(UnknownNameError, match="relation_red_purple"):
+        ppl.design(events, models, "relation_red_purpel")
 
 
 def test_the_terminal_evaluates_events_of_another_world(
