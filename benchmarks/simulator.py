@@ -54,6 +54,7 @@ PARTS: dict[str, Callable[[], dict[str, Any]]] = {
     "presets": whole.presets,
     "two_workers": whole.two_workers,
     "first_decision": whole.first_decision,
+    "cold": whole.cold,
     "closed_loop": whole.closed_loop,
     "new_length": whole.new_length,
     "memory": whole.memory,

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
+import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -227,6 +229,39 @@ def first_decision() -> dict[str, Any]:
         end = float(subprocess.check_output([sys.executable, "-c", FIRST], text=True))
         seconds.append(end - begin)
     return {"first_decision_seconds_warm": float(np.median(seconds[1:]))}
+
+
+COLD = """
+import sys
+import time
+from phase_ppl.physics import jit
+if sys.argv[1] == "numba":
+    jit._IN_PARTS = False
+from phase_ppl.closed_loop.goal_filter import warm_up
+from phase_ppl.simulator.joint import JointSimulator
+begin = time.process_time()
+JointSimulator().warm_up()
+warm_up()
+print(time.process_time() - begin)
+"""
+
+
+def cold() -> dict[str, Any]:
+    """Compilation of what an inference needs where nothing is kept, by numba's rules and ours."""
+    seconds = {}
+    for rules in ("numba", "ours"):
+        with tempfile.TemporaryDirectory() as folder:
+            seconds[rules] = float(
+                subprocess.check_output(
+                    [sys.executable, "-c", COLD, rules],
+                    text=True,
+                    env=dict(os.environ, NUMBA_CACHE_DIR=folder),
+                )
+            )
+    return {
+        "cold_compilation_cpu_seconds": seconds["ours"],
+        "cold_compilation_numba_over_ours": seconds["numba"] / seconds["ours"],
+    }
 
 
 def memory() -> dict[str, Any]:

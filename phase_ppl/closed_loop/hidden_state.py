@@ -238,6 +238,8 @@ class HiddenState:
             (action of the first agent, of the second, ...) log density of the frame after every
             combination of intended actions.
         """
+        observed = np.ascontiguousarray(observed).view()
+        observed.setflags(write=False)  # like a file's: kernels are compiled for one kind of array
         tracking, beam = self.tracking, self.beam
         scale = float(np.hypot(tracking.scale, self._noise.now))  # from the frames before
         self.log_peak = _log_peak(
