@@ -55,7 +55,12 @@ warm_up()
 WITHOUT_KERNELS = ("models", "analysis")
 """Folders of tests that hardly need them, and take longer than compiling them."""
 
-WITH_KERNELS = ("test_what_if.py", "test_what_if_worlds.py", "test_plots.py")
+WITH_KERNELS = (
+    "test_plots.py",
+    "test_stepwise_worlds.py",
+    "test_what_if.py",
+    "test_what_if_worlds.py",
+)
 """Files in these folders that do, and would compile them a second time."""
 
 
