@@ -13,7 +13,7 @@ import functools
 import hashlib
 import pickle
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
@@ -166,10 +166,16 @@ class _PartCompiler(_WholeCompiler):
 class Kernel(CPUDispatcher):
     """A function that is compiled for Python to call, and without that for kernels to call."""
 
-    def __init__(self, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
-        super().__init__(function, targetoptions=dict(options), pipeline_class=_WholeCompiler)
-        options = {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        self._part = CPUDispatcher(function, targetoptions=options, pipeline_class=_PartCompiler)
+    def __init__(
+        self,
+        py_func: Callable[..., Any],
+        locals: dict[str, Any] | None = None,
+        targetoptions: dict[str, Any] | None = None,
+    ) -> None:
+        options, unseen = dict(targetoptions or {}), ("no_cpython_wrapper", "no_cfunc_wrapper")
+        super().__init__(py_func, locals, options, _WholeCompiler)
+        options = options | dict.fromkeys(unseen, True)
+        self._part = CPUDispatcher(py_func, locals, options, _PartCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Tell a kernel that calls this one what it is."""
@@ -188,7 +194,7 @@ rules, which takes nearly twice as long and gives the same results."""
 def _compiled(function: Function, **options: Any) -> Function:
     options = {"nogil": True, "error_model": "numpy", **options}
     compiled: Any = (
-        Kernel(function, {"nopython": True, "boundscheck": None, **options})
+        Kernel(function, targetoptions={"nopython": True, "boundscheck": None, **options})
         if _IN_PARTS and not getattr(numba.config, "DISABLE_JIT", False)
         else numba.njit(**options)(function)
     )

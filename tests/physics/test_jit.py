@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import runpy
 from pathlib import Path
@@ -76,6 +77,7 @@ def test_kernels_within_kernels_give_what_python_would(
         # what kernels alone have called is not made for Python until it asks
         assert not (in_parts and module["both"].overloads)
         assert module["both"](1.5) == both(1.5)
+        assert pickle.loads(pickle.dumps(module["root"]))(1.5, 1e-9) == module["root"](1.5, 1e-9)
 
 
 def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
