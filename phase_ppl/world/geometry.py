@@ -164,20 +164,24 @@ def deepest_overlap(scene: Any) -> tuple[str, float]:
         for e, (pose, r) in enumerate(zip(scene.start, radii, strict=True))
     ]
     rounding = [0.0 if is_agent(e, n_agents) else float(r) for e, r in enumerate(radii)]
+    things = [*shapes, *scene.walls]
+    low = np.array([corners.min(axis=0) for corners in things])
+    high = np.array([corners.max(axis=0) for corners in things])
     found = {"": 0.0}
     for e, shape in enumerate(shapes):
         name = f"the {scene.world.entities[e]}"
-        beyond = [arena[0] - shape[:, 0], shape[:, 0] - arena[1]]
-        beyond += [arena[2] - shape[:, 1], shape[:, 1] - arena[3]]
+        beyond = [arena[0] - low[e, 0], high[e, 0] - arena[1]]
+        beyond += [arena[2] - low[e, 1], high[e, 1] - arena[3]]
         found[f"{name} and the arena's border"] = float(np.max(beyond)) + rounding[e]
-        for wall in scene.walls:
-            inside = penetration(shape, wall, rounding[e])
-            found[f"{name} and an inner wall"] = max(
-                inside, found.get(f"{name} and an inner wall", 0.0)
-            )
+        apart = np.maximum(low - high[e], low[e] - high).max(axis=1)
+        for place, wall in enumerate(scene.walls, len(shapes)):
+            if apart[place] <= rounding[e]:  # most are far apart
+                words, inside = f"{name} and an inner wall", penetration(shape, wall, rounding[e])
+                found[words] = max(inside, found.get(words, 0.0))
         for other in range(e):
-            depth = penetration(shape, shapes[other], rounding[e] + rounding[other])
-            found[f"the {scene.world.entities[other]} and {name}"] = depth
+            if apart[other] <= (both := rounding[e] + rounding[other]):
+                words = f"the {scene.world.entities[other]} and {name}"
+                found[words] = penetration(shape, shapes[other], both)
     return max(found.items(), key=lambda item: item[1])
 
 
