@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
+from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -179,7 +180,10 @@ class Kernel(CPUDispatcher):
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Tell a kernel that calls this one what it is."""
-        return self._part.get_call_template(args, kws)
+        # a number that is written in the call makes no kernel of its own: it is known all the
+        # same once the one is within the other
+        plain = [types.unliteral(x) if isinstance(x, types.IntegerLiteral) else x for x in args]
+        return self._part.get_call_template(plain, kws)
 
     def get_overload(self, sig: Any) -> Any:
         """Give a kernel that calls this one its code."""
@@ -188,7 +192,7 @@ class Kernel(CPUDispatcher):
 
 _IN_PARTS: Final = (0, 63) <= numba.version_info.short < (0, 69)
 """Whether this numba is one in whose inner parts ``Kernel`` reaches; others compile by their own
-rules, which takes nearly twice as long and gives the same results."""
+rules, which takes twice as long and gives the same results."""
 
 
 def _compiled(function: Function, **options: Any) -> Function:
