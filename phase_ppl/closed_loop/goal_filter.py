@@ -350,7 +350,7 @@ def stacked(arrays: Sequence[NDArray[Any]], axis: int = 0) -> NDArray[Any]:
 
 def warm_up() -> None:
     """Compile the kernels that filtering a video needs, or load them from the cache on disk."""
-    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
+    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [8.0, 18.6, 0.0], [8.0, 4.0, 0.0]]
     scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
     sets, flat = SearchSets(scene, planner, tracking), np.zeros((N_GOALS, N_GOALS))

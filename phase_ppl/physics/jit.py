@@ -143,12 +143,10 @@ class _Part(JITCodeLibrary):
 
     @property
     def codegen(self) -> Any:
-        return _NoMachineCode()
+        return self  # what asks wants ``set_env`` only
 
-
-class _NoMachineCode:
     def set_env(self, name: str, environment: Any) -> None:
-        """Do nothing: there is nothing that could be told of its environment."""
+        """Do nothing: no machine code is there to be told of its environment."""
 
 
 class _WholeCompiler(Compiler):
@@ -165,7 +163,7 @@ class _PartCompiler(_WholeCompiler):
 
 
 class Kernel(CPUDispatcher):
-    """A function that is compiled for Python to call, and without that for kernels to call."""
+    """A compiled function: a whole where Python calls it, a part of those kernels that do."""
 
     def __init__(
         self,

@@ -142,7 +142,7 @@ class JointSimulator:
 
 def run_briefly(simulator: Simulator) -> None:
     """Take a few frames from a simulator, so that what it needs is compiled."""
-    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
+    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [8.0, 18.6, 0.0], [8.0, 4.0, 0.0]]
     scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
     hypothesis = Hypothesis("Get blue item to red lm", "Get red agent to red lm")  # type: ignore[arg-type]
     frames = iter(simulator(scene, hypothesis, np.random.default_rng(0)))

@@ -19,6 +19,7 @@ from phase_ppl.closed_loop.hidden_state import (
     Tracking,
     filter_gains,
 )
+from phase_ppl.physics import inverse
 from phase_ppl.physics.actions import ACTION_NAMES, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError
@@ -44,6 +45,20 @@ def played(where: Scene, actions: Any, strengths: tuple[float, float] = STRENGTH
 
 def near_item(**changes: Any) -> Scene:
     return scene(red=(12.0, 8.0, 0.0), blue=(12.0, 11.2), green=(22.0, 16.0, 0.5), **changes)
+
+
+def test_frames_of_any_array_are_read_by_the_kernels_that_are_there() -> None:
+    where = near_item()
+    frame = where.start + 0.01
+    densities, kinds = [], set()
+    for given in (frame, np.asfortranarray(frame), np.repeat(frame, 2, axis=0)[::2]):
+        for writable in (True, False):
+            given.setflags(write=writable)
+            densities.append(HiddenState(where, Tracking(states=1)).advance(given))
+            kinds.add((len(inverse.try_all.overloads), len(inverse.follow.overloads)))
+            assert given.flags.writeable == writable
+    assert len(kinds) == 1
+    assert all(np.array_equal(density, densities[0]) for density in densities)
 
 
 def test_actions_holds_and_strengths_are_recovered() -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.agents import beliefs, pomcp, vision
+from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.errors import InvalidSettingError
@@ -25,6 +28,19 @@ CARRY = ppl.Hypothesis("Get blue item to red lm", "Get green agent to green lm")
 def frames(where: ppl.Scene, hypothesis: ppl.Hypothesis, n: int, seed: int = 0) -> np.ndarray:
     event = ppl.simulate(where, hypothesis, frames=n, seed=seed, planner=QUICK)
     return event.observation.trajectory
+
+
+def test_warming_up_calls_all_that_simulating_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    called = set()
+
+    def watched(name: str, kernel: Any) -> Any:
+        return lambda *given: called.add(name) or kernel(*given)
+
+    names = {"observe": vision, "update": beliefs, "run": pomcp, "find_grab": compiled}
+    for name, module in names.items():
+        monkeypatch.setattr(module, name, watched(name, getattr(module, name)))
+    JointSimulator().warm_up()
+    assert called == {*names}
 
 
 def test_the_first_frame_is_the_start() -> None:
