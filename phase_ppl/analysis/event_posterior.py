@@ -194,7 +194,8 @@ class EventPosterior(Hypotheses):
         Hypotheses are drawn from the posterior, and each is simulated twice with the same seed: as
         it is, and with the change. Printed, the result says how often and when each agent reaches
         its goal in either world, and whether that differs by more than chance;
-        ``film(path)`` shows both side by side. See :class:`phase_ppl.analysis.what_if.WhatIf`.
+        ``film(path)`` shows both side by side. With nothing changed they are simulated as they are
+        only. See :class:`phase_ppl.analysis.what_if.WhatIf`.
 
         Args:
             alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
@@ -226,8 +227,8 @@ class EventPosterior(Hypotheses):
         change = Change.of(self.scene.world, changed, alpha, relation, remove, walls)
         begin, frames = length(self._source(), at, seconds)
         return simulated(
-            self._source(), change, at=begin, frames=frames, n=n, seed=seed, workers=workers,
-            simulator=simulator,
+            self._source(), change if change.words else None, at=begin, frames=frames, n=n,
+            seed=seed, workers=workers, simulator=simulator,
         )  # fmt: skip
 
     def predict(

@@ -82,6 +82,10 @@ def test_from_a_frame_on_what_was_seen_has_happened(contested: ppl.Posterior) ->
     assert later.poses.shape[2] == 22
     gap = np.linalg.norm(later.poses[:, :, -1, 1, :2] - [23.5, 19.5], axis=-1)
     assert (gap[1] < gap[0]).all()
+    as_it_is = contested.do(at=20, n=2, workers=1)
+    assert as_it_is.poses.shape[0] == 1
+    np.testing.assert_array_equal(as_it_is.poses[0], later.poses[0])
+    assert " with " not in str(as_it_is)
 
 
 def test_the_past_of_a_video_is_found_again(contested: ppl.Posterior) -> None:
