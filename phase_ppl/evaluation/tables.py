@@ -56,7 +56,7 @@ def world_of(events: Sequence[Event]) -> World:
     worlds = list(dict.fromkeys(event.scene.world for event in events)) or [PHASE]
     if len(worlds) > 1:
         names = [one.name for one in worlds]
-        differing = "" if len({*names}) == len(names) else " (which differ, but for the name)"
+        differing = "" if len({*names}) == len(names) else " (alike in name only)"
         raise InvalidSettingError(
             f"the events are of the worlds {', '.join(map(repr, names))}{differing}, expected "
             "those of one world"

@@ -173,9 +173,9 @@ def deepest_overlap(scene: Any) -> tuple[str, float]:
         beyond = [arena[0] - low[e, 0], high[e, 0] - arena[1]]
         beyond += [arena[2] - low[e, 1], high[e, 1] - arena[3]]
         found[f"{name} and the arena's border"] = float(np.max(beyond)) + rounding[e]
-        apart = np.maximum(low - high[e], low[e] - high).max(axis=1)
+        apart = np.maximum(low - high[e], low[e] - high).max(axis=1)  # from all at once
         for place, wall in enumerate(scene.walls, len(shapes)):
-            if apart[place] <= rounding[e]:  # most are far apart
+            if apart[place] <= rounding[e]:
                 words, inside = f"{name} and an inner wall", penetration(shape, wall, rounding[e])
                 found[words] = max(inside, found.get(words, 0.0))
         for other in range(e):

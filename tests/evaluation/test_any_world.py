@@ -338,7 +338,7 @@ def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:
     alike = [ppl.World(["red agent"], ["ball"], place, name="yard") for place in places]
     mixed = [ppl.simulate(w.random_scene(0), ppl.roles.draw(w, 0), frames=3) for w in alike]
     mixed = [dataclasses.replace(event, id=str(i)) for i, event in enumerate(mixed)]
-    with pytest.raises(InvalidSettingError, match=r"'yard', 'yard' \(which differ, but for the n"):
+    with pytest.raises(InvalidSettingError, match=r"'yard', 'yard' \(alike in name only\)"):
         ppl.evaluate(mixed, "stepwise", **ONE_PROCESS)
 
 
