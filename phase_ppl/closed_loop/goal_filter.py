@@ -28,10 +28,10 @@ from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.closed_loop.hidden_state import Tracking, most_probable_actions
 from phase_ppl.closed_loop.search_sets import Conduct, Looked, SearchSets
 from phase_ppl.physics.actions import N_ACTIONS
+from phase_ppl.simulator.joint import scene_in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.names import AGENTS, NOTHING
-from phase_ppl.world.scene import Scene
 
 SEARCHED_BY_ALL: Final = 0.99
 """Mass of the most probable pairs of goals, for which all sets of searches are made; for the rest
@@ -350,8 +350,7 @@ def stacked(arrays: Sequence[NDArray[Any]], axis: int = 0) -> NDArray[Any]:
 
 def warm_up() -> None:
     """Compile the kernels that filtering a video needs, or load them from the cache on disk."""
-    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [8.0, 18.6, 0.0], [8.0, 4.0, 0.0]]
-    scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
+    scene = scene_in_reach()
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
     sets, flat = SearchSets(scene, planner, tracking), np.zeros((N_GOALS, N_GOALS))
     with PairFilter(sets, Conduct(1.0, 1.0), 1.0, flat) as goals:

@@ -140,10 +140,15 @@ class JointSimulator:
                 self.noise.disturb(world, disturbing)
 
 
+def scene_in_reach() -> Scene:
+    """Return a scene in which an agent can grab, so that all that agents do is soon compiled."""
+    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [8.0, 18.6, 0.0], [8.0, 4.0, 0.0]]
+    return Scene(start=np.array(spots), radius=np.full(4, 0.8))
+
+
 def run_briefly(simulator: Simulator) -> None:
     """Take a few frames from a simulator, so that what it needs is compiled."""
-    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [8.0, 18.6, 0.0], [8.0, 4.0, 0.0]]
-    scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
+    scene = scene_in_reach()
     hypothesis = Hypothesis("Get blue item to red lm", "Get red agent to red lm")  # type: ignore[arg-type]
     frames = iter(simulator(scene, hypothesis, np.random.default_rng(0)))
     for _ in range(3):
