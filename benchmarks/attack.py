@@ -38,11 +38,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # toys and hostile files are
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.analysis.summary import plain
 from phase_ppl.cli import main as terminal
 from phase_ppl.dataset.events_netcdf import checksum
 from phase_ppl.inference.runs.checkpoint import Checkpoint
 from phase_ppl.world.errors import PhasePPLError
+from phase_ppl.world.picture import plain
 from tests.dataset.test_bad_files import FILES
 from tests.dataset.test_hdf5 import TRICKS
 from tests.inference.test_checkpoint import HOSTILE

@@ -29,9 +29,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the simulator is the tests
 import phase_ppl as ppl
 from phase_ppl.models.density import draw
 from phase_ppl.models.likelihood import RadialLikelihood
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.observation import Observation
 from tests.inference.toy import walkers, walking_event
 
 FRAMES = 12

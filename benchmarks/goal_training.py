@@ -41,10 +41,10 @@ from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.simulator.joint import simulate
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import N_GOALS, goal_literal, opposed_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, LANDMARKS, PINK_ITEM
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 Array = jax.Array | NDArray[Any]

@@ -29,7 +29,6 @@ import numpy as np
 import phase_ppl as ppl
 from phase_ppl.analysis._arviz import pareto_smoothed
 from phase_ppl.analysis.figures.style import COLOURS, NORMAL, in_style, new_figure, written
-from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.doubt import doubt_of
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.metrics import evaluate_predictions
@@ -40,6 +39,7 @@ from phase_ppl.models.observer.observers import OBSERVERS, Evidence, observer_na
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
+from phase_ppl.world.picture import plain
 
 CHAINS = 4  # of each fit of "recover"
 LABELLED = 0.9

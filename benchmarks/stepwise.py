@@ -33,12 +33,11 @@ import numpy as np
 from videos import own, reading
 
 import phase_ppl as ppl
+from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.search_sets import Conduct
 from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.observation import Observation
 
 KINDS = ("goal", "relation")
 SHARPNESS, LAPSE, WEIGHT = (4.0, 6.0), (0.1, 0.2, 0.3), (0.3, 0.5, 1.0)

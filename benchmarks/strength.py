@@ -22,8 +22,7 @@ from phase_ppl.inference.proposals.strength import (
     estimated_strengths,
 )
 from phase_ppl.inference.proposals.tables import window_count, window_length
-from phase_ppl.world.event import Event
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation
 
 JITTER = (0.0, 0.05, 0.1, 0.3)
 WINDOW = 10

@@ -102,13 +102,13 @@ from phase_ppl.world.errors import PhasePPLError as PhasePPLError
 from phase_ppl.world.errors import QueryError as QueryError
 from phase_ppl.world.errors import SimulationError as SimulationError
 from phase_ppl.world.event import Event as Event
+from phase_ppl.world.event import Observation as Observation
 from phase_ppl.world.event import Truth as Truth
 from phase_ppl.world.goals import GOALS as GOALS
 from phase_ppl.world.hypothesis import ALPHAS as ALPHAS
 from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
 from phase_ppl.world.hypothesis import Roles as Roles
 from phase_ppl.world.names import AGENTS as AGENTS
-from phase_ppl.world.observation import Observation as Observation
 from phase_ppl.world.predicates import Predicate as Predicate
 from phase_ppl.world.scene import Scene as Scene
 from phase_ppl.world.scene import World as World

@@ -17,8 +17,8 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.physics.constants import IMAGINATION_ITERATIONS
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 from speed.scenes import STRENGTHS, contact_mix, crowded, undecided
 from tests.agents.oracle import OracleAgent

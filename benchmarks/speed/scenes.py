@@ -7,10 +7,9 @@ import numpy as np
 import phase_ppl as ppl
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, State
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 
 STRENGTHS = (450.0, 300.0)

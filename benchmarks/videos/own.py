@@ -14,11 +14,10 @@ from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, State, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
-from phase_ppl.world.observation import Observation, State
 
 ALPHA_PROBABILITIES = (1 / 3, *[1 / 6] * 4)
 """Of the uniform prior, in the order of ``ALPHAS``."""

@@ -12,9 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.goal_filter import PairFilter, frame_log_likelihood
+from phase_ppl.closed_loop.goal_filter import (
+    Conduct,
+    Looked,
+    PairFilter,
+    SearchSets,
+    frame_log_likelihood,
+)
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.search_sets import Conduct, Looked, SearchSets
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.stepwise import StepwiseLikelihood

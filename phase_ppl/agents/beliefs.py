@@ -24,8 +24,8 @@ from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
+from phase_ppl.world.event import State
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.observation import State
 
 OBSERVED_ENLARGEMENT: Final = 1.1
 """An unobserved entity must not overlap an observed shape enlarged this much."""

@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.convergence import MIN_DRAWS, arviz_module, chain_halves
 from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
+from phase_ppl.analysis.estimate import MIN_DRAWS, arviz_module, chain_halves
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import DRAW, SIMULATED, log_weight_of_draws, space_of_tree
 from phase_ppl.world.arrays import FloatArray

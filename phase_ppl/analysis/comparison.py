@@ -12,10 +12,9 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from phase_ppl.analysis.convergence import ess
+from phase_ppl.analysis.estimate import ess
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, unknown_name
@@ -23,7 +22,7 @@ from phase_ppl.world.event import Truth
 from phase_ppl.world.files import existing_file, write_json
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import RELATIONS, Roles
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import plain, preformatted
 from phase_ppl.world.space import space_of
 
 SCHEMA: Final = "phase-ppl-comparison-1"

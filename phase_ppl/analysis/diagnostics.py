@@ -12,8 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.convergence import ess, mcse, r_hat
-from phase_ppl.analysis.estimate import worth
+from phase_ppl.analysis.estimate import ess, mcse, r_hat, worth
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import (
     array,

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Final, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -18,11 +18,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
-from phase_ppl.analysis.definitions import Definition, check_name, defined, read_definitions
 from phase_ppl.analysis.estimate import Estimate, Jackknife, Mode, doubt, leaving_out, with_unseen
 from phase_ppl.analysis.quantities import Quantity, relations_of
 from phase_ppl.analysis.query import Clause, Conditions, conditions, understood
-from phase_ppl.analysis.summary import LABEL, bars
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
@@ -33,8 +31,11 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.names import AGENTS
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import LABEL, bars, preformatted
 from phase_ppl.world.space import HypothesisSpace
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.definitions import Definition
 
 Given: TypeAlias = Mapping[str, Any] | str | Conditions | None
 """What to condition on: quantity -> value, or conditions in words; None: nothing."""
@@ -144,6 +145,8 @@ class Hypotheses:
             InvalidSettingError: the name is taken or no name; or the function raises, or returns
                 NaN, something else or values of several kinds. The message names the hypothesis.
         """
+        from phase_ppl.analysis.definitions import check_name, defined
+
         check_name(name, self._quantities.keys() - self._own.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
         quantity, column = defined(name, definition, others, self._rows.values)
@@ -162,6 +165,8 @@ class Hypotheses:
             InvalidEventError: there is no such file, or it has a line of another form.
             QueryError, InvalidSettingError: as of :meth:`define`.
         """
+        from phase_ppl.analysis.definitions import read_definitions
+
         return self._defining(read_definitions(path))
 
     @property

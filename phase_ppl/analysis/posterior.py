@@ -17,7 +17,6 @@ from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label, own_quantity
-from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
@@ -32,11 +31,11 @@ from phase_ppl.analysis.tree import (
     untried,
 )
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
-from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.files import check_output, existing_file, write_bytes
+from phase_ppl.world.picture import plain, wrapped
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -274,6 +273,8 @@ class Posterior(EventPosterior):
         groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
         check_output(path, (".nc",))
         # every array carries a checksum, so that a damaged file is noticed when it is read
+        from phase_ppl.dataset.hdf5 import netcdf_bytes
+
         write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
         return Path(path)
 
@@ -293,6 +294,7 @@ class Posterior(EventPosterior):
         """
         source = existing_file(path)
         from phase_ppl.analysis.stepwise_posterior import is_stepwise
+        from phase_ppl.dataset.hdf5 import read_netcdf
 
         if is_stepwise(source):
             raise InvalidEventError(

@@ -33,7 +33,6 @@ from phase_ppl.analysis.stepwise_table import (
     Table,
     table_of,
 )
-from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
@@ -46,8 +45,9 @@ from phase_ppl.world.errors import (
     UnknownNameError,
     shown,
 )
+from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import check_output, existing_file, write_bytes
-from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.picture import plain, wrapped
 from phase_ppl.world.scene import PHASE
 
 FILTERING: Final = (

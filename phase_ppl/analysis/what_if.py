@@ -25,9 +25,9 @@ from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true
 from phase_ppl.world.hypothesis import STANCES, Hypothesis, Roles, checked_strength
-from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.picture import preformatted
 from phase_ppl.world.scene import Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of

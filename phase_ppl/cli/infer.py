@@ -17,9 +17,8 @@ from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
 from phase_ppl.inference.settings import completed
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.files import write_json
-from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:

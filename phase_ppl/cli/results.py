@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 import phase_ppl
-from phase_ppl.analysis.summary import LABEL, plain, wrapped
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, QueryError
 from phase_ppl.world.files import writable_folder
+from phase_ppl.world.picture import LABEL, plain, wrapped
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -29,8 +29,8 @@ from phase_ppl.simulator.joint import Past
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import State
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 
 UNSEEN: Final = 0.05  # units that are assumed before there is anything to estimate the noise from

@@ -20,11 +20,10 @@ from phase_ppl.world import worlds
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event, Observation, Truth
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
 from phase_ppl.world.hypothesis import STRENGTH, Roles
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME, Observation
 from phase_ppl.world.scene import PHASE, Scene, World
 
 _ParallelEnv: Any = object  # without the extra `env`, which `env()` then says

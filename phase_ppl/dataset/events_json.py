@@ -65,10 +65,9 @@ from phase_ppl.dataset.documents import event_id, only, optional, per_name, requ
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE, Scene, Turning, World, finite_array, one_or_all
 
 EVENT_FORMAT: Final = "phase-ppl-event-1"

@@ -11,10 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
-from phase_ppl.dataset import events_json, phase_test
+from phase_ppl.dataset import events_json
 from phase_ppl.dataset.documents import check_ids, naming, parse_document, read_document
 from phase_ppl.dataset.events_json import Entries, event_from_record, turned
-from phase_ppl.dataset.hdf5 import is_hdf5
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
@@ -38,13 +37,6 @@ EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
 
 PHASE_PICKLE: Final = "phase-pickle"
 """The format of the authors' pickles, which are read only where this is said."""
-
-_READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Entries]]] = {
-    events_json.EVENT_FORMAT: events_json.read_one,
-    events_json.EVENTS_FORMAT: events_json.read_many,
-    phase_test.FORMAT: phase_test.read,
-}
-"""Per format tag the function that lists the events of a document."""
 
 
 def bundled_events() -> list[str]:
@@ -140,6 +132,14 @@ def _entries(path: PathLike, format: str | None) -> Entries:
     bundled = None if format else _bundled_name(path)
     if bundled is not None:
         return [(bundled, functools.partial(load_bundled, bundled))]
+    from phase_ppl.dataset import phase_test
+    from phase_ppl.dataset.hdf5 import is_hdf5
+
+    readers: Mapping[str, Callable[[Mapping[str, Any]], Entries]] = {
+        events_json.EVENT_FORMAT: events_json.read_one,
+        events_json.EVENTS_FORMAT: events_json.read_many,
+        phase_test.FORMAT: phase_test.read,
+    }
     with naming(path):
         entries: Entries
         if format:
@@ -154,12 +154,12 @@ def _entries(path: PathLike, format: str | None) -> Entries:
             entries = events_netcdf.read(path)
         else:
             document = read_document(path)
-            tag, known = document.get("format"), ", ".join(map(repr, _READERS))
+            tag, known = document.get("format"), ", ".join(map(repr, readers))
             if tag is None:
                 raise InvalidEventError(f"is not an event file: it has no format, such as {known}")
-            if not isinstance(tag, str) or tag not in _READERS:
+            if not isinstance(tag, str) or tag not in readers:
                 raise InvalidEventError(f"has format {shown(tag)}, expected one of {known}")
-            entries = _READERS[tag](document)
+            entries = readers[tag](document)
         check_ids([name for name, _ in entries])
     return entries
 
@@ -253,6 +253,8 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
     video: Callable[[Event], dict[str, Any]]
     together: Callable[[list[dict[str, Any]]], bytes]
     if format == "phase-test":
+        from phase_ppl.dataset import phase_test
+
         like = events[0].scene
         video = functools.partial(phase_test.video, like=like)
         together = functools.partial(phase_test.videos_bytes, scene=like)

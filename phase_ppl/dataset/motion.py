@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from phase_ppl.physics.constants import STEP, SUBSTEPS, inertia, turn_torque
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.geometry import GRAB_POINTS
 from phase_ppl.world.names import AGENTS, NOTHING
-from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import Turning
 
 Flags = NDArray[np.bool_]

@@ -33,11 +33,10 @@ from phase_ppl.dataset.events_json import (
 )
 from phase_ppl.dataset.motion import observed_turning
 from phase_ppl.world.errors import InvalidEventError, shown
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event, Observation
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
 from phase_ppl.world.names import ENTITIES, LANDMARKS
-from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Observation
 from phase_ppl.world.scene import LANDMARK_HALF_WIDTH, Scene, check_phase, finite_array
 
 FORMAT: Final = "phase-test-1"

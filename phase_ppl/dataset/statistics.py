@@ -15,7 +15,7 @@ from phase_ppl.dataset.generation.situation import SIZES
 from phase_ppl.dataset.motion import SLOW, moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Truth
 from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.hypothesis import (
     RELATION_OF_SCENARIO,
@@ -26,7 +26,6 @@ from phase_ppl.world.hypothesis import (
     scenario,
 )
 from phase_ppl.world.names import Predicate
-from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import PHASE as PHASE_WORLD
 from phase_ppl.world.scene import World
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from phase_ppl.analysis.summary import plain
 from phase_ppl.dataset.documents import check_schema, of_kind, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
@@ -46,7 +45,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import event_digest
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import plain, preformatted
 from phase_ppl.world.scene import PHASE, World
 
 if TYPE_CHECKING:

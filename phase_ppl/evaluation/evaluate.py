@@ -17,7 +17,6 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from phase_ppl.analysis.summary import plain
 from phase_ppl.dataset.hdf5 import SIGNATURE, with_event_id
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
 from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
@@ -29,10 +28,10 @@ from phase_ppl.simulator.contract import described
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene, check_phase
 from phase_ppl.world.shards import SHARD, Shard

@@ -9,7 +9,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, stored_label
 from phase_ppl.evaluation.cells import INTERVALS, metric_tables, wrapped
 from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
@@ -24,7 +23,7 @@ from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import plain, preformatted
 from phase_ppl.world.scene import PHASE
 
 

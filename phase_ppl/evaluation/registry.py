@@ -20,11 +20,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
-from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import qualified_name, source_hash, stable
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.picture import plain
 from phase_ppl.world.registry import Registry
 from phase_ppl.world.scene import PHASE, Scene, World
 

@@ -46,7 +46,6 @@ from phase_ppl.analysis.comparison import (
 )
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import relation_codes
-from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.entries import Entry, Spec, entries, entry_of
 from phase_ppl.inference.infer import CHAINS
@@ -74,6 +73,7 @@ from phase_ppl.world.files import locked
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 from phase_ppl.world.identity import versions, versions_so_far
+from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import is_shown
 from phase_ppl.world.scene import PHASE, check_phase
 from phase_ppl.world.shards import SHARD, Shard

@@ -26,9 +26,8 @@ from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
 

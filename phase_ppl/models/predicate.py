@@ -29,11 +29,11 @@ from phase_ppl.dataset.motion import HELD_WITHIN, items_held
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.event import Observation
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, possible_goals
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, STRENGTH
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 Flags = NDArray[np.bool_]

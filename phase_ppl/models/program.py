@@ -22,8 +22,8 @@ from phase_ppl.models.density import (
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.world_prior import space_of_prior
+from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import physics_rules
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 MAX_SEED: Final = 2**31 - 1  # simulator seeds lie below this

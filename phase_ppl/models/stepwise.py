@@ -14,9 +14,14 @@ from collections.abc import Callable
 from typing import Any
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.goal_filter import GoalFilter, PairFilter, PolicyFilter
+from phase_ppl.closed_loop.goal_filter import (
+    Conduct,
+    GoalFilter,
+    PairFilter,
+    PolicyFilter,
+    SearchSets,
+)
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.closed_loop.search_sets import Conduct, SearchSets
 from phase_ppl.models import effective, own_sites, roles
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number

@@ -15,9 +15,9 @@ import numpy as np
 
 from phase_ppl.physics import constants
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
+from phase_ppl.world.event import State
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID
 from phase_ppl.world.names import AGENTS, ENTITIES
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 
 X: Final = 0

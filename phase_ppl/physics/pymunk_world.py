@@ -33,6 +33,7 @@ import pymunk
 from phase_ppl.physics import constants
 from phase_ppl.physics.actions import DIRECTIONS, Action
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.event import State
 from phase_ppl.world.geometry import (
     CENTRE_OF_MASS_Y,
     GRAB_POINTS,
@@ -42,7 +43,6 @@ from phase_ppl.world.geometry import (
     rotation,
 )
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 
 _BORDER_DEPTH: Final = 5.0

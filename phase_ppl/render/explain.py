@@ -13,11 +13,11 @@ from phase_ppl.render.frames import Painter, between_frames, panel, side_by_side
 from phase_ppl.render.video import FRAMES_PER_STEP, film
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.event import FRAMES_PER_SECOND as SIMULATED_PER_SECOND
 from phase_ppl.world.event import Event, Thoughts
 from phase_ppl.world.goals import goal_literal, is_true, planned_as
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
-from phase_ppl.world.observation import FRAMES_PER_SECOND as SIMULATED_PER_SECOND
 from phase_ppl.world.scene import PHASE, Scene
 
 ROOMS: Final = ("top left room", "top right room", "bottom right room", "bottom left room")

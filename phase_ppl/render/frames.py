@@ -17,9 +17,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.picture import Colour, trail_colour
 from phase_ppl.world.scene import Scene, finite_array
 

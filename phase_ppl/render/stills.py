@@ -24,10 +24,9 @@ from phase_ppl.render.frames import (
 )
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Truth
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.hypothesis import SCENARIOS
-from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene
 

@@ -34,8 +34,8 @@ from phase_ppl.simulator.processes import (
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis, Roles
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 Request = tuple[Hypothesis | Roles, int, float]  # hypothesis, seed, error ceiling

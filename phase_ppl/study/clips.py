@@ -13,7 +13,7 @@ from phase_ppl import render
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Observation
 from phase_ppl.world.scene import PHASE, Scene, World
 
 _WAIT, _GO, _BACK = Action.NO_FORCE, Action.UP, Action.DOWN

@@ -24,9 +24,8 @@ from phase_ppl.study.plan import the
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import COMPLETE, Store, trajectory_sha256
 from phase_ppl.world.errors import OutputError
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.files import write_bytes
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE, World
 
 README: Final = "README.md"

@@ -22,8 +22,8 @@ from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import State
 from phase_ppl.world.names import Literal
-from phase_ppl.world.observation import State
 
 
 @dataclasses.dataclass

@@ -12,7 +12,7 @@ from phase_ppl.agents import vision
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
-from phase_ppl.world.observation import State
+from phase_ppl.world.event import State
 from phase_ppl.world.scene import Scene
 
 CENTRE = (16.0, 12.0)

@@ -15,9 +15,9 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 

@@ -15,9 +15,9 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.names import Literal
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 from tests.agents.oracle import OracleAgent
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, HALF_WALL_RIGHT, scene

@@ -10,8 +10,8 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
+from phase_ppl.world.event import State
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
-from phase_ppl.world.observation import State
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
 
 CONFIG = PlannerConfig(simulations=30, paired=True)

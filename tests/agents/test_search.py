@@ -16,9 +16,9 @@ from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.names import STOP, Literal, Predicate
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 from tests.agents.scenes import scene
 

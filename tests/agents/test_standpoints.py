@@ -11,8 +11,8 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
+from phase_ppl.world.event import State
 from phase_ppl.world.goals import is_self_referring, opposed_goal, shared_goal
-from phase_ppl.world.observation import State
 
 CONFIG = PlannerConfig(simulations=4, particles=6)
 TRIO = ppl.worlds.TRIO

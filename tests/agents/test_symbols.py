@@ -14,9 +14,9 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
+from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.names import STOP, Literal, Predicate
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import SCHEMA
+from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import GOALS, goal_index, is_self_referring
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import ENTITIES
-from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import Scene
 
 BLUE_TO_RED = "Get blue item to red lm"

@@ -11,10 +11,9 @@ import pytest
 import phase_ppl
 from phase_ppl.analysis.data_table import Row, data_table, goal_grid, rows, shares_differ
 from phase_ppl.dataset.statistics import PHASE, statistics
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 from .pages import texts_apart

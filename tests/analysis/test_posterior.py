@@ -12,10 +12,10 @@ import pytest
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import GOAL_PARTS, part_codes
-from phase_ppl.analysis.summary import plain
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, SCENARIOS
+from phase_ppl.world.picture import plain
 
 from .factory import (
     AWAY_FROM_RED,

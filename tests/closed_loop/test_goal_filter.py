@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
-from phase_ppl.closed_loop.goal_filter import frame_log_likelihood
-from phase_ppl.closed_loop.search_sets import Conduct, Looked
+from phase_ppl.closed_loop.goal_filter import Conduct, Looked, frame_log_likelihood
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.world.goals import N_GOALS
 

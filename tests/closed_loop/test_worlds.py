@@ -13,7 +13,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking, balanced
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS
-from phase_ppl.world.observation import State
+from phase_ppl.world.event import State
 
 QUICK = PlannerConfig(simulations=10, particles=10)
 TRIO = ppl.worlds.TRIO

@@ -25,9 +25,8 @@ from phase_ppl.world.errors import (
     OutputError,
     UnknownNameError,
 )
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import TURNINGS
 from tests.world.examples import RADIUS, START, make_event, make_scene, make_trajectory, walls
 

@@ -18,9 +18,8 @@ from phase_ppl.dataset.generation.making import event_of
 from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of
 from phase_ppl.dataset.load import bundled_events, export_events, load_bundled, load_events
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.observation import Observation
 from tests.dataset.authors.pickles import KINDS, expected, processed
 from tests.world.examples import DEV, make_event, needs_dev
 

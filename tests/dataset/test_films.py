@@ -19,8 +19,7 @@ from phase_ppl.world.errors import (
     OutputError,
     UnknownNameError,
 )
-from phase_ppl.world.event import Event
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.worlds import TRIO
 from tests.world.examples import make_scene

@@ -15,10 +15,9 @@ from phase_ppl.analysis.data_table import data_table
 from phase_ppl.dataset.motion import moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.dataset.statistics import GOAL_TYPES, PHASE, goal_type, standard_error, statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import rotation
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.observation import Observation
 from tests.world.examples import DEV, make_scene, needs_dev
 
 START = np.array([[8.0, 20.0, 0.0], [24.0, 14.0, 1.0], [12.0, 8.0, 0.0], [20.0, 8.0, 0.0]])

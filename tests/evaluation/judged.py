@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phase_ppl.evaluation.prediction import Prediction, probabilities_of
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.observation import Observation
 from tests.world.examples import make_scene, make_trajectory
 
 BLUE_TO_RED = "Get blue item to red lm"

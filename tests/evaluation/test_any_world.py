@@ -21,8 +21,8 @@ from phase_ppl.world.errors import (
     PhasePPLError,
     UnknownNameError,
 )
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Roles
-from phase_ppl.world.observation import Observation
 
 TRIO, SOLO = ppl.worlds.TRIO, ppl.worlds.SOLO
 HOME, FIELD = "Get blue ball to home", "Get blue ball to field"

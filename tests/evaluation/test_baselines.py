@@ -14,8 +14,8 @@ from phase_ppl.evaluation import registry
 from phase_ppl.evaluation.models.baselines import goal_shares, last_frame
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, is_self_referring
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.evaluation.toys import START, right, several, still
 from tests.world.examples import DEV, needs_dev

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.evaluation import reference_evaluation
 from phase_ppl.evaluation.metrics import human_accuracy, reference_models
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
+from phase_ppl.world.picture import plain
 from tests.evaluation.judged import BLUE_TO_RED, COLLABORATIVE, COMPETING, PINK_TO_BLUE, make_event
 from tests.evaluation.toys import GREEN_TO_RED, RED_TO_RED, right, several
 from tests.world.examples import DEV, needs_dev

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.scene import Scene
 
 START = np.array([[8.0, 12.0, 0.0], [24.0, 12.0, 0.0], [12.0, 12.0, 0.0], [20.0, 12.0, 0.0]])

@@ -34,11 +34,10 @@ from phase_ppl.models.program import EventProgram
 from phase_ppl.models.world_prior import drawn_stated, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import goal_literal, neighbouring_goals
 from phase_ppl.world.hypothesis import ALPHAS, RELATION_OF_SCENARIO, Hypothesis, Roles, scenario
 from phase_ppl.world.names import Predicate
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 from phase_ppl.world.worlds import SOLO, TRIO

@@ -17,9 +17,8 @@ from phase_ppl.models import roles
 from phase_ppl.models.density import draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.hypothesis import SOCIAL
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import World
 from phase_ppl.world.space import space_of
 from tests.inference.toy import never_called

@@ -21,10 +21,10 @@ from phase_ppl.inference.proposals.tables import (
 )
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, goal_index
 from phase_ppl.world.hypothesis import ALPHAS, scenario
 from phase_ppl.world.names import AGENTS, LANDMARKS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import SCENE, START, moving
 

@@ -26,8 +26,8 @@ from phase_ppl.inference.settings import Form, SimpleSettings
 from phase_ppl.models import priors, sites
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, goal_index
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import SCENE, START, few_goals, moving, never_called, table_guide
 

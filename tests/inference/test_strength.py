@@ -14,8 +14,8 @@ from phase_ppl.inference.proposals.strength import (
 )
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 PHASE_TEST = Path("../shared/phase-test/dev.json")

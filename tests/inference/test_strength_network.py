@@ -46,7 +46,7 @@ from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Observation
 from phase_ppl.world.scene import Scene
 
 EVENT = load_bundled("collaborate")

@@ -26,11 +26,10 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis, Roles
 from phase_ppl.world.names import Predicate
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 N_FRAMES = 5

@@ -13,8 +13,8 @@ from phase_ppl.models.observer import observers
 from phase_ppl.models.observer.observers import Evidence, Observer, observer_named
 from phase_ppl.models.observer.perception import CUES, Perception, surface_cues
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.observation import Observation
 
 
 def evidence(log_likelihood: list[list[float]], **cues: float) -> Evidence:

@@ -10,9 +10,9 @@ from numpyro.infer.util import log_density as numpyro_log_density
 
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, event_salt
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.observation import Observation
 from tests.inference.toy import (
     N_FRAMES,
     TableRunner,

@@ -29,10 +29,10 @@ from phase_ppl.models.socialgnn.graphs import (
 )
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, shapes
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.event import Observation
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 from tests.models.walks import START, eight, needs_torch, walk
 from tests.world.examples import walls

@@ -13,10 +13,9 @@ from phase_ppl.dataset.events_netcdf import checksum
 from phase_ppl.dataset.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN
 from phase_ppl.dataset.generation.plan import Plan
 from phase_ppl.dataset.load import save_events
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.files import write_json
 from phase_ppl.world.names import AGENTS, LANDMARKS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import LANDMARK_CENTRES, Scene
 from tests.world.examples import walls
 

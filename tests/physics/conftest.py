@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phase_ppl.physics import compiled, constants
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.world.observation import State
+from phase_ppl.world.event import State
 from phase_ppl.world.scene import Scene
 
 

@@ -18,8 +18,8 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, N_ACTIONS, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.event import State
 from phase_ppl.world.geometry import UNIT_TRAPEZOID
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 
 REPLAYS = Path(__file__).parents[3] / "shared" / "phase-test" / "dev_replays.json"

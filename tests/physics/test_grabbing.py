@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.event import State
 from phase_ppl.world.geometry import GRAB_POINTS, rotation
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.observation import State
 
 WAIT, UP, DOWN, ATTACH, DETACH = (
     Action.NO_FORCE,

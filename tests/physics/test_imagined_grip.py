@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action
-from phase_ppl.world.observation import State
+from phase_ppl.world.event import State
 
 LENGTH = 1.6
 

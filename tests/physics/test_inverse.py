@@ -8,7 +8,7 @@ from scipy import stats
 
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action
-from phase_ppl.world.observation import State
+from phase_ppl.world.event import State
 from phase_ppl.world.scene import Scene
 from tests.agents.scenes import scene
 

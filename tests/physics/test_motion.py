@@ -14,7 +14,7 @@ from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, N_ACTIONS, NO_AC
 from phase_ppl.physics.flat import ANGLE
 from phase_ppl.physics.pymunk_world import PymunkWorld, mean_pose
 from phase_ppl.physics.welds import turn_frame
-from phase_ppl.world.observation import State
+from phase_ppl.world.event import State
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
 STRENGTHS = (150.0, 300.0, 450.0, 600.0)

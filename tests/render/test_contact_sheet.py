@@ -13,8 +13,7 @@ from PIL import Image
 from phase_ppl.render import contact_sheet, videos
 from phase_ppl.render.stills import SCENARIO_COLOURS, THUMBNAIL, UNKNOWN_COLOUR, thumbnail
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
-from phase_ppl.world.event import Event
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation
 from tests.world.examples import make_event, make_scene, make_trajectory
 
 

@@ -16,8 +16,8 @@ from phase_ppl.physics import compiled
 from phase_ppl.render import draw_frame, image, strip, video
 from phase_ppl.render.frames import field_of_view
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.event import State
 from phase_ppl.world.geometry import centre_of_mass
-from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 from tests.world.examples import make_event, make_scene, walls
 

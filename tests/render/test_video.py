@@ -16,8 +16,7 @@ from PIL import Image
 from phase_ppl.render import image, strip, video
 from phase_ppl.render.frames import Painter, between_frames
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
-from phase_ppl.world.event import Event
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.picture import ENTITY_COLOURS
 from tests.world.examples import make_event, make_scene, make_trajectory
 

@@ -17,7 +17,7 @@ from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.processes import OwnWorkers
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Observation
 from tests.simulator import toys
 from tests.simulator.toys import AT_REST, GO, HELP, N_FRAMES, SCENE, WEAK, runner
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 Frame = NDArray[np.float64]

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.scene import Scene
 
 DEV = Path(__file__).parents[2].parent / "shared" / "phase-test" / "dev.json"

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
-from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.observation import Observation, State
+from phase_ppl.world.event import Event, Observation, State, Truth
 from phase_ppl.world.scene import LANDMARK_CENTRES, Scene
 from tests.world.examples import RADIUS, START, make_event, make_scene, make_trajectory, walls
 

@@ -16,11 +16,10 @@ from phase_ppl.dataset.motion import items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event, State
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
-from phase_ppl.world.observation import FRAMES_PER_SECOND, State
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import ARENA, Scene
 

@@ -61,11 +61,10 @@ from phase_ppl.dataset.phase_test import check_start, strength_level
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
 from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, Literal, Predicate
-from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_phase, finite_array
 

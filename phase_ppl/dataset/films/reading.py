@@ -21,10 +21,9 @@ from phase_ppl.world import worlds
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, nonnegative_number, number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import MIN_FRAMES, SHOWN_SECONDS_PER_FRAME, Event, Observation
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.geometry import agent_outline, is_agent
-from phase_ppl.world.observation import MIN_FRAMES, SHOWN_SECONDS_PER_FRAME, Observation
 from phase_ppl.world.picture import trail_colour
 from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import PHASE, Scene, World, one_or_all

@@ -25,11 +25,10 @@ from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, company
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE, Scene, World
 
 NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met

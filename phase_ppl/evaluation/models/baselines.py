@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from phase_ppl.dataset.statistics import PHASE, goal_type
 from phase_ppl.evaluation.prediction import Prediction, pairs_of
 from phase_ppl.evaluation.registry import Predict, register_model
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import (
     N_GOALS,
     goal_literal,
@@ -19,7 +20,6 @@ from phase_ppl.world.goals import (
 )
 from phase_ppl.world.hypothesis import RELATIONS, relation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, LANDMARKS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE as PHASE_WORLD
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import space_of

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from phase_ppl.evaluation.prediction import Prediction, pairs_of
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import RELATIONS, STRENGTH
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 

@@ -14,8 +14,7 @@ from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.registry import Answer, MoreOptions, Predict, register_model
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
-from phase_ppl.world.event import Event
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:

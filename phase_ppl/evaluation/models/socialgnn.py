@@ -11,7 +11,7 @@ from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Observation
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:

@@ -66,9 +66,9 @@ from phase_ppl.world.errors import (
     shown,
     unknown_name,
 )
+from phase_ppl.world.event import Observation
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import differences, qualified_name
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 SCHEMA: Final = "phase-ppl-answer-1"

@@ -28,9 +28,8 @@ from phase_ppl.models.observer.observers import OBSERVERS, Evidence, Program, ob
 from phase_ppl.models.observer.perception import Perception
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.files import write_json
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 SCHEMA: Final = "phase-ppl-observer-1"

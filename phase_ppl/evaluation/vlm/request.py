@@ -26,12 +26,11 @@ from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import AnswerError, InvalidEventError, shown, unknown_name
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 N_NAMED: Final = 10  # goals that an answer names for each agent

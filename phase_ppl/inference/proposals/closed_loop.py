@@ -21,8 +21,7 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.event import Event
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
 

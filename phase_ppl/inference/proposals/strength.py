@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, SUBSTEP, SUBSTEPS, mass
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, PINK_ITEM
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 # --- what the network sees of a window: forces, speeds and grips, pooled over time ----------------

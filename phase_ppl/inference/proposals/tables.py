@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 from phase_ppl.inference.proposals.strength import Estimator, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import N_GOALS, effective_goals, goal_literal
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, Predicate
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import space_of
 

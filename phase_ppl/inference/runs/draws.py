@@ -17,8 +17,7 @@ from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.world_prior import kept_prior, log_prior_of_effective, space_of_prior
-from phase_ppl.world.event import Event
-from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.space import HypothesisSpace
 
 Columns = dict[str, NDArray[Any]]  # name -> an array with one row per particle, or per simulation

@@ -11,8 +11,8 @@ from phase_ppl.dataset.motion import items_held, moves_to_the_end
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Observation
 from phase_ppl.world.names import AGENTS, NOTHING
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 CUES: Final = ("distance", "contact", "working", "impact", "holding", "unsettled", "synchrony")

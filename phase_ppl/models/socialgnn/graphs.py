@@ -19,12 +19,11 @@ from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, unknown_name
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT, touches
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import Scene
 

@@ -36,8 +36,8 @@ from phase_ppl.models.socialgnn.store import (
     shapes,
 )
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 

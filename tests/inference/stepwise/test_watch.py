@@ -17,9 +17,8 @@ from phase_ppl.inference import stepwise as enumerate_
 from phase_ppl.models import priors
 from phase_ppl.models.effective import place_of_level, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.observation import Observation
 
 QUICK = ppl.PlannerConfig(simulations=14, particles=6)
 MODEL = ppl.Model(likelihood=ppl.StepwiseLikelihood(), planner=QUICK)

@@ -14,9 +14,9 @@ from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.models.predicate import FACTOR, Thresholds, symbolic_trajectory
 from phase_ppl.physics import compiled
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Observation, State
 from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.observation import Observation, State
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.agents.scenes import FULL_WALL_UP, scene
 
