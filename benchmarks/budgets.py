@@ -126,7 +126,7 @@ def one_reference(
     exact, other = (table(pairs, log_masses(rng, pairs)) for _ in range(2))
     level = np.log(exact[tuple(pairs.T)])
     simulated = level[:, None] + rng.normal(0, sd, (len(pairs), per_pair))
-    found = of_masses(pairs, simulated, np.ones(simulated.shape, bool))
+    found = of_masses(pairs, simulated)
     error = error_of([(of_pairs(one), of_pairs(half)) for one, half in found.halves])
     assert error is not None
     reference = of_pairs(found.probability)

@@ -169,22 +169,22 @@ def stratified(tree: xr.DataTree) -> Rows:
 def log_shares(tree: xr.DataTree) -> FloatArray:
     """Return (simulation,) the log of Q(h) P(pair) times a simulation's share of its pair's mean.
 
-    The share is P(h) / Q(h), truncated, of a sum of 1 over the simulations of the pair, stopped
-    ones too; NaN where the simulation failed, or Q is not known.
+    The share is P(h) / Q(h), truncated, of a sum of 1 over the simulations of the pair, those that
+    were stopped or failed too; NaN where Q is not known.
     """
     simulations = tree["simulations"].dataset
-    log_first = -simulations["log_proposal"].values.astype(float)
     # what was asked for again counts each time
-    log_proposal = -np.logaddexp(log_first, simulations["log_again"].values)
+    log_proposal = -_with_again(simulations, -simulations["log_proposal"].values.astype(float))
+    n_requests = _n_requests(simulations)
     with np.errstate(invalid="ignore"):
         log_ratio = simulations["log_prior"].values - log_proposal
-    known = np.flatnonzero(np.isfinite(log_ratio) & ~simulations["failed"].values)
+    known = np.flatnonzero(np.isfinite(log_ratio))
     goals = effective_goals(tree, "simulations")[known]
     _, stratum = np.unique(goals, axis=0, return_inverse=True)
     found = np.full(len(log_ratio), np.nan)
     for number in range(int(stratum.max(initial=-1)) + 1):
         rows = known[stratum == number]
-        found[rows] = np.log(truncated(normalised(log_ratio[rows])))
+        found[rows] = np.log(truncated(normalised(log_ratio[rows]), n_requests[rows]))
     prior = prior_of_goals(tree, goals)
     assert prior is not None, "it was asked for"
     with np.errstate(divide="ignore"):
@@ -202,7 +202,8 @@ def _by_proposals(tree: xr.DataTree, weights: str, log_base: FloatArray) -> Rows
     row = np.flatnonzero(usable & np.isfinite(log_weight))
     if not row.size:
         raise InvalidSettingError(f"weights {weights!r} need at least one completed simulation")
-    return _of_simulations(tree, row, truncated(normalised(log_weight[row])))
+    weights = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
+    return _of_simulations(tree, row, weights)
 
 
 def _of_simulations(tree: xr.DataTree, row: NDArray[np.int64], weights: FloatArray) -> Rows:
@@ -242,7 +243,7 @@ def log_mass(tree: xr.DataTree) -> FloatArray:
     found = simulations["log_prior"].values.astype(float)
     rival = simulations["iteration"].values >= tree.attrs.get("rivals_from", np.inf)
     if rival.any():
-        n_proposals = np.isfinite(simulations["log_proposal"].values[~rival]).sum()
+        n_proposals = _n_requests(simulations)[~rival].sum()
         found[rival] = log_shares(tree)[rival] + np.log(n_proposals)
     return found
 
@@ -253,8 +254,24 @@ def has_proposals(tree: xr.DataTree) -> bool:
     if "log_proposal" not in simulations:
         return False
     later = simulations["iteration"].values > 0
-    known = ~np.isnan(simulations["log_proposal"].values)
+    known = _n_requests(simulations) > 0
     return bool(known[later].any() if later.any() else known.any())
+
+
+def _n_requests(simulations: xr.Dataset) -> NDArray[np.int64]:
+    """Return (simulation,) how many requests of known proposal density each answered."""
+    again = simulations["log_again"].values
+    # files did not always say how many there were
+    n_again = simulations["n_again"].values if "n_again" in simulations else again > -np.inf
+    known: NDArray[np.bool_] = ~np.isnan(simulations["log_proposal"].values)
+    return known.astype(np.int64) + n_again
+
+
+def _with_again(simulations: xr.Dataset, log_first: FloatArray) -> FloatArray:
+    """Return (simulation,) log 1 / Q summed over requests, given the first's; NaN: not known."""
+    again = simulations["log_again"].values
+    first = np.where(np.isnan(log_first) & (again > -np.inf), -np.inf, log_first)
+    return np.asarray(np.logaddexp(first, again), np.float64)
 
 
 def log_reciprocal_proposal(
@@ -275,15 +292,18 @@ def log_reciprocal_proposal(
     log_completion[limited] = np.minimum(0.0, bound[limited] + log_likelihood[limited])
     log_first = -simulations["log_proposal"].values - log_completion
     with np.errstate(invalid="ignore"):  # of what is not known
-        found = np.logaddexp(log_first, simulations["log_again"].values)
-    return np.asarray(found, np.float64)
+        return _with_again(simulations, log_first)
 
 
-def truncated(weights: FloatArray) -> FloatArray:
-    """Return n weights of sum 1, truncated at sqrt(n) times their mean, and then once more."""
+def truncated(weights: FloatArray, n_requests: NDArray[np.int64] | None = None) -> FloatArray:
+    """Return n weights of sum 1, truncated at sqrt(n) times their mean, and then once more.
+
+    A weight that stands for some of n requests together is truncated as that many weights.
+    """
+    each = np.ones(weights.size) if n_requests is None else np.maximum(n_requests, 1)
     # of weights that differ by many nats the first truncation leaves little beside the largest
     for _ in range(2):
-        weights = np.minimum(weights, weights.sum() / math.sqrt(weights.size))
+        weights = np.minimum(weights, each * weights.sum() / math.sqrt(each.sum()))
     return weights / weights.sum()
 
 
@@ -307,20 +327,21 @@ def evaluations(tree: xr.DataTree) -> pd.DataFrame:
     """Return one row per distinct (hypothesis, seed) that did not fail.
 
     Columns: simulation (first row in the tree), completed, log_share = log P(h) - log(number of
-    simulations of the goal pair), with P(h) the prior of effective goals and strengths, and
-    log_mass = log_share + log likelihood (a bound where not completed).
+    simulations of the goal pair, failed ones too), with P(h) the prior of effective goals and
+    strengths, and log_mass = log_share + log likelihood (a bound where not completed).
     """
     simulations = tree["simulations"].dataset
     goals = space_of_tree(tree).goal_sites
     names = [name for name in _sites(tree) if name not in goals]
-    columns = (*goals, *names, "seed", "log_prior_effective", "log_likelihood", "completed")
+    numbers = ("log_prior_effective", "log_likelihood", "completed", "failed")
+    columns = (*goals, *names, "seed", *numbers)
     table = pd.DataFrame({name: simulations[name].values for name in columns})
     table.insert(0, "simulation", np.arange(len(table)))
-    table = table[~simulations["failed"].values]
     # a completed run of a hypothesis and seed says more than a stopped one of the same
     table = table.sort_values("completed", ascending=False, kind="stable")
     table = table.drop_duplicates([*names, "seed"]).sort_values("simulation")
     n_of_pair = table.groupby(list(goals), sort=False)["seed"].transform("size")
+    table, n_of_pair = table[~table["failed"]], n_of_pair[~table["failed"]]
     log_share = table["log_prior_effective"].astype(float) - np.log(n_of_pair)
     return pd.DataFrame(
         {
@@ -365,6 +386,7 @@ def _proposals_so_far(
     """
     simulations = tree["simulations"].dataset
     known, so_far = _likelihood_so_far(tree)
+    n_requests = _n_requests(simulations)
     # a frame that was not simulated counts as one without error where a simulation may be stopped
     unknown = (~known).sum(axis=1)
     total = simulations["log_likelihood"].values
@@ -380,10 +402,10 @@ def _proposals_so_far(
         usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
         log_weight[:, t] = np.where(usable, found, -np.inf)
     rows = np.flatnonzero(np.isfinite(log_weight).any(axis=1))
-    weights = np.zeros((len(rows), n_frames))
+    weights, n_requests = np.zeros((len(rows), n_frames)), n_requests[rows]
     for t, column in enumerate(log_weight[rows].T):
         usable = np.isfinite(column)
-        weights[usable, t] = truncated(normalised(column[usable]))
+        weights[usable, t] = truncated(normalised(column[usable]), n_requests[usable])
     return rows, weights
 
 

@@ -154,31 +154,27 @@ def enumerate_goals(
     log_likelihood = np.asarray(by_frame)
     log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
     log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
-    return of_masses(plan.pairs, log_mass, usable.reshape(which.shape))
+    return of_masses(plan.pairs, log_mass)
 
 
-def of_masses(
-    pairs: NDArray[np.int64], log_mass: FloatArray, usable: NDArray[np.bool_]
-) -> Enumeration:
+def of_masses(pairs: NDArray[np.int64], log_mass: FloatArray) -> Enumeration:
     """Return the posterior, whole and from halves, of what was simulated.
 
-    ``log_mass`` and ``usable``, whether it was completed, are (pair, repeat).
+    ``log_mass`` is (pair, repeat), -inf where a simulation failed.
     """
     weight = np.exp(log_mass - log_mass.max())
     rng = np.random.default_rng(0)
     halves = []
     for split in range(SPLITS):
         order = rng.permutation(log_mass.shape[1]) if split else np.arange(log_mass.shape[1])
-        halves.append(
-            [_table(pairs, weight[:, order[h::2]], usable[:, order[h::2]]) for h in (0, 1)]
-        )
-    return Enumeration(_table(pairs, weight, usable), np.array(halves), log_mass.size)
+        halves.append([_table(pairs, weight[:, order[h::2]]) for h in (0, 1)])
+    return Enumeration(_table(pairs, weight), np.array(halves), log_mass.size)
 
 
-def _table(pairs: NDArray[np.int64], weight: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
-    """Return (goal_red, goal_green) the mean weights of the usable simulations, of sum 1."""
+def _table(pairs: NDArray[np.int64], weight: FloatArray) -> FloatArray:
+    """Return (goal_red, goal_green) the mean weights of simulations, failed ones 0, of sum 1."""
     table = np.zeros((N_GOALS, N_GOALS))
-    table[tuple(pairs.T)] = weight.sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
+    table[tuple(pairs.T)] = weight.mean(axis=1)
     total = table.sum()
     return table / total if total > 0 else table  # of a half in which nothing was completed
 

@@ -57,6 +57,7 @@ class Record:
     # log of the sum of 1 / proposal density over the later requests that it answered; -inf without
     # any
     log_again: float = -math.inf
+    n_again: int = 0  # how many these are
 
 
 class SimulatorBridge:
@@ -131,31 +132,32 @@ class SimulatorBridge:
         log_prior, seed = log_prior.ravel(), seed.ravel()
         ceiling, log_proposal, log_bound = (limit.ravel() for limit in limits)
         errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
-        rows: list[int] = []
+        asked: dict[tuple[Any, ...], list[int]] = {}  # request -> its rows of this batch
         # a density that is no number: outside
         inside = (log_prior > NO_DENSITY) & self._space.in_support(flat)
         for row in np.flatnonzero(inside).tolist():
             sites = {name: values[row] for name, values in flat.items()}
-            known = self._completed.get(request_key(sites, int(seed[row])))
+            key = request_key(sites, int(seed[row]))
+            known = self._completed.get(key)
             if known is None:
-                rows.append(row)
+                asked.setdefault(key, []).append(row)
             else:
                 errors[row] = self.records[known].result.errors
                 self._ask_again(known, float(log_proposal[row]))
+        # of equal requests the one that bears the largest error is run, and answers all
+        rows = [max(alike, key=lambda row: ceiling[row]) for alike in asked.values()]
         results = self._runner.run(
             [self._space.hypothesis({k: v[row] for k, v in flat.items()}) for row in rows],
             [int(seed[row]) for row in rows],
             [float(ceiling[row]) for row in rows],
         )
-        places: dict[tuple[Any, ...], int] = {}  # of the requests of this batch
-        for row, result in zip(rows, results, strict=True):
-            errors[row] = result.errors
+        for alike, longest, result in zip(asked.values(), rows, results, strict=True):
+            errors[alike] = result.errors
+            # the first that would have completed it answers those after it, as in batches of one
+            ends = [r for r in alike if result.completed and result.total_error <= ceiling[r]]
+            row = ends[0] if ends else longest
             sites = {name: values[row] for name, values in flat.items()}
-            key = request_key(sites, int(seed[row]))
-            if key in places:  # the same once more
-                self._ask_again(places[key], float(log_proposal[row]))
-                continue
-            places[key] = len(self.records)
+            place = len(self.records)
             self.remember(
                 Record(
                     result,
@@ -167,6 +169,9 @@ class SimulatorBridge:
                     log_bound=float(log_bound[row]),
                 )
             )
+            for other in alike:
+                if other > row or (other < row and not ends):
+                    self._ask_again(place, float(log_proposal[other]))
         return errors.reshape(*batch, self._n_frames)
 
     def _ask_again(self, place: int, log_proposal: float) -> None:
@@ -174,7 +179,8 @@ class SimulatorBridge:
         if not math.isnan(log_proposal):
             record = self.records[place]
             log_again = float(np.logaddexp(record.log_again, -log_proposal))
-            self.records[place] = dataclasses.replace(record, log_again=log_again)
+            n_again = record.n_again + 1
+            self.records[place] = dataclasses.replace(record, log_again=log_again, n_again=n_again)
 
 
 _handles: Final = itertools.count()

@@ -71,11 +71,6 @@ class EventProgram:
         numpyro.deterministic("step_error", errors)
         numpyro.factor("trajectory", self.log_likelihood(errors).sum())
 
-    def with_model(self, model: Model) -> EventProgram:
-        """Return the same of another model."""
-        observed = self.observed if self.is_padded else None
-        return EventProgram(model, self.bridge, self.n_frames, self.salt, observed)
-
     def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis, with any further sites, from the prior."""
         return draw(self.model.prior, key)

@@ -120,7 +120,7 @@ def test_visited_tells_runs_of_a_pair_apart_and_averages_over_them() -> None:
     np.testing.assert_allclose(rows.weights, np.array([0.3, 0.1, 0.15, 0.05]) / 0.6)
 
 
-def test_visited_drops_failed_runs_and_takes_a_stopped_run_as_its_lower_bound() -> None:
+def test_visited_takes_failed_runs_as_0_and_a_stopped_run_as_its_lower_bound() -> None:
     simulations = [
         Simulation(A, 1, 0.0, LOG(0.4)),
         Simulation(A, 2, 0.0, LOG(0.2), completed=False),
@@ -129,9 +129,9 @@ def test_visited_drops_failed_runs_and_takes_a_stopped_run_as_its_lower_bound() 
         Simulation(C, 5, 0.0, LOG(0.1), completed=False),
     ]
     tree = make_tree(simulations, [[0]])
-    # A: (0.4 + at least 0) / 2 seeds; C was never completed
+    # A: (0.4 + at least 0 + 0) / 3 seeds; C was never completed
     assert goal_probabilities(Posterior(tree, "visited")) == pytest.approx(
-        {BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5}
+        {BLUE_TO_RED: 0.4, PINK_TO_BLUE: 0.6}
     )
     # hidden at most 0.2 / 2 + 0.1 of 0.2 + 0.2 + 0.2
     assert aborted_mass_bound(tree) == pytest.approx(1 / 3)
@@ -221,10 +221,11 @@ TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), itera
         ),
         # completed with probability 0.1 / 0.2, so it counts twice
         (TENTHS, {"log_proposal": 0.0, "log_bound": [math.inf, -LOG(0.2)]}),
-        # what was answered again counts again
+        # what was answered again counts again, by its known requests where the first is unknown
+        (TENTHS, {"log_proposal": [0.0, math.nan], "log_again": [-math.inf, LOG(2)]}),
         (TENTHS, {"log_proposal": 0.0, "log_again": [-math.inf, 0.0]}),
     ],
-    ids=["by proposal", "could have been stopped", "answered again"],
+    ids=["by proposal", "could have been stopped", "answered later", "answered again"],
 )
 def test_importance_makes_up_for_how_simulations_came_about(
     simulations: list[Simulation], options: dict[str, Any]
@@ -242,20 +243,21 @@ def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
 
 def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None:
     # A was drawn thrice as often as B, and by proposals of other densities; its mean L is
-    # (1/2 x 0.2 + 1/4 x 0.4 + 1/4 x 0) for shares P / Q of 2 : 1 : 1, the stopped one at 0
+    # (2/5 x 0.2 + 1/5 x 0.4) for shares P / Q of 2 : 1 : 1 : 1, what was stopped or failed at 0
     simulations = [
         Simulation(A, 0, LOG(0.1), LOG(0.2)),
         Simulation(A, 1, LOG(0.1), LOG(0.4), iteration=1),
         Simulation(A, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
         Simulation(B, 3, LOG(0.1), LOG(0.6), iteration=1),
-        Simulation(C, 4, LOG(0.1), LOG(0.9), failed=True, iteration=1),
+        Simulation(A, 4, LOG(0.1), LOG(0.9), failed=True, iteration=1),
+        Simulation(C, 5, LOG(0.1), LOG(0.9), failed=True, iteration=1),
     ]
     tree = make_tree(simulations, [[0, 1, 3]])
-    tree = with_densities(tree, np.log([0.2, 0.4, 0.4, 0.01, 0.1]))
+    tree = with_densities(tree, np.log([0.2, 0.4, 0.4, 0.01, 0.4, 0.1]))
     found = goal_probabilities(
         Posterior(with_prior(tree, [(A, 0.6), (B, 0.1), (C, 0.3)]), "stratified")
     )
-    of_a, of_b = 0.6 * 0.2, 0.1 * 0.6
+    of_a, of_b = 0.6 * 0.16, 0.1 * 0.6
     assert found == pytest.approx(
         {BLUE_TO_RED: of_a / (of_a + of_b), PINK_TO_BLUE: of_b / (of_a + of_b)}
     )
@@ -296,6 +298,9 @@ def test_weights_are_truncated_twice_at_the_root_of_their_number_times_the_mean(
     np.testing.assert_allclose(found, np.array([0.28, 0.02, 0.02, 0.02]) / 0.34)
     even = np.full(9, 1 / 9)
     np.testing.assert_allclose(truncated(even), even)
+    # what answers all of a thousand requests alike is truncated by their number, not by its own
+    few, n_requests = np.array([0.94, 0.05, 0.01]), np.array([9400, 500, 100])
+    np.testing.assert_allclose(truncated(few, n_requests), few)
 
 
 def test_a_burn_in_does_not_count() -> None:

@@ -442,7 +442,7 @@ def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
     true, stated = [], []
     for _ in range(40):
         pairs, log_mass, exact = noisy_masses(rng, sd, 4)
-        found = of_masses(pairs, log_mass, np.ones(log_mass.shape, bool))
+        found = of_masses(pairs, log_mass)
         error = error_of([(of_pairs(one), of_pairs(other)) for one, other in found.halves])
         assert error is not None
         true.append(distances(of_pairs(found.probability), of_pairs(exact))["tv_goals"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import threading
@@ -10,12 +11,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+import numpyro
+import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.inference.compare import enumerate_goals, plan_enumeration
 from phase_ppl.simulator.contract import random_generator
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
+from phase_ppl.world.goals import GOALS
 from tests.inference.runs import EVENT, OPTIONS, assert_same_draws
 from tests.inference.toy import walkers
 
@@ -166,3 +172,32 @@ def test_ctrl_c_ends_a_run_whose_only_worker_hangs(tmp_path: Path) -> None:
         ppl.infer(EVENT, ppl.Model(simulator=HangsLoudly(10)), **OPTIONS)
     assert caught.value.posterior is not None
     assert caught.value.posterior.tree["posterior"].sizes["draw"] == 1
+
+
+GOALS_ALIKE = 0, 5  # of red; with the first of them three simulations of four fail
+
+
+def alike() -> None:
+    half = jnp.zeros(len(GOALS)).at[jnp.array(GOALS_ALIKE)].set(0.5)
+    numpyro.sample("goal_red", dist.Categorical(probs=half))
+    numpyro.sample("goal_green", dist.Categorical(probs=jnp.eye(len(GOALS))[3]))
+    numpyro.sample("alpha", dist.Categorical(probs=jnp.eye(5)[0]))
+    ppl.sites.strengths()
+
+
+def slipping(scene: Any, hypothesis: Any, rng: np.random.Generator) -> Iterator[Any]:
+    if hypothesis.effective_goals[0] == GOALS_ALIKE[0] and rng.random() < 0.75:
+        raise ValueError("slipped")
+    yield from itertools.repeat(scene.start)
+
+
+def test_what_fails_counts_as_impossible_in_all_weights() -> None:
+    # both goals fit alike where they do not fail: 1/4 against 1
+    model = ppl.Model(prior=alike, simulator=slipping)
+    options = {**OPTIONS, "kernel": "prior_mh", "chains": 100, "iterations": 4}
+    post = ppl.infer(EVENT, model, **options)
+    for weights in ("importance", "stratified", "visited"):
+        found = ppl.Posterior(post.tree, weights).probability(goal_red=GOALS[GOALS_ALIKE[0]])
+        assert found == pytest.approx(0.2, abs=3 * 0.02), weights
+    reference = enumerate_goals(EVENT, model, plan_enumeration(model), per_pair=400, workers=1)
+    assert reference.probability[GOALS_ALIKE[0]].sum() == pytest.approx(0.2, abs=3 * 0.02)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -223,6 +223,24 @@ def test_enumeration_simulates_every_other_goal_once_and_one_hypothesis_more() -
         assert len({int(sites[changed[0]]) for sites in own} | {int(before[changed[0]])}) == 34
         assert all(sites["strength_red"] == before["strength_red"] for sites in own)
     assert set(np.unique(states.window)) == {-1}
+
+
+def test_the_bound_that_is_kept_says_where_a_simulation_is_stopped() -> None:
+    class Watched(TableRunner):
+        ceilings: ClassVar[list[float]] = []
+
+        def run(self, hypotheses: Any, seeds: Any, ceilings: Any) -> Any:
+            self.ceilings += ceilings
+            return super().run(hypotheses, seeds, ceilings)
+
+    program, bridge = table_program(Watched(ERRORS))
+    run(PriorMH(program), 1, random.split(random.key(1), 2000))
+    n, moves = ERRORS.shape[-1], slice(2000, None)
+    log_floor = n * program.likelihood.log_prob(np.array(Watched.ceilings[moves]) / n)
+    log_u = np.array([record.log_bound for record in bridge.records[moves]]) + log_floor
+    # even in (0, 1) up to rounding, as what it is compared with
+    assert -0.01 < log_u.max() < 1e-3
+    assert np.exp(log_u).mean() == pytest.approx(0.5, abs=3 * 0.0065)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,6 +37,22 @@ class Counting:
                 (h, seed), SimulationResult(h, seed, trajectory, errors, N_FRAMES, True)
             )
         return [done[key] for key in zip(hypotheses, seeds, strict=True)]
+
+
+class Stopping(Counting):
+    """Stops what exceeds its ceiling."""
+
+    def run(
+        self, hypotheses: Sequence[Hypothesis], seeds: Sequence[int], ceilings: Sequence[float]
+    ) -> list[SimulationResult]:
+        found = super().run(hypotheses, seeds, ceilings)
+        stopped = [result.errors.sum() > c for result, c in zip(found, ceilings, strict=True)]
+        return [
+            dataclasses.replace(one, errors=np.full(N_FRAMES, np.inf), completed=False)
+            if stops
+            else one
+            for one, stops in zip(found, stopped, strict=True)
+        ]
 
 
 def sites_of(n: int, **changes: Any) -> dict[str, jax.Array]:
@@ -166,6 +183,31 @@ def test_one_simulation_answers_what_differs_in_a_site_of_the_users_own() -> Non
     errors = ask(bridge, sites_of(3, mood=jnp.array([0, 1, 0])), jnp.array([5, 5, 5]))
     np.testing.assert_array_equal(errors, np.full((3, N_FRAMES), 5))
     assert [int(record.sites["mood"]) for record in bridge.records] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("ceilings", "bound", "again"),
+    [
+        ([5.0, np.inf, 20.0], 2.0, [3.0]),
+        ([5.0, 9.0, 20.0], 3.0, []),
+        ([5.0, 9.0], 2.0, [1.0]),
+    ],
+)
+def test_of_equal_requests_in_a_batch_the_longest_is_run_and_the_first_that_ends_is_kept(
+    ceilings: list[float], bound: float, again: list[float]
+) -> None:
+    # 4 frames of error 3: what bears 5 or 9 is stopped
+    bridge, n = SimulatorBridge(Stopping(), N_FRAMES), len(ceilings)
+    sites = {name: np.asarray(values) for name, values in sites_of(n).items()}
+    number = np.arange(1, n + 1, dtype=np.float32)
+    errors = bridge.answer(
+        sites, np.zeros(n, np.float32), np.full(n, 3), np.float32(ceilings), -number, number
+    )
+    assert np.isfinite(errors).all() == (max(ceilings) > 12)
+    (record,) = bridge.records
+    assert record.log_bound == bound
+    assert record.n_again == len(again)
+    assert record.log_again == pytest.approx(np.logaddexp.reduce(again) if again else -np.inf)
 
 
 def test_what_is_asked_twice_counts_alike_in_one_batch_or_in_two() -> None:

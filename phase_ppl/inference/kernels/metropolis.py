@@ -213,7 +213,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
         ceiling: jax.Array | float = np.inf
         log_bound: jax.Array | float = np.inf
         if self._early_reject:
-            ceiling, log_bound = self.error_ceiling(floor), log_u - floor
+            ceiling, log_bound = self.error_ceiling(floor), log_u - self.lenient(floor)
         step_error = program.simulate(
             move.sites, move.log_prior, seed, ceiling, move.log_proposal, log_bound
         )

@@ -125,13 +125,16 @@ class EventKernel(MCMCKernel, Generic[State]):
         """Return the share of accepted proposals, for NumPyro's progress bar."""
         return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
 
+    def lenient(self, log_floor: jax.Array) -> jax.Array:
+        """Return a log likelihood a little lower, since both it and simulations are rounded."""
+        return log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
+
     def error_ceiling(self, log_floor: jax.Array) -> jax.Array:
         """Return the summed error [units] beyond which the log likelihood cannot reach a floor.
 
-        A little is allowed for rounding, so that no simulation is stopped which would have been
-        accepted.
+        A lenient one, so that no simulation is stopped which would have been accepted.
         """
-        floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
+        floor = self.lenient(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
         floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
         n_frames: Any = self.program.observed  # perhaps known only inside compiled code

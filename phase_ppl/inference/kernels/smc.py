@@ -16,7 +16,7 @@ L^(1 - t) that is left. The draws are the last population only.
 from __future__ import annotations
 
 import copy
-from typing import Any, Final, Literal, NamedTuple, get_args
+from typing import Any, Final, Literal, NamedTuple, Self, get_args
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.particle import ParticleKernel
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.models.density import Program, log_density
+from phase_ppl.models.density import Program, Sites, log_density
 from phase_ppl.models.likelihood import TrajectoryLikelihood
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.checks import number_or_nan
@@ -57,12 +57,27 @@ class Tempered:
         return jnp.where(self._temperature > 0, highest, jnp.inf)
 
 
-def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
-    """Return the program with its likelihood raised to ``temperature``."""
-    model = copy.copy(program.model)
-    # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
-    object.__setattr__(model, "likelihood", Tempered(program.likelihood, temperature))
-    return program.with_model(model)
+class TemperedProgram(EventProgram):
+    """An event's program with its likelihood raised to a temperature."""
+
+    @classmethod
+    def of(cls, program: EventProgram, temperature: jax.Array) -> Self:
+        """Return the program of the same event at that temperature."""
+        model = copy.copy(program.model)
+        # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
+        object.__setattr__(model, "likelihood", Tempered(program.likelihood, temperature))
+        observed = program.observed if program.is_padded else None
+        return cls(model, program.bridge, program.n_frames, program.salt, observed)
+
+    def simulate(
+        self, sites: Sites, log_prior: jax.Array, seed: jax.Array, *limits: jax.Array | float
+    ) -> jax.Array:
+        """Return (time,) the errors of a simulation, whose proposal's density is not kept.
+
+        How probable it was that it is not stopped follows from L^t, not from L, so that it cannot
+        be weighed as the simulations of other kernels are.
+        """
+        return super().simulate(sites, log_prior, seed, *limits[:1])
 
 
 def next_temperature(
@@ -231,7 +246,7 @@ class SMC(ParticleKernel[SMCState]):
         places = systematic(keys[0, 0], weights)
         particle = jax.tree.map(lambda leaf: leaf[places], state.particle)
         particle = particle._replace(rng_key=keys[:, 1])
-        mover = self._mover(tempered(self.program, temperature))
+        mover = self._mover(TemperedProgram.of(self.program, temperature))
         particle = jax.vmap(mover.step_one)(particle)
 
         log_weight = powered(self._log_likelihood(particle), 1 - temperature)

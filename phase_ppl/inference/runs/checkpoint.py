@@ -162,6 +162,7 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
                 here,
                 chain=int(columns["chain"][row]),
                 iteration=int(columns["iteration"][row]),
+                n_again=int(columns["n_again"][row]),
                 **{name: float(columns[name][row]) for name in densities},
             )
         )

@@ -176,6 +176,7 @@ def numbers_of(records: Sequence[Record]) -> Columns:
             name: np.array([getattr(record, name) for record in records], np.float64)
             for name in ("log_prior", "log_proposal", "log_bound", "log_again")
         },
+        "n_again": np.array([record.n_again for record in records], np.int64),
         "completed": np.array([result.completed for result in results], np.bool_),
         "frames_simulated": np.array([r.frames_simulated for r in results], np.int64),
     }
