@@ -3,7 +3,9 @@
 Resampling a handful of events, or many of which nearly all are right, shows too little spread:
 where all answers are right it shows none. Shares of right answers (:func:`proportion`) therefore
 have Clopper and Pearson's interval, which covers at least as often as it says, for as many
-independent answers as the given ones are worth (Korn and Graubard 1998, Survey Methodology 24).
+independent answers as the given ones are worth (Korn and Graubard 1998, Survey Methodology 24);
+differences of shares are resampled with one more event that speaks for either side (after Agresti
+and Caffo 2000, The American Statistician 54).
 
 A resample of n events is a vector of n weights: how often each event was drawn. Every figure is a
 function of weighted sums over events, so that one matrix of weights, whose first row is the data
@@ -192,8 +194,12 @@ def interval(values: FloatArray, level: float = LEVEL) -> tuple[float | None, fl
     return float(low), float(high)
 
 
-def difference(one: FloatArray, other: FloatArray, n: int) -> Figure | None:
+def difference(
+    one: FloatArray, other: FloatArray, n: int, of_shares: bool = False
+) -> Figure | None:
     """Return ``one - other`` with its interval and a two-sided p, over the same resamples.
+
+    The interval of a difference ``of_shares``, of means from 0 to 1, is wider (:func:`with_two`).
 
     p is twice the share of resamples (the data among them) in which the difference is not above
     0, or not below 0, whichever is smaller, but at least 2 ** (1 - n): resamples of a few events
@@ -206,7 +212,23 @@ def difference(one: FloatArray, other: FloatArray, n: int) -> Figure | None:
     found = figure(values, n)
     if found is None:
         return None
+    if of_shares and n > 1:
+        found["ci_low"], found["ci_high"] = interval(with_two(values, n))
     drawn = values[1:][np.isfinite(values[1:])]
     tail = min((drawn <= 0).sum(), (drawn >= 0).sum()) + 1
     p = min(1.0, max(float(2 * tail / (drawn.size + 1)), 2.0 ** (1 - n)))
     return {**found, "p": p if n > 1 and drawn.size else None}
+
+
+def with_two(values: FloatArray, n: int) -> FloatArray:
+    """Return resampled differences (1 + resamples,) of shares of n events as with two more.
+
+    One of these is answered rightly by the first only, one by the second only, so that n
+    differences that are all the same are not without spread.
+    """
+    rng = np.random.default_rng(0)
+    drawn = rng.binomial(n + 2, 1 / (n + 2), (2, len(values) - 1))  # how often a resample has them
+    more = drawn[0] - drawn[1]
+    # either way, so that the other difference has the same interval, mirrored
+    both = np.concatenate([values[1:] * n + more, values[1:] * n - more])
+    return np.clip(np.append(values[0] * n, both) / (n + 2), -1, 1)

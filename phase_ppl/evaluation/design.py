@@ -189,4 +189,4 @@ def _predicted(
     if question not in one.probabilities:
         raise InvalidSettingError(f"{label} has no probabilities of {question} for {event!r}")
     shares = one.probabilities[question]
-    return one.questions[question], shares, one.errors.get(question, np.zeros_like(shares))
+    return one.questions[question], shares, one.errors.get(question, np.full_like(shares, np.nan))

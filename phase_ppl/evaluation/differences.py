@@ -7,13 +7,22 @@ other runs of the models.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from phase_ppl.evaluation import tables
-from phase_ppl.evaluation.bootstrap import LEVEL, difference, interval, resampled, weighted_mean
+from phase_ppl.evaluation.bootstrap import (
+    LEVEL,
+    difference,
+    interval,
+    resampled,
+    weighted_mean,
+    with_two,
+)
 from phase_ppl.evaluation.metrics import Scores, events_with
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.tables import KINDS
@@ -94,8 +103,10 @@ def equivalence(
 
     Tested is the mean, over the events that the model and people answered, of the model's being
     right (1 or 0; for goals the mean of both agents) minus the share of people who are right. Two
-    one-sided tests: that it is not below ``-margin``, and not above ``margin``; as a whole they
-    reject a difference of the margin or more if the 90 % interval lies between.
+    one-sided tests, that it is not below ``-margin``, and not above ``margin``, by resampling. As
+    events that agree show no spread, their p is at least that of normal tests with the spread of a
+    model that errs where people do not, about a share ``margin`` of the events, or the events' own
+    where it is larger (with a correction for continuity, 1 / 2n).
 
     Returns:
         Rows of ``model``, ``measure`` ("goal_accuracy", "relation_accuracy"), ``scenario`` (None:
@@ -104,7 +115,7 @@ def equivalence(
         corrected as in :func:`differences`; ``n_events``, and ``verdict``: "equivalent" where the
         corrected ``p_equivalent`` is at most 0.05; "higher" or "lower" where the corrected ``p``
         is; both joined where both are; else "undecided". Fewer than :data:`LEAST_EVENTS` events
-        are not tested for equivalence: resampling a handful that agree shows no spread.
+        are not tested for equivalence.
     """
     rows: list[Row] = []
     for model, predictions in models.items():
@@ -126,17 +137,19 @@ def equivalence(
 
 
 def _tested(values: FloatArray, n: int, margin: float) -> Row | None:
-    found: Row | None = difference(values, np.zeros_like(values), n)
+    found: Row | None = difference(values, np.zeros_like(values), n, of_shares=True)
     if found is None:
         return None
     drawn = values[1:][np.isfinite(values[1:])]
     low = high = p = None
     if n > 1 and drawn.size:
-        low, high = interval(values, 1 - 2 * ALPHA)
+        low, high = interval(with_two(values, n), 1 - 2 * ALPHA)
     if n >= LEAST_EVENTS and drawn.size:
         inside = margin - _ROUNDING
         beyond = max((drawn <= -inside).sum(), (drawn >= inside).sum())
-        p = float((beyond + 1) / (drawn.size + 1))
+        spread = max(float(drawn.var()), margin * (1 - margin) / n)
+        within = (margin - abs(found["value"]) - 0.5 / n) / math.sqrt(spread)
+        p = max(float((beyond + 1) / (drawn.size + 1)), float(ndtr(-within)))
     return {**found, "low": low, "high": high, "p_equivalent": p, "n_events": n}
 
 

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import os
 from collections.abc import Mapping
 from typing import Any, Final, Literal
@@ -203,6 +204,8 @@ class Likeness:
         Returns:
             ``difference``, first group minus second; ``ci_low`` and ``ci_high``, 90 %; ``p``, the
             larger of the two; ``equivalent``, whether it is below 0.05; and ``n``, of the groups.
+            Where no mean differs from another of its group, nothing says how much they would by
+            chance: ``p`` and the interval are NaN.
 
         Raises:
             InvalidSettingError: ``margin`` is no positive number.
@@ -215,8 +218,8 @@ class Likeness:
         if min(len(first), len(second)) < 2:
             raise InvalidEventError(f"each group needs two {by} or more")
         difference = float(first.mean() - second.mean())
-        if np.ptp(first) == 0 == np.ptp(second):  # no noise, no test
-            p, low, high = float(abs(difference) >= margin), difference, difference
+        if np.ptp(first) == 0 == np.ptp(second):
+            p = low = high = math.nan
         else:
             low, high = stats.ttest_ind(first, second, equal_var=False).confidence_interval(0.9)
             tests = [

@@ -78,14 +78,11 @@ class Study:
         }
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
-    def accuracy(
-        self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000
-    ) -> dict[str, Any]:
+    def accuracy(self, events: Sequence[Event]) -> dict[str, Any]:
         """Return the accuracy of people as the paper has it: of each participant, then averaged.
 
         Args:
             events: with their truth; those that the study has no answers to do not count.
-            seed, resamples: of the participants.
 
         Returns:
             As :func:`~phase_ppl.evaluation.metrics.participant_accuracy`.
@@ -93,7 +90,7 @@ class Study:
         Raises:
             InvalidEventError: the study has answers to none of the events.
         """
-        return participant_accuracy(with_judgments(events, self), seed=seed, resamples=resamples)
+        return participant_accuracy(with_judgments(events, self))
 
     def __repr__(self) -> str:
         return (

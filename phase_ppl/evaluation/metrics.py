@@ -213,7 +213,9 @@ class Scores:
         of_other = self._of(other, ids, second.where_known(first))
         result: dict[str, Any] = {"n_events": len(chosen)}
         differences = {
-            path: difference(curve.values, of_other[path].values, curve.n)
+            path: difference(
+                curve.values, of_other[path].values, curve.n, path[-1].endswith("accuracy")
+            )
             for path, curve in of_one.items()
         }
         put(result, differences)
@@ -466,7 +468,7 @@ def human_accuracy(
     result["ties"] = count_ties([one for one in known.judgments if one is not None], known.world)
     result["by_participant"] = result["confusion"] = None
     if known.by_participant:
-        result["by_participant"] = participant_accuracy(chosen, seed=seed, resamples=resamples)
+        result["by_participant"] = participant_accuracy(chosen)
     if known.by_participant and known.world == PHASE:
         pairs = [
             (true, SCENARIOS.index(scenario(row[_RED], row[_GREEN])))
@@ -479,16 +481,13 @@ def human_accuracy(
     return result
 
 
-def participant_accuracy(
-    events: Sequence[Event], *, seed: int = 0, resamples: int = 1000
-) -> dict[str, Any]:
+def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     """Return the share that each participant got right, averaged over participants.
 
     This is the accuracy of people in the paper (Appendix 5).
 
     Args:
         events: those with truth and with judgments that say who gave which answer count.
-        seed, resamples: of the participants, by whom the intervals are.
 
     Returns:
         ``n_participants``; ``goal_accuracy`` and ``relation_accuracy``; ``by_scenario``, true
@@ -515,7 +514,6 @@ def participant_accuracy(
     ]
     table = pd.DataFrame(rows, columns=["who", "kind", "part", "right"])
     people = table["who"].unique()
-    weights = resampled(len(people), seed, resamples)
     found: dict[Path, Any] = {("n_participants",): len(people)}
     for part in dict.fromkeys(["", *(part for of_kind in parts.values() for part in of_kind)]):
         of_part, path = (table[table["part"] == part], part.split("\0")) if part else (table, [])
@@ -525,8 +523,7 @@ def participant_accuracy(
             if part and part not in parts[kind]:
                 continue
             each = of_part[of_part["kind"] == kind].groupby("who")["right"].mean().reindex(people)
-            values = weighted_mean(weights, each.to_numpy(float))
-            found[*path, f"{kind}_accuracy"] = figure(values, int(each.notna().sum()))
+            found[*path, f"{kind}_accuracy"] = proportion(each.to_numpy(float)[:, None])
     result: dict[str, Any] = {}
     put(result, found)
     return result

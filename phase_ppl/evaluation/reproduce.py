@@ -396,9 +396,11 @@ def _of_likeness(likeness: Likeness) -> dict[str, Figure]:
     found: dict[str, Figure] = {}
     pairs = zip(("played", "generated"), likeness.means("videos").values(), strict=True)
     for name, means in pairs:
-        half = 1.96 * float(means.std(ddof=1)) / len(means) ** 0.5 if len(means) > 1 else 0.0
         value = float(means.mean())
-        found[name] = {"value": value, "ci_low": value - half, "ci_high": value + half}
+        found[name] = {"value": value, "ci_low": None, "ci_high": None}
+        if len(means) > 1:
+            half = 1.96 * float(means.std(ddof=1)) / len(means) ** 0.5
+            found[name] |= {"ci_low": value - half, "ci_high": value + half}
     return found
 
 

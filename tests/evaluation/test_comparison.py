@@ -200,8 +200,9 @@ def test_against_one_model_only_its_pairs_are_tested() -> None:
 @pytest.mark.parametrize(
     ("margin", "relation", "wrong", "verdict"),
     [
-        (0.1, None, 0, "equivalent"),
-        (0.1, None, 1, "equivalent, higher"),
+        (0.1, None, 0, "undecided"),  # twenty events that agree are too few to show it
+        (0.3, None, 0, "equivalent"),
+        (0.4, None, 1, "equivalent, higher"),
         (0.02, None, 1, "higher"),
         (0.1, None, 2, "higher"),  # the margin itself is no equivalence
         (0.1, "neutral", 1, "lower"),
@@ -218,7 +219,7 @@ def test_equivalence_with_people_is_of_right_answers_event_by_event(
     assert found["value"] == pytest.approx(share - (20 - wrong) / 20)
     assert found["verdict"] == verdict
     if verdict.startswith("equivalent"):
-        assert found["p_equivalent"] == pytest.approx(1 / 401)
+        assert found["p_equivalent"] <= 0.05
         assert -margin < found["low"] <= found["high"] < margin
     # people said nothing about goals
     assert {r["measure"] for r in c.equivalence} == {"relation_accuracy"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -269,11 +270,12 @@ def test_equivalence_is_shown_by_two_one_sided_tests() -> None:
     assert ratings(4.0, 3.4).equivalence()["difference"] > 0
 
 
-def test_ratings_without_any_difference_are_no_error() -> None:
+def test_ratings_without_any_difference_show_nothing() -> None:
     rows = [{"participant": f"{g}{k}", "video": f"{g}v", "group": g, "rating": 4}
             for g in ("played", "generated") for k in range(3)]  # fmt: skip
     found = Likeness(pd.DataFrame(rows)).equivalence()
-    assert (found["difference"], found["equivalent"]) == (0, True)
+    assert (found["difference"], found["equivalent"]) == (0, False)
+    assert math.isnan(found["p"])
 
 
 def test_the_summary_has_deviations_of_videos_and_of_people() -> None:

@@ -116,6 +116,15 @@ def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
     assert moved.sum() == pytest.approx(1.0, abs=1e-4)
 
 
+def test_shares_of_people_are_means_over_raters_who_differ_in_sharpness() -> None:
+    logs = np.log(np.array([[0.9, 0.06, 0.04]]))
+    sharp = np.exp(np.random.default_rng(0).standard_normal((100_000, 1)))
+    by_hand = np.exp(sharp * logs) / np.exp(sharp * logs).sum(axis=1, keepdims=True)
+    found = np.asarray(expected({"relation": logs}, 0.0, 1.0)["relation"])[0]
+    np.testing.assert_allclose(found, by_hand.mean(axis=0), atol=0.003)
+    assert found[0] < 0.85
+
+
 def study(path: Path, events: list[Event]) -> None:
     """Write single answers of people with names, who take longer where they doubt."""
     rng = np.random.default_rng(0)

@@ -225,9 +225,9 @@ def test_accuracy_is_of_each_participant_then_averaged(tmp_path: Path) -> None:
     assert competing["goal_accuracy"] == {"value": 0.5, "ci_low": None, "ci_high": None}
     assert competing["n"] == 1
     assert found["by_scenario"]["opposing"]["relation_accuracy"] is None
-    # by participants: two draws of 3/4 or 1 (p03 named no goal)
-    assert found["goal_accuracy"]["ci_low"] == 0.75
-    assert found["goal_accuracy"]["ci_high"] == 1
+    # two participants say little of others (p03 named no goal)
+    assert found["goal_accuracy"]["ci_low"] < 0.5
+    assert found["goal_accuracy"]["ci_high"] == pytest.approx(1)
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "judgments.md"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from phase_ppl.evaluation.bootstrap import proportion
+from phase_ppl.evaluation.bootstrap import clopper_pearson, proportion
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
     human_accuracy,
@@ -312,10 +312,13 @@ def test_difference_is_paired() -> None:
         for red in (BLUE_TO_RED, PINK_TO_BLUE)
     )
     found = paired_difference(alike(20), one, other, resamples=999)["goal_accuracy"]
-    assert [found[name] for name in ("value", "ci_low", "ci_high")] == pytest.approx([0.5] * 3)
+    assert found["value"] == pytest.approx(0.5)
+    # two further events could speak for either side
+    assert (found["ci_low"], found["ci_high"]) == pytest.approx((7 / 22, 13 / 22))
     assert found["p"] == pytest.approx(2 / 1000)
     equal = paired_difference(EVENTS, ANSWERS, ANSWERS)["goal_accuracy"]
-    assert equal == {"value": 0, "ci_low": 0, "ci_high": 0, "p": 1}
+    assert (equal["value"], equal["p"]) == (0, 1)
+    assert equal["ci_low"] == -equal["ci_high"] < 0
 
 
 def test_p_is_small_only_where_the_difference_is_clear() -> None:
@@ -414,6 +417,13 @@ def test_responses_tell_what_each_participant_got_right() -> None:
         "opposing": 0,
     }
     assert found["confusion"]["competing"]["collaborative"] == 1
+
+
+def test_five_people_who_are_right_need_not_always_be() -> None:
+    right = {f"p{i}": {"relation": "friendly"} for i in range(5)}
+    found = participant_accuracy([make_event("a", judgments=responses(**right))])
+    low, high = clopper_pearson(5, 5)
+    assert found["relation_accuracy"] == {"value": 1, "ci_low": low, "ci_high": high}
 
 
 def test_nobody_has_no_accuracy() -> None:

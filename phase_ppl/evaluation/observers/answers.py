@@ -122,9 +122,28 @@ def log_of_counts(
     return chosen - counts.sum(axis=-1) * jax.nn.logsumexp(moved, axis=0)
 
 
-def expected(said: Responses, spread: Array | float) -> Responses:
-    """Return question -> (event, answer) shares of people that are to be expected."""
-    return {q: jnp.exp(shared(logs, spread, q)).mean(axis=0) for q, logs in said.items()}
+_RATERS, _SHARE_OF_RATERS = np.polynomial.hermite_e.hermegauss(9)
+"""Nodes and weights of a mean over raters, whose log sharpness is normal."""
+
+
+def expected(
+    said: Responses, spread: Array | float, diversity: Array | float | None = None
+) -> Responses:
+    """Return question -> (event, answer) shares of people that are to be expected.
+
+    A mean over what they share about a video and, with a ``diversity``, over how sharply raters
+    answer: together they answer less sharply than the median one.
+    """
+    if diversity is None:
+        return {q: jnp.exp(shared(logs, spread, q)).mean(axis=0) for q, logs in said.items()}
+    found = {}
+    for question, logs in said.items():
+        of_raters = [
+            share * jax.nn.softmax(jnp.exp(diversity * z) * shared(logs, spread, question))
+            for z, share in zip(_RATERS, _SHARE_OF_RATERS / _SHARE_OF_RATERS.sum(), strict=True)
+        ]
+        found[question] = sum(of_raters, jnp.zeros(())).mean(axis=0)
+    return found
 
 
 def people(observer: Program, evidence: Evidence, answers: Answers, counted: Array) -> None:

@@ -65,7 +65,8 @@ class FittedObserver:
             def of_one(draw: dict[str, Array]) -> dict[str, Array]:
                 program = handlers.substitute(self.observer, draw)
                 with handlers.block(), handlers.seed(rng_seed=0):
-                    return expected(program(evidence.of_numbers(*numbers)), draw["spread"])
+                    said = program(evidence.of_numbers(*numbers))
+                    return expected(said, draw["spread"], draw.get("diversity"))
 
             return jax.lax.map(of_one, draws, batch_size=_AT_A_TIME)
 
