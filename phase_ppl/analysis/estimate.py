@@ -146,8 +146,9 @@ class Mode(str):
 
     Attributes:
         error: how probable it is that another label leads in truth: the highest such probability
-            of any other, from the Monte-Carlo error of the difference, taken as normal. 0.5 for
-            a tie; NaN where it is unknown.
+            of any other, from the Monte-Carlo error of the difference, taken as normal, and at
+            least as in Jeffreys' posterior of the two after as many independent draws as they are
+            worth. 0.5 for a tie; NaN where it is unknown.
     """
 
     error: float
@@ -285,10 +286,13 @@ def sets_to_leave_out(n_groups: int, share: float = 0.0) -> tuple[NDArray[np.boo
     return order < size, (n_groups - size) / size
 
 
-def doubt(probabilities: FloatArray, without: Jackknife, results: FloatArray) -> float:
+def doubt(
+    probabilities: FloatArray, without: Jackknife, results: FloatArray, size: float = math.nan
+) -> float:
     """Return how probable it is that another label than the first of the highest leads in truth.
 
-    See :class:`Mode`. Probabilities are (label,), results (set, label) those without each set.
+    See :class:`Mode`. Probabilities are (label,), results (set, label) those without each set;
+    ``size`` is the number of independent draws that they are worth, NaN where it is not known.
     """
     leading = int(probabilities.argmax())
     leads = np.delete(probabilities[leading] - probabilities, leading)
@@ -299,6 +303,12 @@ def doubt(probabilities: FloatArray, without: Jackknife, results: FloatArray) ->
             chances.append(0.5 * math.erfc(lead / (math.sqrt(2) * error)))
         else:
             chances.append(0.5 if lead <= ROUNDING else 0.0)
+    if not math.isnan(size):  # a few draws that agree need not be those of the leader
+        from scipy.special import betainc
+
+        others = np.delete(probabilities, leading)
+        of_leader = size * probabilities[leading] + 0.5
+        chances += betainc(of_leader, size * others + 0.5, 0.5).tolist()
     return max(chances)
 
 

@@ -279,7 +279,9 @@ class Hypotheses:
         label = labels[int(mass.argmax())]
         if without is None:
             return Mode(label)
-        return Mode(label, doubt(mass, without, estimate.shares(codes, without.weights, size)))
+        without_each = estimate.shares(codes, without.weights, size)
+        worth = self._effective_size * float(self._rows.weights[rows].sum())
+        return Mode(label, doubt(mass, without, without_each, worth))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
         """Return the leading goals and relation, and whether it is sure that they lead.
@@ -375,6 +377,8 @@ class Hypotheses:
             error = without.error(
                 [estimate.shortest_interval(levels, mass, prob) for mass in masses], bounds
             )
+            if not math.isnan(self._effective_size):  # as of other numbers
+                error = np.where(error > 0, error, np.nan)
         coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
         return xr.DataArray(list(bounds), coords, dims="bound", name=name)
 
@@ -628,7 +632,9 @@ class Hypotheses:
             size = self._effective_size * float(self._rows.weights[rows].sum())
             error = np.fmax(error, float(estimate.sd(values, weights)) / math.sqrt(size + 1))
             error *= estimate.widened(size)
-        return Estimate(number, float(error))
+        of_draws = statistic is not estimate.share and not math.isnan(self._effective_size)
+        # chains that all say the same do not say how far off they are
+        return Estimate(number, math.nan if of_draws and not error > 0 else float(error))
 
 
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -10,13 +10,15 @@ These answers have a Monte-Carlo error beside that of the searches.
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phase_ppl.analysis.estimate import Jackknife, leaving_out
+from phase_ppl.analysis.estimate import Jackknife, leaving_out, worth
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
@@ -75,6 +77,11 @@ class WithSites(Hypotheses):
 
     def _jackknife(self, share: float) -> Any:
         return self._errors
+
+    @functools.cached_property
+    def _effective_size(self) -> float:
+        """The number of equal draws that those here are worth; NaN where there are all values."""
+        return math.nan if self.summed else worth(self._rows.weights)
 
     def __repr__(self) -> str:
         how = "all values" if self.summed else f"{len(self.table.weights)} draws"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -340,7 +341,24 @@ class Posterior(EventPosterior):
         lines += [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
             lines += wrapped("prior", changed)
+        if tempering := self._tempering(n):
+            lines += wrapped("likelihood", tempering)
         return "\n".join([*lines, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))])
+
+    def _tempering(self, n_entities: int) -> str:
+        """Return in words how the likelihood is tempered; "" where it is not known to be."""
+        beta = self._tree[SIMULATED].attrs.get("beta")
+        if beta is not None:
+            noise = 2 * n_entities / beta
+            x0, x1, y0, y1 = self.scene.arena
+            far = noise > max(x1 - x0, y1 - y0)
+            words = f"beta = {beta:g}, as noise {noise:.0f} units in a frame"
+            return f"tempered: {words}, wider than the arena" if far else words
+        likelihood = str(self.settings.get("model", {}).get("likelihood", ""))
+        counts = re.search(r"StepwiseLikelihood\(.*?\bweight=([0-9.e-]+)", likelihood)
+        if counts is None or float(counts[1]) == 1:
+            return ""
+        return f"the closed loop's, tempered: a frame counts {counts[1]}"
 
     def __repr__(self) -> str:
         chains, draws = shape_of_draws(self._tree)

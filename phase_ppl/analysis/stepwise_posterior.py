@@ -274,12 +274,25 @@ class StepwisePosterior(EventPosterior):
         return self._like(found, self._frame, prior)._defining(self.definitions)
 
     @property
+    def tempering(self) -> str:
+        """What a frame counts as evidence, in words; "" where nothing is tempered."""
+        tracking = self.settings.get("likelihood", {}).get("tracking", {})
+        counts = {
+            "goals": float(self._found.attrs["weight"]),
+            "strengths": float(tracking.get("strength_weight", 1.0)),
+        }
+        words = [f"{count:g} for {what}" for what, count in counts.items() if count != 1]
+        return f"tempered: a frame counts {' and '.join(words)}" if words else ""
+
+    @property
     def log_evidence(self) -> float:
         """Log p(s_1..t | s_0) of the frames that are counted, in nats, per (unit^8 rad^2) a frame.
 
         Log sum_h P(h) prod_t p(s_t | s_<t, h), each frame counted in full whatever the
-        likelihood's ``weight``. Of two priors, the one with more explains the video better; so of
-        two models with the same tracking.
+        likelihood's ``weight``, but as evidence for strengths, which stays tempered
+        (``Tracking.strength_weight``): of two priors, the one with more explains the video better,
+        by more than this says where they differ in strengths; so of two models with the same
+        tracking.
         """
         return self._table.log_evidence(self._frame)
 
@@ -366,7 +379,7 @@ class StepwisePosterior(EventPosterior):
             result = result.assign_coords({label: list(labels[name])})
             result[name] = ("time", label), first
             result[f"{name}_error"] = ("time", label), error
-        return result.assign_attrs(filtering=FILTERING)
+        return result.assign_attrs(filtering=FILTERING, tempering=self.tempering)
 
     def _error_over_sets(self, without: FloatArray, value: FloatArray) -> FloatArray:
         """Return the errors of (...) values, given (set, ...) those without each set of searches.
@@ -386,7 +399,8 @@ class StepwisePosterior(EventPosterior):
             over: what to compare with, likewise; by default that ``event`` is false.
 
         Returns:
-            ``log_odds`` (time,) of one over the other given the frames so far, in nats, its
+            ``log_odds`` (time,) of one over the other given the frames so far, in nats, tempered
+            as the attribute ``tempering`` says, its
             ``error`` (time,) by the jackknife over planner seeds (NaN: there is one), and
             ``change`` (time,) by each frame.
 
@@ -435,7 +449,11 @@ class StepwisePosterior(EventPosterior):
                 "change": ("time", np.diff(odds, prepend=odds[0])),
             },
             coords={"time": ("time", time, {"units": "s"})},
-            attrs={"event": event, "over": over or f"not {event}"},
+            attrs={
+                "event": event,
+                "over": over or f"not {event}",
+                "tempering": self.tempering,
+            },
         )
 
     def _sides(
@@ -521,9 +539,8 @@ class StepwisePosterior(EventPosterior):
             lines += wrapped("prior", changed)
         evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
         lines += wrapped("evidence", evidence)
-        if found["weight"] != 1:
-            words = f"in the probabilities above a frame counts {found['weight']:g} (tempered)"
-            lines += wrapped("weight", words)
+        if self.tempering:
+            lines += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, found["frames"] - 1)
         words = f"{cost['searches']} searches, {cost['searches'] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):

@@ -40,6 +40,7 @@ _OWN_DRAWS = 64
 _PRIORS_KEPT = 16
 _TABLES_KEPT = 8
 _NODES = 4  # at which a continuous prior is evaluated in the cell of each level of strength
+_NODES_ALONE = 40  # the same of a strength that depends on nothing, where its density varies
 _STATED_SITES = (*GOAL_SITES, ALPHA_SITE)
 
 
@@ -188,7 +189,7 @@ def prior_table(
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
     strengths alike between 150 and 600 N, the four default levels have 1/6, 1/3, 1/3 and 1/6. A
-    continuous prior is integrated over them with ``_NODES`` Gauss-Legendre nodes each.
+    continuous prior is integrated over them by Gauss-Legendre (:func:`nodes_of`).
 
     Args:
         prior: NumPyro program over the hypothesis sites.
@@ -200,18 +201,21 @@ def prior_table(
     """
     strengths = np.array(levels)
     trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
-    nodes = [nodes_of(trace[name]["fn"], strengths) for name in STRENGTH_SITES]
+    apart = strengths_apart(prior)
+    laws = [trace[name]["fn"] for name in STRENGTH_SITES]
+    nodes = [nodes_of(law, strengths, _NODES_ALONE if apart else _NODES) for law in laws]
     stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
         ALPHA_SITE: np.arange(len(ALPHAS))
     }
     stated |= {name: np.array(values) for name, values in own}
     forces = {name: values for name, (values, _) in zip(STRENGTH_SITES, nodes, strict=True)}
-    if strengths_apart(prior):  # a thousand times fewer densities
+    if apart:  # a thousand times fewer densities
         densities = _densities(prior, stated)[..., None, None] + _densities(prior, forces)
     else:
         densities = _densities(prior, stated | forces)
     densities[densities <= NO_DENSITY] = -np.inf
-    densities += np.log(nodes[0][1])[:, None] + np.log(nodes[1][1])
+    with np.errstate(divide="ignore"):  # of cells beyond the support
+        densities += np.log(nodes[0][1])[:, None] + np.log(nodes[1][1])
     highest = densities.max()
     if not np.isfinite(highest):
         raise InvalidSettingError("the prior gives no mass to any hypothesis")
@@ -233,14 +237,28 @@ def _densities(prior: Any, values: Mapping[str, NDArray[Any]]) -> FloatArray:
     return log_prior_of_hypotheses(prior, flat).reshape([len(one) for one in values.values()])
 
 
-def nodes_of(found: Any, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return strengths at which to evaluate their distribution, and the newtons of each."""
+def nodes_of(
+    found: Any, levels: FloatArray, n_varying: int = _NODES_ALONE
+) -> tuple[FloatArray, FloatArray]:
+    """Return strengths at which to evaluate their distribution, and the newtons of each.
+
+    In the part of every level's cell that the support has (Gauss-Legendre); ``n_varying`` there,
+    or less of a density that is even.
+    """
     if found.support.is_discrete:
         values = np.asarray(found.enumerate_support(expand=False), np.float64).ravel()
         return values, np.ones(len(values))
-    places, weights = np.polynomial.legendre.leggauss(_NODES)
-    low, high = cells(levels)[:-1, None], cells(levels)[1:, None]
-    return (
-        ((low + high) / 2 + (high - low) / 2 * places).ravel(),
-        ((high - low) / 2 * weights).ravel(),
-    )
+    bounds = (getattr(found.support, f"{end}_bound", None) for end in ("lower", "upper"))
+    lowest, highest = (math.nan if end is None else float(np.asarray(end)) for end in bounds)
+    ends = np.fmin(np.fmax(cells(levels), lowest), highest)
+    low, high = ends[:-1, None], ends[1:, None]
+
+    def nodes(n: int) -> tuple[FloatArray, FloatArray]:
+        places, weights = np.polynomial.legendre.leggauss(n)
+        values = (low + high) / 2 + (high - low) / 2 * places
+        return values.ravel(), ((high - low) / 2 * weights).ravel()
+
+    values, newtons = nodes(_NODES)
+    inside = np.asarray(found.log_prob(values))[newtons > 0]
+    even = inside.size == 0 or np.ptp(inside) == 0
+    return (values, newtons) if even else nodes(n_varying)

@@ -268,7 +268,8 @@ def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
     values, weights = nodes_of(found, levels)
     inside = np.asarray(found.support(jnp.asarray(values)), bool)
     density = np.full(len(values), -np.inf)
-    density[inside] = found.log_prob(jnp.asarray(values[inside])) + np.log(weights[inside])
+    with np.errstate(divide="ignore"):  # of cells beyond the support
+        density[inside] = found.log_prob(jnp.asarray(values[inside])) + np.log(weights[inside])
     place = place_of_level(values, levels)
     by_level = [np.logaddexp.reduce(density[place == level]) for level in range(len(levels))]
     return np.array(by_level)

@@ -13,6 +13,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError, QueryError
+from phase_ppl.world.goals import GOALS
 from tests.analysis.readings import reading
 
 FOUND = reading()
@@ -90,6 +91,17 @@ def test_other_sites_are_drawn_with_their_monte_carlo_error() -> None:
     share = post.query("P(alpha=(0, 0) | friendliness > 0.5 or friendliness <= 0.5)")
     assert abs(share - shares[0]) < 4 * share.error
     assert post.query("E[friendliness]") == found  # seeded
+
+
+def test_few_draws_do_not_make_what_is_drawn_sure() -> None:
+    post = StepwisePosterior(reading()).with_prior(friendly)
+    never = post.probability(friendliness=(0.99999, 1.0))
+    assert (never, never.error > 0) == (0, True)
+    goals = post.sites.table.values
+    pairs, counts = np.unique(goals["goal_red"] * 36 + goals["goal_green"], return_counts=True)
+    red, green = divmod(int(pairs[np.argmin(np.abs(counts - 4))]), 36)
+    given = {"goal_red": GOALS[red], "goal_green": GOALS[green]}
+    assert post.probability(friendliness=(0.7, 1.0), given=given).error > 0.1
 
 
 def test_a_site_that_depends_on_strengths_is_drawn_within_their_cells() -> None:

@@ -119,7 +119,7 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows() -> None:
     assert evidence[3] == pytest.approx(np.log(total))
     tempered = StepwisePosterior(reading(weight=0.1))
     assert tempered.log_evidence == pytest.approx(evidence[3])
-    assert "a frame counts 0.1 (tempered)" in str(tempered)
+    assert "tempered: a frame counts 0.1 for goals" in str(tempered)
     assert "tempered" not in str(StepwisePosterior(reading(weight=1.0)))
 
 

@@ -9,7 +9,11 @@ import numpyro.distributions as dist
 import pytest
 
 from phase_ppl.models import priors, sites
-from phase_ppl.models.effective import log_prior_of_effective, stated_hypotheses
+from phase_ppl.models.effective import (
+    log_prior_of_effective,
+    prior_table,
+    stated_hypotheses,
+)
 from phase_ppl.world.goals import N_GOALS, goal_index
 
 PER_NEWTON = 2 * np.log(450.0)
@@ -55,3 +59,23 @@ def test_a_site_of_ones_own_is_averaged_out() -> None:
     )
     assert unrelated == pytest.approx(0.5 / 34**2, rel=0.3)
     assert shared == pytest.approx(0.5 / 34 + 0.5 / 34**2, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    "law", [dist.Uniform(200.0, 400.0), dist.TruncatedNormal(378.0, 8.0, low=150.0, high=600.0)]
+)
+def test_levels_of_strength_have_the_mass_of_their_cells(law: dist.Distribution) -> None:
+    def prior() -> None:
+        sites.goals()
+        sites.alpha()
+        numpyro.sample("strength_red", law)
+        numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
+
+    table = np.exp(prior_table(prior, (150.0, 300.0, 450.0, 600.0))).sum(axis=(0, 1, 2))
+    exact = np.diff(law.cdf(np.clip([150.0, 225.0, 375.0, 525.0, 600.0], *law_ends(law))))
+    np.testing.assert_allclose(table.sum(axis=1), exact, atol=1e-5)
+    np.testing.assert_allclose(table.sum(axis=0), [1 / 6, 1 / 3, 1 / 3, 1 / 6])
+
+
+def law_ends(law: dist.Distribution) -> tuple[float, float]:
+    return float(law.support.lower_bound), float(law.support.upper_bound)

@@ -143,7 +143,7 @@ def why(
     values, within = found["log_odds"].values, 1.96 * found["error"].values
     odds.fill_between(time, values - within, values + within, color="#dddddd", lw=0)
     odds.plot(time, values, color=INK, lw=1.8)
-    odds.set_ylabel("log odds [nats]")
+    odds.set_ylabel("log odds [nats" + (", tempered]" if found.attrs["tempering"] else "]"))
     width = float(time[1] - time[0]) if len(time) > 1 else 1.0
     colours = [COLOURS[2] if step > 0 else COLOURS[1] for step in change]
     steps.bar(time, change, width=width, color=colours)
