@@ -10,6 +10,7 @@ with far less noise than whole trajectories do.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -26,7 +27,7 @@ from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.scene import PHASE
 from videos.replay import actions_of, scene_of
@@ -165,6 +166,7 @@ def judge(task: Task) -> list[dict[str, Any]]:
                         "holds": bool(state.held[a] >= 0),
                         "subgoal": PHASE.words(subgoal),
                         "kind": kind(subgoal, a),
+                        "role": role(truth, goals[a], kind(subgoal, a)),
                         "action": int(decision.action),
                         "real": pair[a],
                         "agrees": bool(same[pair[a], decision.action]),
@@ -181,6 +183,13 @@ def kind(subgoal: Any, agent: int) -> str:
     if subgoal.predicate.name == "STOP":
         return "STOP"
     return f"{'' if subgoal.positive else 'not '}{subgoal.predicate.name} {who}"
+
+
+def role(truth: Truth, goal: int, kind: str) -> str:
+    """Return in opposing videos whether an agent hinders, and of those that do the subgoal."""
+    if truth.scenario != "opposing":
+        return ""
+    return f"hinders: {kind}" if "away" in GOALS[goal].split() else "is hindered"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -216,13 +225,14 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
         return {"n": len(group)} | mean
 
     report: dict[str, Any] = figures(records) | {"planner": planner.to_dict()}
-    for key in ("scenario", "kind"):
-        names = sorted({row[key] for row in records})
+    for key in ("scenario", "kind", "role"):
+        names = sorted({row[key] for row in records if row[key]})
         report[f"by_{key}"] = {
             name: figures([row for row in records if row[key] == name]) for name in names
         }
     print(f"{'':24} {'n':>6}  agrees  with itself  log-likelihood")
-    for name, row in {"all": report, **report["by_scenario"], **report["by_kind"]}.items():
+    groups = [report[f"by_{key}"].items() for key in ("scenario", "kind", "role")]
+    for name, row in [("all", report), *itertools.chain(*groups)]:
         print(
             f"{name:24} {row['n']:6d}  {row['agrees']:6.3f}  {row['agrees_with_itself']:11.3f}"
             f"  {row['log_likelihood']:14.3f}"
