@@ -50,7 +50,8 @@ class Design:
     :func:`phase_ppl.design` returns one. Printed it is a table, ``ppl.plot.design`` draws it.
 
     Attributes:
-        probabilities: (model, event, answer) of answers, sum 1, with the coordinate ``error``.
+        probabilities: (model, event, answer) of answers, sum 1, with the coordinate ``error``, NaN
+            where it is unknown.
         question: that is asked.
         answers: people who are asked about each event.
         lapse: probability that somebody answers at random.
@@ -100,8 +101,8 @@ class Design:
     def information(self) -> xr.DataArray:
         """Expected information (event,) about which model is right, nats, with its ``error``.
 
-        The error is that of the models' probabilities. These make models look more different than
-        they are, so that information of the size of its error is none.
+        The error is that of the models' probabilities, NaN where it is unknown of any. Errors make
+        models look more different than they are, so that information of their size is none.
         """
         n = len(self.labels)
         summed = math.comb(self.answers + n - 1, n - 1) <= _OUTCOMES
@@ -341,7 +342,7 @@ class Design:
             f"answers at random with probability {self.lapse:g}\n"
         )
         table = self.table.head(_LISTED)
-        text = table.to_string(float_format=lambda number: f"{number:.3f}")
+        text = table.to_string(float_format=lambda number: f"{number:.3f}", na_rep="?")
         rest = len(self.events) - len(table)
         return f"{head}\n{text}" + (f"\n... and {rest} less telling ones" if rest else "")
 

@@ -53,6 +53,8 @@ def design(
 
     For every event, the mutual information between the model by which people answer and the
     answers they give: for a single answer the Jensen-Shannon divergence of the models' predictions.
+    Its error is unknown (NaN, printed ``?``) where a model's prediction says nothing of its own;
+    one that is exact says so with errors of 0.
 
     Args:
         events: an event file, a folder of them or of a generated data set, or events.
@@ -189,4 +191,5 @@ def _predicted(
     if question not in one.probabilities:
         raise InvalidSettingError(f"{label} has no probabilities of {question} for {event!r}")
     shares = one.probabilities[question]
-    return one.questions[question], shares, one.errors.get(question, np.full_like(shares, np.nan))
+    unknown = np.full_like(shares, np.nan)
+    return one.questions[question], shares, one.errors.get(question, unknown)

@@ -196,6 +196,29 @@ def test_people_can_be_told_from_an_ideal_observer(
     assert (found.information.values >= 0).all()
 
 
+def test_errors_that_are_unknown_are_not_taken_for_none(tmp_path: Path) -> None:
+    event = dataclasses.replace(make_event(), id="video", predictions=None, judgments=None)
+    given = {"one": [0.8, 0.1, 0.1], "other": [0.3, 0.4, 0.3]}
+    silent = {
+        name: {"video": ppl.Prediction("video", {"relation": p})} for name, p in given.items()
+    }
+    exact = {
+        name: {"video": ppl.Prediction("video", {"relation": p}, errors={"relation": [0.0] * 3})}
+        for name, p in given.items()
+    }
+    found = ppl.design([event], silent, progress=False)
+    assert np.isnan(found.probabilities["error"].values).all()
+    assert np.isnan(found.information["error"].values).all()
+    assert math.isnan(silent["one"]["video"].estimate("relation", "friendly").error)
+    assert " ? " in str(found).splitlines()[-1]
+    ppl.plot.design(found, tmp_path / "design.png")
+    found.save(tmp_path / "design.json")
+    assert str(ppl.Design.load(tmp_path / "design.json")) == str(found)
+    known = ppl.design([event], exact, progress=False)
+    assert known.information.values == found.information.values
+    assert known.information["error"].values == 0
+
+
 def test_what_cannot_be_is_refused(
     videos: tuple[list[ppl.Event], dict[str, StepwisePosterior]],
 ) -> None:

@@ -30,9 +30,9 @@ _NAME: Final = 32  # characters of an id that are shown
 def design(found: Design, path: str | os.PathLike[str] | None = None, *, n: int = 12) -> Figure:
     """Draw the most telling events, and what the best chosen say together, 8 inches wide.
 
-    Left, the expected information of each event, with its error. Right, that of the events of
-    ``found.best`` together, beside as many taken by chance (mean and 90 % of 100 orders); the
-    dotted line is all that can be known.
+    Left, the expected information of each event, with its error where it is known. Right, that of
+    the events of ``found.best`` together, beside as many taken by chance (mean and 90 % of 100
+    orders); the dotted line is all that can be known.
 
     Args:
         found: of :func:`phase_ppl.design`.
@@ -45,7 +45,11 @@ def design(found: Design, path: str | os.PathLike[str] | None = None, *, n: int 
     places = np.arange(len(table))[::-1]
     left.barh(
         places, table["information"], 0.62, color=COLOURS[5],
-        xerr=np.nan_to_num(table["error"]), error_kw={"ecolor": INK, "lw": 1},
+    )  # fmt: skip
+    known = np.isfinite(table["error"].to_numpy())
+    left.errorbar(
+        table["information"][known], places[known], xerr=table["error"][known],
+        fmt="none", ecolor=INK, elinewidth=1,
     )  # fmt: skip
     people = "an answer" if found.answers == 1 else f"{found.answers} answers"
     note = f"expected information of {people} about the {found.question}"
