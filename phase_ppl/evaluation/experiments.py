@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import os
 from collections.abc import Mapping
 from typing import Any, Final, Literal
@@ -204,8 +203,8 @@ class Likeness:
         Returns:
             ``difference``, first group minus second; ``ci_low`` and ``ci_high``, 90 %; ``p``, the
             larger of the two; ``equivalent``, whether it is below 0.05; and ``n``, of the groups.
-            Where no mean differs from another of its group, nothing says how much they would by
-            chance: ``p`` and the interval are NaN.
+            Where no mean differs from another of its group, nothing says how much they vary:
+            ``ci_low``, ``ci_high`` and ``p`` are None, and equivalence is not shown.
 
         Raises:
             InvalidSettingError: ``margin`` is no positive number.
@@ -218,10 +217,10 @@ class Likeness:
         if min(len(first), len(second)) < 2:
             raise InvalidEventError(f"each group needs two {by} or more")
         difference = float(first.mean() - second.mean())
-        if np.ptp(first) == 0 == np.ptp(second):
-            p = low = high = math.nan
-        else:
-            low, high = stats.ttest_ind(first, second, equal_var=False).confidence_interval(0.9)
+        p = low = high = None
+        if not np.ptp(first) == 0 == np.ptp(second):
+            found = stats.ttest_ind(first, second, equal_var=False)
+            low, high = map(float, found.confidence_interval(0.9))
             tests = [
                 stats.ttest_ind(first + shift, second, equal_var=False, alternative=alternative)
                 for shift, alternative in ((margin, "greater"), (-margin, "less"))
@@ -229,12 +228,12 @@ class Likeness:
             p = float(max(test.pvalue for test in tests))
         return {
             "difference": difference,
-            "ci_low": float(low),
-            "ci_high": float(high),
+            "ci_low": low,
+            "ci_high": high,
             "margin": float(margin),
             "by": by,
             "p": p,
-            "equivalent": p < 0.05,
+            "equivalent": p is not None and p < 0.05,
             "n": (len(first), len(second)),
         }
 

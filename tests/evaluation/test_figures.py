@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from pathlib import Path
 
 import numpy as np
@@ -275,7 +274,8 @@ def test_ratings_without_any_difference_show_nothing() -> None:
             for g in ("played", "generated") for k in range(3)]  # fmt: skip
     found = Likeness(pd.DataFrame(rows)).equivalence()
     assert (found["difference"], found["equivalent"]) == (0, False)
-    assert math.isnan(found["p"])
+    assert found["p"] is None
+    assert figures.likeness(Likeness(pd.DataFrame(rows))).axes
 
 
 def test_the_summary_has_deviations_of_videos_and_of_people() -> None:

@@ -347,11 +347,12 @@ def likeness(
     found = given.summary()
     test = given.equivalence(margin)
     shown = "shown" if test["equivalent"] else "not shown"
+    p = "none where nobody differs" if test["p"] is None else f"{test['p']:.2g}"
     figure = new_figure(
         *(7.2, 2.7),
         note="Left: share of each rating. Middle: mean rating of each video, and mean over videos. "
         "Right: difference of the mean ratings of participants with its 90 % interval, beside the "
-        f"margin; equivalence is {shown} (two one-sided tests, p = {test['p']:.2g}).",
+        f"margin; equivalence is {shown} (two one-sided tests, p = {p}).",
     )
     shares, means, difference = figure.subplots(1, 3, width_ratios=(1.3, 1.0, 1.0))
     for index, group in enumerate(given.groups):
@@ -368,10 +369,11 @@ def likeness(
     low, high = test["ci_low"], test["ci_high"]
     difference.axhspan(-margin, margin, color=_FAINT)
     difference.axhline(0, color="#999999", lw=0.7)
-    difference.plot([0, 0], [low, high], color=INK, lw=2.2)
+    if low is not None:
+        difference.plot([0, 0], [low, high], color=INK, lw=2.2)
     face = INK if test["equivalent"] else "white"
     difference.plot(0, test["difference"], "o", ms=5, mfc=face, mec=INK)
-    reach = 1.2 * max(margin, abs(low), abs(high))
+    reach = 1.2 * max(margin, *(abs(end or 0.0) for end in (low, high, test["difference"])))
     difference.set(xlim=(-1, 1), ylim=(-reach, reach))
     difference.set_xticks([0], [" \N{MINUS SIGN}\n".join(given.groups)])
     return written(figure, path)
