@@ -18,7 +18,13 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, log_prior_of_pairs
 from phase_ppl.analysis.tree import scene_dataset
-from phase_ppl.closed_loop.goal_filter import Reading, stacked
+from phase_ppl.closed_loop.goal_filter import (
+    PairFilter,
+    PolicyFilter,
+    Reading,
+    SearchSets,
+    stacked,
+)
 from phase_ppl.models.effective import place_of_level
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
@@ -70,15 +76,19 @@ class Watch:
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
         levels = likelihood.tracking.strengths
-        if scene.world == PHASE:
+        in_phase = scene.world == PHASE
+        if in_phase:
             checked_sites(self.model.prior)
         self._prior, self._attrs = stepwise_prior(self.model.prior, scene.world, levels)
-        of_goals = (
-            log_prior_of_pairs(self._prior["log_prior"])
-            if scene.world == PHASE
-            else self._prior["log_prior_goals"]
+        kind, of_goals = (
+            (PairFilter, log_prior_of_pairs(self._prior["log_prior"]))
+            if in_phase
+            else (PolicyFilter, self._prior["log_prior_goals"])
         )
-        self._filter = likelihood.filter(scene, planner, self._seed, self.threads, of_goals)
+        sets = SearchSets(
+            scene, planner, likelihood.tracking, self._seed, self.threads, likelihood.planner_seeds
+        )
+        self._filter = kind(sets, likelihood.conduct, likelihood.weight, of_goals)
         self._readings: list[Reading] = [self._filter.at_start()]
 
     def __enter__(self) -> Self:

@@ -53,19 +53,6 @@ Noise = Literal["fresh", "fixed"]
 DEFAULT_PLANNER: Final = "fast"
 
 
-class _PriorField:
-    """A field that is set to a program or to the name of a ready-made one, and is a program."""
-
-    def __get__(self, model: object | None, owner: type) -> Program:
-        if model is None:
-            return priors.uniform  # the default
-        program: Program = vars(model)["prior"]
-        return program
-
-    def __set__(self, model: object, value: Program | str) -> None:
-        vars(model)["prior"] = priors.named(value) if isinstance(value, str) else value
-
-
 @dataclasses.dataclass(frozen=True)
 class Model(Generic[Kind]):
     """Prior, simulator and likelihood.
@@ -92,7 +79,7 @@ class Model(Generic[Kind]):
         UnknownNameError: an unknown prior, planner or noise.
     """
 
-    prior: _PriorField = _PriorField()
+    prior: Program = priors.uniform
     simulator: Simulator | None = None
     likelihood: TrajectoryLikelihood | StepwiseLikelihood = dataclasses.field(
         default_factory=RadialLikelihood
@@ -136,6 +123,8 @@ class Model(Generic[Kind]):
         def __init__(self, *args: Any, **fields: Any) -> None: ...
 
     def __post_init__(self) -> None:
+        if isinstance(self.prior, str):
+            object.__setattr__(self, "prior", priors.named(self.prior))
         if self.noise not in ("fresh", "fixed"):
             raise unknown_name("noise", self.noise, ("fresh", "fixed"))
         if self.simulator is None:

@@ -46,27 +46,9 @@ _DRAWS: Final = 1000  # of roles, until all can act on their goals
 RolePrior = Callable[[World], object]
 
 
-class Factors(NamedTuple):
-    """Log prior masses of what a role is made of."""
-
-    goals: FloatArray  # (agent, goal)
-    company: FloatArray  # (way,), see ``hypothesis.company``
-    strengths: FloatArray  # (agent, level)
-
-
-def goal_sites(world: World) -> tuple[str, ...]:
-    """Return the names of the sites of goals, agent by agent."""
-    return space_of(world).goal_sites
-
-
-def strength_sites(world: World) -> tuple[str, ...]:
-    """Return the names of the sites of strengths, agent by agent."""
-    return space_of(world).strength_sites
-
-
 def goals(world: World) -> None:
     """Sample the agents' own goals: all that an agent can have are alike."""
-    for agent, name in enumerate(goal_sites(world)):
+    for agent, name in enumerate(space_of(world).goal_sites):
         logits = np.full(len(world.goals), IMPOSSIBLE)
         logits[possible_goals(agent, world)] = 0.0
         numpyro.sample(name, dist.Categorical(logits=jnp.asarray(logits)))
@@ -86,7 +68,7 @@ def company(world: World, social: float = SOCIAL) -> None:
 
 def strengths(world: World) -> None:
     """Sample the agents' strengths: uniform on [150, 600] newtons."""
-    for name in strength_sites(world):
+    for name in space_of(world).strength_sites:
         numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE))
 
 
@@ -110,14 +92,15 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
         InvalidSettingError: it gives (nearly) all mass to others.
     """
     program = functools.partial(in_world(prior, world), world)
+    space, ways = space_of(world), hypothesis.company(len(world.agents))
     key = jax.random.key(whole_number("seed", seed, 0))
     for _ in range(_DRAWS):
         trace = handlers.trace(handlers.seed(program, key)).get_trace()
         values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
-        towards = hypothesis.company(len(world.agents))[int(values[COMPANY_SITE])]
-        own = [int(values[name]) for name in goal_sites(world)]
+        towards = ways[int(values[COMPANY_SITE])]
+        own = [int(values[name]) for name in space.goal_sites]
         stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
-        strengths = tuple(float(values[name]) for name in strength_sites(world))
+        strengths = tuple(float(values[name]) for name in space.strength_sites)
         roles = Roles(world, stated, towards, strengths)
         if roles.is_possible:
             return roles
@@ -167,34 +150,10 @@ def in_world(prior: Callable[..., object], world: World) -> RolePrior:
 class Masses(NamedTuple):
     """Log prior masses of own goals and of ways to help or hinder, and the program's trace."""
 
+    name: str  # of the prior
     goals: FloatArray  # (agent, goal)
     company: FloatArray  # (way,), see ``hypothesis.company``
     trace: Mapping[str, Any]  # a run of the program
-
-
-def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...]) -> Factors:
-    """Return the masses that a prior gives to goals, ways to help or hinder, and strengths.
-
-    Args:
-        prior: NumPyro program of a world, or a ready-made one.
-        world: whose agents and goals.
-        levels: of strength, newtons, ascending; each stands for those nearest to it.
-
-    Raises:
-        InvalidSettingError: as of :func:`masses`, or strengths are all beyond the levels.
-    """
-    found = masses(prior, world)
-    forces = []
-    for site in strength_sites(world):
-        of_levels = _of_levels(found.trace[site]["fn"], np.array(levels))
-        if not np.isfinite(of_levels).any():
-            low, high = STRENGTH_RANGE
-            raise InvalidSettingError(
-                f"the prior {qualified_name(prior)} gives {site} no mass between {low:g} and "
-                f"{high:g} newtons"
-            )
-        forces.append(of_levels)
-    return Factors(found.goals, found.company, np.stack(forces))
 
 
 def masses(prior: Callable[..., object], world: World) -> Masses:
@@ -216,7 +175,8 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
     except Exception as error:  # whatever a user's program does
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise InvalidSettingError(f"the prior {name} cannot be run: {reason}") from error
-    wanted = (*goal_sites(world), COMPANY_SITE, *strength_sites(world))
+    space = space_of(world)
+    wanted = (*space.goal_sites, COMPANY_SITE, *space.strength_sites)
     for site in wanted:
         if site not in trace:
             raise InvalidSettingError(
@@ -253,14 +213,37 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
         return inside
 
     n_ways = len(hypothesis.company(len(world.agents)))
-    own = np.stack([of_site(site, len(world.goals)) for site in goal_sites(world)])
+    own = np.stack([of_site(site, space.n_goals) for site in space.goal_sites])
     for agent, goal in np.argwhere(np.isfinite(own)).tolist():
         if goal not in possible_goals(agent, world):
             raise InvalidSettingError(
                 f"the prior {name} gives mass to the goal {world.goals[goal]!r} of the "
                 f"{world.agents[agent]}, whom it names"
             )
-    return Masses(own, of_site(COMPANY_SITE, n_ways), trace)
+    return Masses(name, own, of_site(COMPANY_SITE, n_ways), trace)
+
+
+def log_strengths(prior: Masses, world: World, levels: tuple[float, ...]) -> FloatArray:
+    """Return (agent, level) log prior masses of strengths.
+
+    Args:
+        prior: its masses.
+        world: whose agents.
+        levels: newtons, ascending; each stands for those nearest to it.
+
+    Raises:
+        InvalidSettingError: strengths are all beyond the levels.
+    """
+    found = []
+    for site in space_of(world).strength_sites:
+        of_levels = _of_levels(prior.trace[site]["fn"], np.array(levels))
+        if not np.isfinite(of_levels).any():
+            low, high = STRENGTH_RANGE
+            raise InvalidSettingError(
+                f"the prior {prior.name} gives {site} no mass between {low:g} and {high:g} newtons"
+            )
+        found.append(of_levels)
+    return np.stack(found)
 
 
 def _of_levels(found: Any, levels: FloatArray) -> FloatArray:

@@ -13,20 +13,13 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.goal_filter import (
-    Conduct,
-    GoalFilter,
-    PairFilter,
-    PolicyFilter,
-    SearchSets,
-)
+from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models import effective, own_sites, roles
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import PHASE, World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,18 +73,6 @@ class StepwiseLikelihood:
         """How agents act on their plans."""
         return Conduct(self.sharpness, self.lapse)
 
-    def filter(
-        self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
-    ) -> GoalFilter:
-        """Return what takes in frames one by one, and says for each what hypotheses make of it.
-
-        ``log_prior`` is (goal_red, goal_green) in PHASE, in other worlds (agent, goal); the result
-        does not depend on ``threads``.
-        """
-        sets = SearchSets(scene, planner, self.tracking, seed, threads, self.planner_seeds)
-        kind = PairFilter if scene.world == PHASE else PolicyFilter
-        return kind(sets, self.conduct, self.weight, log_prior)
-
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain data."""
         return dataclasses.asdict(self)
@@ -109,5 +90,10 @@ def stepwise_prior(
     if world == PHASE:
         further = json.dumps(list(own_sites.further_sites(prior)))
         return {"log_prior": effective.prior_table(prior, levels)}, {"sites": further}
-    found = roles.factors(prior, world, levels)._asdict()
-    return {f"log_prior_{name}": values for name, values in found.items()}, {}
+    masses = roles.masses(prior, world)
+    found = {
+        "log_prior_goals": masses.goals,
+        "log_prior_company": masses.company,
+        "log_prior_strengths": roles.log_strengths(masses, world, levels),
+    }
+    return found, {}

@@ -15,7 +15,7 @@ import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis import stepwise_table
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.models.roles import factors
+from phase_ppl.models.roles import masses
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -252,6 +252,6 @@ def leaning(world: ppl.World) -> None:
 def test_priors_that_cannot_be_are_refused_in_one_line(prior: object, message: str) -> None:
     given = getattr(ppl.priors, prior) if isinstance(prior, str) else prior
     with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
-        factors(given, TRIO, (150.0, 600.0))
+        masses(given, TRIO)
     assert "\n" not in str(raised.value)
-    assert factors(dependent, TRIO, (150.0, 600.0)).company.shape == (25,)
+    assert masses(dependent, TRIO).company.shape == (25,)

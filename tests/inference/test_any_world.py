@@ -64,7 +64,7 @@ CHAINS = 15
 
 def few(world: World) -> None:
     """A prior with mass on 48 combinations, unequal ones."""
-    for name, masses in zip(roles.goal_sites(world), GOALS, strict=True):
+    for name, masses in zip(space_of(world).goal_sites, GOALS, strict=True):
         _one_of(name, masses, len(world.goals))
     _one_of("company", COMPANY, len(SPACE.ways))
     roles.strengths(world)

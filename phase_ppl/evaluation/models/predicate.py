@@ -14,13 +14,13 @@ from phase_ppl.evaluation.prediction import Prediction, pairs_of
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Observation
-from phase_ppl.world.hypothesis import RELATIONS, STRENGTH
+from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.models.predicate import Rationality, Thresholds
-    from phase_ppl.models.roles import Factors
+    from phase_ppl.models.roles import Masses
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class PredicateInversePlanning:
 
 
 @functools.lru_cache(16)
-def prior_in(world: World, name: str) -> Factors:
+def prior_in(world: World, name: str) -> Masses:
     """Return what the prior of that name is in another world than PHASE.
 
     InvalidSettingError: it is of PHASE only.
@@ -62,11 +62,11 @@ def prior_in(world: World, name: str) -> Factors:
     from phase_ppl.models.predicate import INDEPENDENT
 
     alone = functools.partial(roles.uniform, social=0.0)
-    return roles.factors(alone if name == INDEPENDENT else priors.named(name), world, (STRENGTH,))
+    return roles.masses(alone if name == INDEPENDENT else priors.named(name), world)
 
 
 def marginals(
-    log_likelihood: NDArray[np.float64], prior: Factors, world: World
+    log_likelihood: NDArray[np.float64], prior: Masses, world: World
 ) -> dict[str, NDArray[np.float64]]:
     """Return the probabilities of all effective goals and relations in any world.
 

@@ -23,21 +23,23 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.proposals.strength import Estimator, estimated_strengths
+from phase_ppl.inference.proposals.strength import estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Observation
-from phase_ppl.world.goals import N_GOALS, effective_goals, goal_literal
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.names import AGENTS, Predicate
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import space_of
+
+if TYPE_CHECKING:
+    from phase_ppl.inference.settings import SimpleSettings
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""
@@ -79,25 +81,10 @@ def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
     return BottomUpTables(longer(goal), longer(strength), longer(strength_sd), social)
 
 
-class Settings(Protocol):
-    """What decides the tables, of :class:`~phase_ppl.inference.settings.SimpleSettings`."""
-
-    @property
-    def window(self) -> int: ...
-    @property
-    def proposal(self) -> str: ...
-    @property
-    def gamma(self) -> float: ...
-    @property
-    def sign(self) -> str: ...
-    @property
-    def strength(self) -> str | Estimator: ...
-
-
 def bottom_up_tables(
     scene: Scene,
     observation: Observation,
-    settings: Settings,
+    settings: SimpleSettings,
     progress: bool | None = None,
 ) -> BottomUpTables:
     """Return the tables of an event under some settings.
@@ -129,24 +116,17 @@ def bottom_up_tables(
     return BottomUpTables(np.where(impossible, IMPOSSIBLE, logits), *estimates)
 
 
-_EFFECTIVE: Final = [
-    np.array([effective_goals(goal, goal, alpha) for goal in range(N_GOALS)]).T for alpha in ALPHAS
-]
-"""Per alpha, (agent, goal) what an agent does for each stated goal of the one it acts on."""
-
-
 def joint_logits(scores: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return unnormalised log probabilities of stated goals and alpha.
 
     From scores (..., agent, goal) of effective goals: (..., alpha, agent, goal) of the stated goals
     given alpha, and (..., alpha) beside the prior's.
     """
-    goal = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
-    goal = np.broadcast_to(goal, (*scores.shape[:-2], len(ALPHAS), *goal.shape)).copy()
-    for index, alpha in enumerate(ALPHAS):
-        for agent, effective in enumerate(_EFFECTIVE[index]):
-            owner = agent if alpha[agent] == 0 else 1 - agent  # of the goal that it acts on
-            goal[..., index, owner, :] += scores[..., agent, :][..., effective]
+    space = space_of(PHASE)
+    goal = np.zeros((*scores.shape[:-2], *space.becomes.shape))
+    for way, agent in np.ndindex(space.owner.shape):
+        of_agent = scores[..., agent, :]
+        goal[..., way, space.owner[way, agent], :] += of_agent[..., space.becomes[way, agent]]
     goal = np.where(SELF_REFERRING, IMPOSSIBLE, goal)
     evidence = np.logaddexp.reduce(goal, axis=-1).sum(axis=-1)
     return goal, evidence - evidence.max(axis=-1, keepdims=True)
