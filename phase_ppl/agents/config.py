@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from phase_ppl.world.checks import nonnegative_number, positive_number
+from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
 _REMOVED: Final = {"tree_reuse": False}
@@ -52,9 +52,7 @@ class PlannerConfig:
 
     def __post_init__(self) -> None:
         for name in ("particles", "simulations", "rollout_length", "inner_steps"):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < 1:
-                raise InvalidSettingError(f"{name}={value!r}, expected a whole number >= 1")
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         if not 0 < self.discount <= 1:
             raise InvalidSettingError(f"discount={self.discount!r}, expected a number in (0, 1]")
         for name in ("cost_weight", "c_init"):

@@ -1,4 +1,4 @@
-"""A posterior of an event gone back to: under another prior, in another world, and what is next."""
+"""What both kinds of posterior of an event offer: another prior, interventions, prediction."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.tree import kept_scene
+from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import GOALS
@@ -26,10 +29,28 @@ if TYPE_CHECKING:
 
 
 class EventPosterior(Hypotheses):
-    """What posteriors that were sampled and those read step by step have in common."""
+    """What posteriors that were sampled and those read step by step have in common.
 
-    _attrs: Mapping[Hashable, Any]
-    _constant: xr.Dataset
+    Args:
+        words: what one can ask for, in the event's world.
+        attrs: of the file.
+        constant: its variables that tell of the scene.
+        quantities, rows, groups, halves: as of :class:`Hypotheses`.
+    """
+
+    def __init__(
+        self,
+        words: Vocabulary,
+        attrs: Mapping[Hashable, Any],
+        constant: xr.Dataset,
+        quantities: Mapping[str, Quantity],
+        rows: Rows,
+        groups: NDArray[np.int64] | None = None,
+        halves: Sequence[NDArray[np.bool_]] = (),
+    ) -> None:
+        super().__init__(words.space, quantities, rows, groups, halves)
+        self._words, self._attrs, self._constant = words, attrs, constant
+        self._define_kept(attrs)
 
     @property
     def event_id(self) -> str:

@@ -9,7 +9,6 @@ import json
 import math
 import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias
 
 import numpy as np
@@ -30,7 +29,6 @@ from phase_ppl.world.errors import (
     QueryError,
     unknown_name,
 )
-from phase_ppl.world.names import AGENTS
 from phase_ppl.world.picture import LABEL, bars, preformatted
 from phase_ppl.world.space import HypothesisSpace
 
@@ -50,10 +48,6 @@ LEFT_OUT_OF_INTERVALS: Final = 1 / 3
 """Share of the chains that is left out at a time to see how ends of intervals vary."""
 
 MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refused
-GOALS_OF: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
-STRENGTHS_OF: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
-"""Agent -> the quantity that is its goal, its strength."""
-
 _LISTED: Final = 5  # labels that a message names at most, the most probable first
 
 
@@ -77,6 +71,7 @@ class Hypotheses:
     InvalidSettingError where a quantity has not what is asked for, or ``given`` has probability 0.
 
     Args:
+        space: of the world.
         quantities: by name.
         rows: the table; its values are codes or numbers of every quantity.
         groups: (row,) of which group of chains each row is, 0 and up; None: nothing was drawn in
@@ -84,34 +79,26 @@ class Hypotheses:
         halves: masks (row,) of the first and the last half of the draws, if these are to agree.
     """
 
-    # what summaries tell of: in words -> quantity
-    goals_of: Mapping[str, str] = GOALS_OF
-    relations_of: Mapping[str, str] = MappingProxyType({"relation": "relation"})
-    scenarios_of: Mapping[str, str] = MappingProxyType({"scenario": "scenario"})
-    strengths_of: Mapping[str, str] = STRENGTHS_OF
-
     def __init__(
         self,
+        space: HypothesisSpace,
         quantities: Mapping[str, Quantity],
         rows: Rows,
         groups: NDArray[np.int64] | None = None,
         halves: Sequence[NDArray[np.bool_]] = (),
     ) -> None:
+        world = space.world
+        # what summaries tell of: in words -> quantity
+        self.goals_of = dict(zip(world.agents, space.goal_sites, strict=True))
+        self.relations_of = relations_of(world)
+        self.scenarios_of = {"scenario": "scenario"} if space.is_phase else {}
+        self.strengths_of = dict(zip(world.agents, space.strength_sites, strict=True))
         self._quantities = dict(quantities)
         self._rows = rows
         self._groups = groups
         self._halves = tuple(halves)
         self._jackknives: dict[float, Jackknife | None] = {}
         self._own: dict[str, Definition] = {}  # of quantities that the user defined
-
-    def _tell_of(self, space: HypothesisSpace) -> None:
-        """Let summaries tell of the agents of a world."""
-        world = space.world
-        self.goals_of = dict(zip(world.agents, space.goal_sites, strict=True))
-        self.strengths_of = dict(zip(world.agents, space.strength_sites, strict=True))
-        self.relations_of = relations_of(world)
-        if not space.is_phase:
-            self.scenarios_of = {}
 
     def _repr_html_(self) -> str:
         return preformatted(self)
@@ -515,10 +502,8 @@ class Hypotheses:
         return self._quantity(name).numbers(self._rows.values[name])
 
     def _satisfied(self, wanted: Given) -> NDArray[np.bool_]:
-        result = np.ones(len(self._rows.weights), bool)
-        for clause in self._conditions(wanted).clauses:
-            result &= clause.holds(self._rows.values)
-        return result
+        holds = self._conditions(wanted).holds(self._rows.values)
+        return holds & np.ones(len(self._rows.weights), bool)  # without conditions one True
 
     def _conditions(self, given: Given) -> Conditions:
         """Return what is said of hypotheses, in words or by quantity."""

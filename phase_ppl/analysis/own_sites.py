@@ -24,6 +24,7 @@ from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.space import HypothesisSpace
 
 _GROUPS: Final = 20
 _DRAWS: Final = 1000  # of every group, whose differences are the Monte-Carlo error
@@ -59,19 +60,20 @@ class WithSites(Hypotheses):
     """A table of hypotheses and values of the prior's further sites.
 
     Args:
-        quantities, rows: as of :class:`Hypotheses`.
+        space, quantities, rows: as of :class:`Hypotheses`.
         summed: whether it has all values, or draws of them.
         errors: None where they are not known.
     """
 
     def __init__(
         self,
+        space: HypothesisSpace,
         quantities: Mapping[str, Quantity],
         rows: Rows,
         summed: bool,
         errors: Jackknife | Jackknives | None,
     ) -> None:
-        super().__init__(quantities, rows)
+        super().__init__(space, quantities, rows)
         self.summed = summed
         self._errors = errors
 
@@ -128,7 +130,7 @@ def with_sites(
     parts = [part for part in (by_chance, by_searches) if part is not None]
     rows = Rows(words.completed(columns), weights, {"draw": np.arange(len(weights))})
     errors = Jackknives(tuple(parts)) if len(parts) == 2 else None
-    return WithSites(quantities, rows, False, errors)
+    return WithSites(words.space, quantities, rows, False, errors)
 
 
 def _summed(
@@ -156,7 +158,7 @@ def _summed(
     of_hypotheses, *without = table.all_log_masses(frame)
     errors = _reweighted(weights, of_hypotheses, without, flat)
     rows = Rows(words.completed(columns), weights, {"row": np.arange(len(weights))})
-    return WithSites(quantities, rows, True, errors)
+    return WithSites(words.space, quantities, rows, True, errors)
 
 
 def _column(name: str, drawn: NDArray[Any], discrete: bool) -> tuple[Quantity, NDArray[Any]]:

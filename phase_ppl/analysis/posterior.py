@@ -17,7 +17,7 @@ from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
-from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, by_label, own_quantity
+from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
@@ -101,20 +101,18 @@ class Posterior(EventPosterior):
                 f"burn_in={self._burn_in}, but each chain has {n_draws} draws: expected fewer"
             )
         self._tree = tree
-        self._attrs, self._constant = tree.attrs, tree["constant_data"].to_dataset()
         self._kept = tree = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         self._weights = name
         rows = WEIGHTINGS[name](tree)
-        self._words = words = Vocabulary(space_of_tree(tree), scenario)
+        words = Vocabulary(space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), dict(words.quantities)
-        self._tell_of(words.space)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
         groups = chain_groups(tree)[rows.index["chain"]]
         rows = dataclasses.replace(rows, values=columns)
-        super().__init__(known, rows, groups, halves(tree, name, rows))
-        self._scenario = scenario
-        self._define_kept(tree.attrs)
+        constant = tree["constant_data"].to_dataset()
+        drawn = groups, halves(tree, name, rows)
+        super().__init__(words, tree.attrs, constant, known, rows, *drawn)
 
     @property
     def tree(self) -> xr.DataTree:
@@ -144,7 +142,7 @@ class Posterior(EventPosterior):
         if self._weights == "likelihood":
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
         tree = reweighted(self._tree, prior)
-        changed = Posterior(tree, self._weights, burn_in=self._burn_in, scenario=self._scenario)
+        changed = self._like(tree, self._weights)
         sizes = worth(changed.table.weights), worth(self.table.weights)
         check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
         tree.attrs["settings"] = settings_under(
@@ -153,8 +151,11 @@ class Posterior(EventPosterior):
         return changed._defining(self._own)
 
     def _under_weights(self, weights: str) -> Posterior:
-        other = Posterior(self._tree, weights, burn_in=self._burn_in, scenario=self._scenario)
-        return other._defining(self._own)
+        return self._like(self._tree, weights)._defining(self._own)
+
+    def _like(self, tree: xr.DataTree, weights: str) -> Posterior:
+        scenario = self._words.scenario
+        return Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
 
     def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.
@@ -226,7 +227,7 @@ class Posterior(EventPosterior):
             self._rows,
             self.leaders(),
             self._effective_size,
-            self._scenario,
+            self._words.scenario,
         )
 
     def over_time(self) -> xr.Dataset:
@@ -247,8 +248,13 @@ class Posterior(EventPosterior):
         codes = {name: simulations[name].values[rows] for name in words.space.goal_sites}
         codes |= words.relation_codes(codes)
         time = array(self._tree, "observed_data", "time")
-        found = by_label(time, codes, lambda indicators: weights.T @ indicators, words.quantities)
-        return found.assign_attrs(hindsight=HINDSIGHT, weights=weighting)
+        result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
+        for name, column in codes.items():
+            labels = list(words.quantities[name].categories())
+            indicators = column[:, None] == np.arange(len(labels))
+            result[name] = (("time", f"{name}_is"), weights.T @ indicators)
+            result = result.assign_coords({f"{name}_is": labels})
+        return result.assign_attrs(hindsight=HINDSIGHT, weights=weighting)
 
     @property
     def arviz(self) -> Any:
@@ -256,7 +262,7 @@ class Posterior(EventPosterior):
 
         See :func:`phase_ppl.analysis._arviz.arviz_data` for what is in there; nothing is simulated.
         """
-        return arviz_data(self._kept, self._scenario)
+        return arviz_data(self._kept, self._words.scenario)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write draws and simulations to ``path`` as NetCDF, whole or not at all.

@@ -35,7 +35,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import array
-from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import (
@@ -251,13 +250,6 @@ def relation_codes(
     return {"relation": relation_of[codes], "scenario": codes}
 
 
-def derived_codes(
-    goal_red: NDArray[Any], goal_green: NDArray[Any], scenario: ScenarioFunction | None = None
-) -> dict[str, NDArray[np.int64]]:
-    """Return the codes of all that follows from pairs of effective goals, arrays (row,)."""
-    return relation_codes(goal_red, goal_green, scenario) | part_codes(goal_red, goal_green)
-
-
 @dataclasses.dataclass(frozen=True)
 class Vocabulary:
     """What one can ask posteriors of a world for, and how it follows from a hypothesis.
@@ -298,30 +290,10 @@ class Vocabulary:
         Beside PHASE without stated goals, which of those who help or hinder mean nothing.
         """
         if self.space.is_phase:
-            derived = derived_codes(columns["goal_red"], columns["goal_green"], self.scenario)
-            return {**columns, **derived}
+            parts = part_codes(columns["goal_red"], columns["goal_green"])
+            return {**columns, **self.relation_codes(columns), **parts}
         own = {k: v for k, v in columns.items() if k not in self.space.columns}
         sites = (*self.space.goal_sites, *self.space.strength_sites)
         kept = {name: columns[name] for name in sites if name in columns}
         alphas = self.space.alpha_codes(columns[self.space.company_site])
         return {**kept, **self.relation_codes(columns), **alphas, **own}
-
-
-def by_label(
-    time: NDArray[np.float64],
-    codes: Mapping[str, NDArray[np.int64]],
-    masses: Callable[[NDArray[np.bool_]], FloatArray],
-    known: Mapping[str, Quantity],
-) -> xr.Dataset:
-    """Return probabilities (time, label) of each of the quantities that have codes.
-
-    ``codes`` are (row,) of the hypotheses; ``masses`` makes of (row, label), which of them have a
-    label, (time, label) what these weigh.
-    """
-    result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
-    for name in codes:
-        labels = list(known[name].categories())
-        indicators = codes[name][:, None] == np.arange(len(labels))
-        result[name] = (("time", f"{name}_is"), masses(indicators))
-        result = result.assign_coords({f"{name}_is": labels})
-    return result

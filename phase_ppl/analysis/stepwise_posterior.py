@@ -27,7 +27,6 @@ from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.stepwise_table import (
     MOST_HYPOTHESES,
     SCHEMAS,
-    SITES,
     PairTable,
     PolicyTable,
     Table,
@@ -38,12 +37,12 @@ from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     QueryError,
     UnknownNameError,
-    shown,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import check_output, existing_file, write_bytes
@@ -117,17 +116,15 @@ class StepwisePosterior(EventPosterior):
         self._table: Table = table_of(found) if table is None else table
         self._found = found
         self._prior = prior if self._table.space.is_phase else None  # further sites are for PHASE
-        self._frame = frame_of(frame, self._table.n_frames)
+        last = self._table.n_frames - 1
+        self._frame = last if frame is None else whole_number("frame", frame, 0, last)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        self._words = words = Vocabulary(self._table.space, scenario)
-        self._tell_of(words.space)
-        self._attrs, self._constant = found.attrs, found
+        words = Vocabulary(self._table.space, scenario)
         rows, without = self._table.rows(self._frame)
         n = self.planner_seeds
         self._over_sets = Jackknife(without, n - 1.0) if n > 1 else None
         rows = dataclasses.replace(rows, values=words.completed(rows.values))
-        super().__init__(words.quantities, rows)
-        self._define_kept(found.attrs)
+        super().__init__(words, found.attrs, found, words.quantities, rows)
 
     @functools.cached_property
     def sites(self) -> WithSites:
@@ -155,7 +152,7 @@ class StepwisePosterior(EventPosterior):
     @functools.cached_property
     def _site_names(self) -> tuple[str, ...]:
         """The further sites of the prior."""
-        return tuple(json.loads(self._found.attrs.get(SITES, "[]")))
+        return tuple(json.loads(self._found.attrs.get("sites", "[]")))
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:
@@ -565,17 +562,6 @@ class StepwisePosterior(EventPosterior):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
-
-
-def frame_of(frame: int | None, n_frames: int) -> int:
-    """Return the frame that is meant: one of so many, None the last."""
-    if frame is None:
-        return n_frames - 1
-    if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
-        raise InvalidSettingError(f"frame={shown(frame)}, expected a whole number")
-    if not 0 <= frame < n_frames:
-        raise InvalidSettingError(f"frame={frame}, expected a number in 0..{n_frames - 1}")
-    return int(frame)
 
 
 def _verdict(found: Mapping[str, Any]) -> str:

@@ -31,9 +31,6 @@ from phase_ppl.world.hypothesis import ALPHAS, effective_pairs, effective_table
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import space_of
 
-SITES: Final = "sites"
-"""Attribute that names the further sites of the prior, JSON."""
-
 STATED: Final = ("stated_goal_red", "stated_goal_green", "alpha")
 STRENGTHS: Final = ("strength_red", "strength_green")
 

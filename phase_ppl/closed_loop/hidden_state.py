@@ -27,7 +27,7 @@ from phase_ppl.physics.constants import WORLD_INNER_STEPS
 from phase_ppl.physics.flat import to_state
 from phase_ppl.simulator.joint import Past
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.checks import nonnegative_number, positive_number
+from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import State
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
@@ -146,8 +146,7 @@ class Tracking:
             )
         if len(set(self.strengths)) < len(self.strengths):
             raise InvalidSettingError(f"strengths={self.strengths}: a strength is named twice")
-        if isinstance(self.states, bool) or not isinstance(self.states, int) or self.states < 1:
-            raise InvalidSettingError(f"states={self.states!r}, expected a whole number >= 1")
+        object.__setattr__(self, "states", whole_number("states", self.states))
         for name in ("scale", "angle_scale", "tail", "strength_weight"):
             positive_number(name, getattr(self, name))
         if self.noise is not None:

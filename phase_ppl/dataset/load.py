@@ -41,19 +41,8 @@ PHASE_PICKLE: Final = "phase-pickle"
 
 def bundled_events() -> list[str]:
     """Return the names of the bundled events, sorted."""
-    folder = _folder()
-    if not folder.is_dir():
-        return []
-    names = (file.name for file in folder.iterdir())
+    names = (file.name for file in _folder().iterdir())
     return sorted(name.removesuffix(_JSON) for name in names if name.endswith(_JSON))
-
-
-def load_bundled(name: str) -> Event:
-    """Return the bundled event ``name``."""
-    names = bundled_events()
-    if name not in names:
-        raise unknown_name("bundled event", name, names)
-    return event_from_record(parse_document((_folder() / f"{name}{_JSON}").read_bytes()))
 
 
 def _folder() -> Traversable:
@@ -131,7 +120,8 @@ def _entries(path: PathLike, format: str | None) -> Entries:
         raise unknown_name("format", format, [PHASE_PICKLE])
     bundled = None if format else _bundled_name(path)
     if bundled is not None:
-        return [(bundled, functools.partial(load_bundled, bundled))]
+        file = _folder() / f"{bundled}{_JSON}"
+        return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]
     from phase_ppl.dataset import phase_test
     from phase_ppl.dataset.hdf5 import is_hdf5
 
@@ -180,8 +170,9 @@ def _bundled_name(path: PathLike) -> str | None:
     if name not in known:
         if plain.exists():
             return None
-        bundled = f" and no such bundled event ({', '.join(known)})" if known else ""
-        raise InvalidEventError(f"{path}: no such file{bundled}")
+        raise InvalidEventError(
+            f"{path}: no such file and no such bundled event ({', '.join(known)})"
+        )
     return name
 
 

@@ -29,9 +29,11 @@ if TYPE_CHECKING:
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
-_NOT_REFUSED: Final = ("workers", "progress", "versions", "began")
-"""Not refused for a video read step by step: it uses the first two; the others are made anew in
-every call."""
+_OF_SAMPLING: Final = (
+    *("iterations", "budget", "on_failure", "retries", "simulation_seconds", "executor"),
+    *("checkpoint", "burn_in", "weights"),
+)
+"""Options of a run that are refused for a video read step by step."""
 
 
 @overload
@@ -157,7 +159,8 @@ def infer(
             f"preset={shown(kernel_options['preset'])} stands for several arguments: write "
             "infer(event, **phase_ppl.preset(...))"
         )
-    given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
+    given = {name: getattr(options, name) for name in _OF_SAMPLING}
+    given |= {"chains": chains, "settings": settings, **kernel_options}
     check_event(event)
     settings = SimpleSettings.of(event.scene.world) if settings is None else settings
     if model is None and kernel is None and event.scene.world != PHASE:
@@ -166,10 +169,8 @@ def infer(
         model = Model(likelihood=StepwiseLikelihood())
     model = _complete_model(model, planner, settings)
     if kernel is None and is_stepwise(model.likelihood):
-        usual = {**vars(RunOptions()), "chains": CHAINS}
         for name, value in given.items():
-            of_run = name in _NOT_REFUSED and name not in kernel_options
-            if not of_run and value != usual.get(name):
+            if value != (CHAINS if name == "chains" else getattr(RunOptions, name, None)):
                 raise InvalidSettingError(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"

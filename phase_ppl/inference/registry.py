@@ -28,6 +28,7 @@ from numpyro.infer.hmc import HMC
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.models.program import EventProgram
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.registry import Registry
 
@@ -137,8 +138,7 @@ def register_kernel(
     """
     if validity not in VALIDITIES:
         raise InvalidSettingError(f"validity={validity!r} is none of {VALIDITIES}")
-    if isinstance(sims_per_step, bool) or not isinstance(sims_per_step, int) or sims_per_step < 1:
-        raise InvalidSettingError(f"sims_per_step={sims_per_step!r}, expected a number >= 1")
+    whole_number("sims_per_step", sims_per_step)
     for given, allowed in ((needs, NEEDS), ((keeps,), KEEPS)):
         for entry in given:
             if entry not in allowed:

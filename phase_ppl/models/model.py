@@ -276,7 +276,7 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
         raise InvalidSettingError(
             f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
         ) from error
-    if priors.is_ready_made(given):
+    if priors.name_of(given):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     if isinstance(prior, WorldPrior):
         masses(prior)

@@ -75,21 +75,21 @@ def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
-
-    def decorate(prior: AnyProgram) -> AnyProgram:
-        keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(name, lambda one, _: one)
-        return keep(prior)
-
-    return decorate
+    return PRIORS.register(name, lambda one, _: one)
 
 
 def _ready_made(prior: AnyProgram) -> AnyProgram:
     return register_prior(prior.__name__)(prior)
 
 
-def is_ready_made(prior: Program) -> bool:
-    """Return whether a prior is one of this module's."""
-    return getattr(prior, "__module__", "") == __name__ and prior in PRIORS.entries.values()
+def name_of(prior: Program) -> str | None:
+    """Return the name of a prior of this module; None for another.
+
+    That of another package may not be there, or be another by then.
+    """
+    if getattr(prior, "__module__", "") != __name__:
+        return None
+    return next((name for name, known in PRIORS.entries.items() if known is prior), None)
 
 
 @_ready_made

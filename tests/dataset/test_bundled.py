@@ -7,13 +7,7 @@ from pathlib import Path
 import pytest
 
 from phase_ppl.dataset import load
-from phase_ppl.dataset.load import (
-    bundled_events,
-    load_bundled,
-    load_event,
-    load_events,
-    save_event,
-)
+from phase_ppl.dataset.load import bundled_events, load_event, load_events, save_event
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 from phase_ppl.world.hypothesis import scenario
 from tests.world.examples import make_event
@@ -34,7 +28,7 @@ def two_bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("two_bundled")
 def test_a_bundled_event_is_loaded_by_its_name() -> None:
     assert bundled_events() == ["chase", "meet"]
-    assert load_bundled("meet").id == "meet"
+    assert load_event("meet").id == "meet"
     for name in ("chase", "chase.json", Path("chase.json")):
         assert load_event(name).id == "chase"
         assert load_events(name)[0].id == "chase"
@@ -67,24 +61,13 @@ def test_a_missing_file_in_a_folder_is_not_replaced_by_a_bundled_event() -> None
 def test_an_unknown_name_is_answered_with_the_bundled_ones() -> None:
     with pytest.raises(InvalidEventError, match=r"chasing: no such file .* \(chase, meet\)"):
         load_event("chasing")
-    with pytest.raises(UnknownNameError, match=r"unknown bundled event 'chasing'.*'chase'"):
-        load_bundled("chasing")
     with pytest.raises(UnknownNameError, match="chase: unknown video 'other'"):
         load_event("chase", video="other")
 
 
-def test_without_bundled_events_there_are_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(load, "_folder", lambda: tmp_path / "nowhere")
-    assert bundled_events() == []
-    with pytest.raises(InvalidEventError, match=r"no such file$"):
-        load_event("chase")
-
-
 @pytest.mark.parametrize("name", bundled_events())
 def test_every_bundled_event_carries_its_name_and_a_consistent_truth(name: str) -> None:
-    event = load_bundled(name)
+    event = load_event(name)
     assert event.id == name
     assert event.truth is not None
     assert event.truth.scenario == scenario(event.truth.goal_red, event.truth.goal_green)

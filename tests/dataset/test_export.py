@@ -16,7 +16,7 @@ from phase_ppl.dataset.authors.videos import video
 from phase_ppl.dataset.generation.copies import recoloured
 from phase_ppl.dataset.generation.making import event_of
 from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of
-from phase_ppl.dataset.load import bundled_events, export_events, load_bundled, load_events
+from phase_ppl.dataset.load import bundled_events, export_events, load_event, load_events
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS
@@ -51,7 +51,7 @@ def assert_same(one: Event, other: Event) -> None:
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_copies_and_bundled_events_come_back_the_same(tmp_path: Path, format: str) -> None:
-    events = [*copies(), *map(load_bundled, bundled_events())]
+    events = [*copies(), *map(load_event, bundled_events())]
     for event, back in zip(events, exported(events, tmp_path, format), strict=True):
         assert_same(event, back)
 

@@ -28,7 +28,7 @@ from strength_training import (
 )
 
 from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES
-from phase_ppl.dataset.load import bundled_events, load_bundled
+from phase_ppl.dataset.load import bundled_events, load_event
 from phase_ppl.inference.proposals.strength import (
     ESTIMATORS,
     N_FEATURES,
@@ -49,7 +49,7 @@ from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.scene import Scene
 
-EVENT = load_bundled("collaborate")
+EVENT = load_event("collaborate")
 TRAJECTORY = EVENT.observation.trajectory
 RADIUS = EVENT.scene.radius
 ALL = np.array([[0, len(TRAJECTORY) - 1]])
@@ -223,7 +223,7 @@ def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     shipped_network.cache_clear()
     for name in bundled_events():
-        event = load_bundled(name)
+        event = load_event(name)
         tables = bottom_up_tables(event.scene, event.observation, SimpleSettings())
         assert np.isfinite(tables.strength_sd).any()
 

@@ -66,8 +66,8 @@ class Recipe(NamedTuple):
 
 
 _LENGTHS: Final = (16, 128)
-"""Of arrays of frames; beyond, twice the last as often as it takes. Nearly all events have the
-second in common."""
+"""Lengths to which arrays of frames are padded; longer videos take the next doubling of the last.
+Nearly all events have the second in common."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -128,12 +128,12 @@ class Run:
     def again(self) -> dict[str, Any]:
         """Return what makes the run again from a file; None for what is no plain data."""
         model = self.model
-        prior, stored = _our_prior(model), None
+        prior, stored = priors.name_of(as_given(model.prior)), None
         if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
             stored = {
                 "prior": prior,
                 "beta": model.likelihood.beta,
-                "planner": model.fingerprint()["planner"],
+                "planner": model.planner_config().to_dict(),
                 "noise": model.noise,
             }
         return {
@@ -184,14 +184,6 @@ class Run:
             lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}),
             random.split(random.key(0), self.chains),
         )
-
-
-def _our_prior(model: Model) -> str | None:
-    """Return the name of a model's prior if it is one of this package's, else None."""
-    given = as_given(model.prior)
-    if not getattr(given, "__module__", "").startswith(_OURS):
-        return None  # another package's may not be there, or be another by then
-    return next((name for name, known in priors.PRIORS.items() if known is given), None)
 
 
 def check_event(given: object) -> None:
@@ -255,9 +247,7 @@ def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
-    identity = _identity(recipe)
-    names = (None, None) if identity is None else (f"init of {identity}", f"step of {identity}")
-    return Hosted(init, names[0]), Hosted(step, names[1])
+    return Hosted(init, _identity(recipe, "init")), Hosted(step, _identity(recipe, "step"))
 
 
 @remembered(_KEPT_PROGRAMS)
@@ -275,22 +265,24 @@ def compiled_given(recipe: Recipe) -> Hosted:
         assert isinstance(kernel, LocalMH), "it is registered by that name"
         return jax.vmap(kernel.simulate_given)(keys, given, log_floor)
 
-    identity = _identity(recipe)
-    return Hosted(simulate, None if identity is None else f"given sites of {identity}")
+    return Hosted(simulate, _identity(recipe, "given sites"))
 
 
-def _identity(recipe: Recipe) -> str | None:
-    """Return what tells a recipe from others, if all of its code is this package's; else None."""
+def _identity(recipe: Recipe, what: str) -> str | None:
+    """Return what tells ``what`` is compiled of a recipe from others.
+
+    None unless all of its code is this package's.
+    """
     info, options, model, settings, length = recipe
     plain = _plain(dict(options))
     known = KERNELS.entries.get(info.name) is info and info.factory.__module__.startswith(_OURS)
     if plain is None or not known:
         return None
-    prior, likelihood = _our_prior(model), model.error_likelihood
+    prior, likelihood = priors.name_of(as_given(model.prior)), model.error_likelihood
     if prior is None or type(likelihood) not in _BY_FRAME:
         return None
     numbers = settings.eta, settings.window, settings.prior_share
     parts = info.name, plain, prior, model.noise, numbers, length
     kind = likelihood if isinstance(likelihood, RadialLikelihood) else "nats"
     world = f" {model.prior.world.to_dict()!r}" if isinstance(model.prior, WorldPrior) else ""
-    return f"{parts!r} {kind!r}{world}"
+    return f"{what} of {parts!r} {kind!r}{world}"

@@ -172,7 +172,7 @@ def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
     if is_stepwise(run.model.likelihood):
         for name in ("executor", "on_failure", "retries", "simulation_seconds"):
             given = getattr(options, name)
-            if given != getattr(RunOptions(), name):
+            if given != getattr(RunOptions, name):
                 raise InvalidSettingError(
                     f"{name}={shown(given)}: a stepwise likelihood simulates nothing"
                 )
