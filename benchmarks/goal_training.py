@@ -30,7 +30,7 @@ from tqdm.auto import tqdm
 from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
 from phase_ppl.inference.proposals.tables import (
     FEATURES,
-    GOAL_PARTS,
+    GOALS_ABOUT,
     KINDS,
     WEIGHTS_FILE,
     goal_features,
@@ -188,7 +188,7 @@ def log_proposal(weights: jax.Array, features: Array, goals: Array) -> jax.Array
 
     Weights are (kind, feature), features (event, ..., agent, goal, feature).
     """
-    scores = (jnp.asarray(features) * weights[jnp.asarray(GOAL_PARTS.kind)]).sum(axis=-1)
+    scores = (jnp.asarray(features) * weights[jnp.asarray(GOALS_ABOUT.kind)]).sum(axis=-1)
     joint = jnp.asarray(_log_prior()) + scores[..., 0, :, None] + scores[..., 1, None, :]
     total = logsumexp(joint, axis=(-2, -1))
     true = jax.vmap(lambda table, pair: table[..., pair[0], pair[1]])(joint, jnp.asarray(goals))

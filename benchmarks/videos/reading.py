@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import time
@@ -228,7 +229,8 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     sets = Recorder(
         event.scene, PlannerConfig.fast(), likelihood.tracking, seed, 1, likelihood.planner_seeds
     )
-    with PairFilter(sets, likelihood.conduct, likelihood.weight, log_prior()) as goals:
+    goals = PairFilter(sets, likelihood.conduct, likelihood.weight, log_prior())
+    with contextlib.closing(goals):
         readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began
     unexplained, log_peak = (

@@ -80,8 +80,8 @@ class Standpoints:
 
     Attributes:
         alike: standpoints in groups that differ in the goal of one other agent only.
-        n: standpoints. In the company of one other agent they are the pairs of effective goals,
-            the first agent's times the number of goals plus the second's.
+        n: standpoints. Of two agents they are the pairs of effective goals, the first agent's times
+            the number of goals plus the second's.
     """
 
     def __init__(self, agent: int, world: World) -> None:

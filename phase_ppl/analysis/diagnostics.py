@@ -124,7 +124,10 @@ def diagnostics(
         "move_rate": float((pair[:, 1:] != pair[:, :-1]).mean()) if n_draws > 1 else None,
         "distinct_hypotheses": len(
             set(
-                zip(*(posterior[name].values.ravel().tolist() for name in space.given), strict=True)
+                zip(
+                    *(posterior[name].values.ravel().tolist() for name in space.kept_columns),
+                    strict=True,
+                )
             )
         ),
         "distinct_goal_pairs": len(np.unique(pair)),
@@ -193,7 +196,7 @@ def untried_rivals(
 ) -> NDArray[np.int64]:
     """Return (rival, agent) the rivals of the leading goals that were never simulated.
 
-    None where no prior is kept, by which it can be told what is possible.
+    No rows where the file keeps no prior, which says what is possible.
 
     A rival differs in the landmark of one agent's goal, about the same entity and of the same sign.
     """

@@ -171,7 +171,10 @@ class Posterior(EventPosterior):
         row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
         space = self._words.space
         return space.hypothesis(
-            {site: row[name].item() for site, name in zip(space.sites, space.given, strict=True)}
+            {
+                site: row[name].item()
+                for site, name in zip(space.sites, space.kept_columns, strict=True)
+            }
         )
 
     def map_record(self) -> dict[str, Any]:
@@ -300,10 +303,10 @@ class Posterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
-        from phase_ppl.analysis.stepwise_posterior import is_stepwise
+        from phase_ppl.analysis.stepwise_posterior import holds_stepwise
         from phase_ppl.dataset.hdf5 import read_netcdf
 
-        if is_stepwise(source):
+        if holds_stepwise(source):
             raise InvalidEventError(
                 f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
             )
@@ -420,9 +423,9 @@ def load_posterior(
         InvalidSettingError: weights or a burn-in for one that has no draws.
         UnknownNameError: there are no such weights.
     """
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, holds_stepwise
 
-    if not is_stepwise(existing_file(path)):
+    if not holds_stepwise(existing_file(path)):
         return Posterior.load(path, weights, burn_in=burn_in, scenario=scenario)
     for name, given in (("weights", weights), ("burn_in", burn_in)):
         if given is not None:

@@ -148,7 +148,9 @@ def understood(
     meaning = _Meaning(quantities, text)
     for place, name in enumerate(query.names):
         meaning.check_asked(query.question, name, query.names[:place])
-    event, given = (meaning.conditions(part) if part else None for part in query[3:5])
+    event, given = (
+        meaning.conditions(part) if part else None for part in (query.event, query.given)
+    )
     return query, event, given
 
 

@@ -215,7 +215,7 @@ class StepwisePosterior(EventPosterior):
     @property
     def planner_seeds(self) -> int:
         """Independent sets of beliefs and searches that were made."""
-        return self._table.n_seeds
+        return self._table.n_sets
 
     @property
     def dataset(self) -> xr.Dataset:
@@ -341,7 +341,7 @@ class StepwisePosterior(EventPosterior):
         """
         space, best = self._table.space, self._table.most_probable(self._frame)
         return space.hypothesis(
-            {site: best[name] for site, name in zip(space.sites, space.given, strict=True)}
+            {site: best[name] for site, name in zip(space.sites, space.kept_columns, strict=True)}
         )
 
     def over_time(self) -> xr.Dataset:
@@ -495,7 +495,7 @@ class StepwisePosterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
-        if not is_stepwise(source):
+        if not holds_stepwise(source):
             raise InvalidEventError(
                 f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
             )
@@ -607,6 +607,6 @@ def _verdict(found: Mapping[str, Any]) -> str:
     return " ".join(signs)
 
 
-def is_stepwise(path: str | os.PathLike[str]) -> bool:
+def holds_stepwise(path: str | os.PathLike[str]) -> bool:
     """Whether a file holds a posterior that was read step by step."""
     return root_attribute(path, "schema") in SCHEMAS

@@ -146,14 +146,14 @@ class Table:
         return tuple(np.unique(self.combinations).tolist())
 
     @property
-    def n_seeds(self) -> int:
+    def n_sets(self) -> int:
         """Sets of searches."""
         return max(1, int(self._found.sizes["planner_seed"]))
 
     @property
     def n_tables(self) -> int:
         """Masses there are of each hypothesis: with all sets of searches, and without each."""
-        return 1 + (self.n_seeds if self.n_seeds > 1 else 0)
+        return 1 + (self.n_sets if self.n_sets > 1 else 0)
 
     # --- masses of goals ------------------------------------------------------------------------
 
@@ -435,7 +435,7 @@ class PolicyTable(Table):
 
     def _of_frame(self, t: int, n_tables: int) -> FloatArray:
         """Return (table, row) log likelihoods of one frame, of so many tables."""
-        n, n_sets = self.space.n_agents, self.n_seeds
+        n, n_sets = self.space.n_agents, self.n_sets
         density = self._found["density"].values[t]
         relative = np.exp(density - density.max()).reshape((N_ACTIONS,) * n)
         policies = self._found["policies"].values[t].astype(np.float64)
@@ -546,7 +546,7 @@ def table_of(found: xr.Dataset) -> Table:
     return kind(found)
 
 
-def log_prior_of_pairs(log_prior: FloatArray) -> FloatArray:
+def summed_by_pair(log_prior: FloatArray) -> FloatArray:
     """Return (goal_red, goal_green) log prior masses of pairs of effective goals."""
     found = np.full(N_GOALS**2, -np.inf)
     of_stated = np.logaddexp.reduce(log_prior.reshape(*log_prior.shape[:3], -1), axis=-1)

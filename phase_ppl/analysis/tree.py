@@ -170,7 +170,7 @@ def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:
 
     A draw and its simulation share hypothesis and seed; -1 where no completed simulation does.
     """
-    names = [*space_of_tree(tree).given, "seed"]
+    names = [*space_of_tree(tree).kept_columns, "seed"]
     seeds = array(tree, "sample_stats", "sim_seed")
     draws = {**{name: array(tree, "posterior", name) for name in names[:-1]}, "seed": seeds}
     simulations = tree["simulations"].dataset
@@ -309,7 +309,8 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     space = space_of_tree(tree)
     own = [str(name) for name in draws.data_vars if name not in space.columns]
     columns = {
-        name.removeprefix("stated_"): simulations[name].values for name in (*space.given, *own)
+        name.removeprefix("stated_"): simulations[name].values
+        for name in (*space.kept_columns, *own)
     }
     goals = effective_goals(tree, "simulations")
     strengths = {name: columns[name] for name in space.strength_sites}
@@ -323,7 +324,7 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
         change = effective - simulations["log_prior_effective"].values
         stated = drawn_stated(program, goals, np.stack(list(strengths.values()), axis=1))
         simulations, draws = simulations.drop_vars(own), draws.drop_vars(own)
-        for name, codes in zip(space.given, stated.T, strict=False):
+        for name, codes in zip(space.kept_columns, stated.T, strict=False):
             simulations[name] = simulations[name].copy(data=codes.astype(simulations[name].dtype))
             draws[name] = draws[name].copy(data=simulations[name].values[rows])
     simulations["log_prior"] = simulations["log_prior"] + change

@@ -17,9 +17,10 @@ of the frame after every joint action. What that says of hypotheses is worked ou
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +47,8 @@ class Looked(NamedTuple):
     """One agent's plans at one moment, by one set of beliefs and searches."""
 
     roots: list[RootStatistics]  # of every intent, what its search found
-    # (standpoint,) index of the intent, or ``NO_INTENT``: of a pair of goals in PHASE, in other
-    # company as ``agents.standpoints`` numbers them
+    # (standpoint,) index of the intent, or ``NO_INTENT``: of a pair of goals where there are two
+    # agents, with other numbers of agents as ``agents.standpoints`` numbers them
     intent_of: IntArray
 
 
@@ -204,10 +205,11 @@ class GoalFilter:
     Args:
         sets: beliefs and searches; they go along with the filter, and end with it.
         conduct: how agents act on their plans.
-        weight: what a frame counts as evidence, and
-        log_prior: log prior masses of goals; both only say which goals are probable by now.
+        weight: what a frame counts as evidence.
+        log_prior: log prior masses of goals. With the weight it only says which goals are probable
+            by now.
 
-    Use it as a context manager, or call ``close()``, to end its threads.
+    Call ``close()`` to end its threads.
 
     Attributes:
         combinations: (combination, agent) strengths that are followed, newtons.
@@ -219,12 +221,6 @@ class GoalFilter:
         self._sets, self._conduct, self._weight = sets, conduct, weight
         self._log_mass = log_prior.copy()
         self.combinations = sets.hidden.combinations
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the threads."""
@@ -495,6 +491,6 @@ def warm_up() -> None:
     scene = scene_in_reach()
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
     sets, flat = SearchSets(scene, planner, tracking), np.zeros((N_GOALS, N_GOALS))
-    with PairFilter(sets, Conduct(1.0, 1.0), 1.0, flat) as goals:
+    with contextlib.closing(PairFilter(sets, Conduct(1.0, 1.0), 1.0, flat)) as goals:
         for _ in range(2):
             goals.read(scene.start)

@@ -204,7 +204,7 @@ class HiddenState:
             np.arange(n),
             np.zeros(n),
         )
-        self._evidence = np.zeros(n)  # log, of each pair of strengths
+        self._evidence = np.zeros(n)  # log, of each combination of strengths
         # each part of the beam has a work space; its forces are overwritten state by state
         strongest = (max(tracking.strengths),) * n_agents
         self._spaces = [

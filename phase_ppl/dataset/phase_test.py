@@ -37,7 +37,7 @@ from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Ev
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
 from phase_ppl.world.names import ENTITIES, LANDMARKS
-from phase_ppl.world.scene import LANDMARK_HALF_WIDTH, Scene, check_phase, finite_array
+from phase_ppl.world.scene import LANDMARK_HALF_WIDTH, Scene, check_is_phase, finite_array
 
 FORMAT: Final = "phase-test-1"
 
@@ -141,7 +141,7 @@ def videos_bytes(videos: Sequence[Mapping[str, Any]], scene: Scene) -> bytes:
 def video(event: Event, like: Scene) -> dict[str, Any]:
     """Return the JSON object of one event of a document, in the arena of the scene ``like``."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
-    check_phase(scene, "this format")
+    check_is_phase(scene.world, "this format")
     check_start(event)
     if (scene.arena, scene.landmark_half_width) != (like.arena, like.landmark_half_width):
         raise InvalidEventError("its arena is not that of the first event")

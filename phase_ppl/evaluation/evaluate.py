@@ -33,7 +33,7 @@ from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
-from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.scene import Scene, check_is_phase
 from phase_ppl.world.shards import SHARD, Shard
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def evaluate(
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)
     if observer is not None:
-        check_phase(chosen[0].scene, "an observer of people")
+        check_is_phase(chosen[0].scene.world, "an observer of people")
         from phase_ppl.evaluation.observers.fit import observed  # needs JAX
 
         asked = observed(asked, observer)

@@ -21,7 +21,7 @@ from phase_ppl.models.observer.perception import Perception
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
-from phase_ppl.world.scene import check_phase
+from phase_ppl.world.scene import check_is_phase
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
@@ -75,7 +75,7 @@ def fit_people(
         whole_number(name, number)
     program, name = as_observer(observer)
     everything = all_events(events)
-    check_phase(everything[0].scene, "fit_people")
+    check_is_phase(everything[0].scene.world, "fit_people")
     study = judgments
     if study is not None and not isinstance(study, Study):
         study = load_judgments(study, everything)
@@ -97,7 +97,7 @@ def evidence_from(
 ) -> Evidence:
     """Return what observers have to go by; arguments and errors as of :func:`fit_people`."""
     for judged_event in events:  # before a model is asked
-        check_phase(judged_event.scene, "an observer of people")
+        check_is_phase(judged_event.scene.world, "an observer of people")
     if isinstance(source, Evidence):
         return source
     if source is None or isinstance(source, Mapping):

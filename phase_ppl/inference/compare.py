@@ -75,7 +75,7 @@ from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 from phase_ppl.world.identity import versions, versions_so_far
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import is_shown
-from phase_ppl.world.scene import PHASE, check_phase
+from phase_ppl.world.scene import PHASE, check_is_phase
 from phase_ppl.world.shards import SHARD, Shard
 
 PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
@@ -232,8 +232,8 @@ class Reference:
         if reference == ENUMERATION or (
             isinstance(reference, tuple) and reference[:1] == (ENUMERATION,)
         ):
-            check_phase(
-                event.scene, 'a reference by enumeration (the kernel "enumerate" is another)'
+            check_is_phase(
+                event.scene.world, 'a reference by enumeration (the kernel "enumerate" is another)'
             )
             per_pair = _per_pair(reference) if isinstance(reference, tuple) else PER_PAIR
             return cls(None, True, None, budget, weights, per_pair)

@@ -65,8 +65,7 @@ class KernelInfo:
     # after the last one; "start", all and the initial ones
     keeps: Keeps = "all"
     weighted: bool = False  # whether draws carry a weight, the state's ``log_weight``
-    # name of the weighting that makes a posterior of a run, where its draws, counted, are none;
-    # none: they are
+    # weighting to use where counting the draws gives no posterior; None: counting does
     weights: str | None = None
     # whether arrays of frames may be longer than the observation, so that one compiled program
     # serves events of all lengths: how many frames count is then ``program.observed`` instead of

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 import phase_ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, log_prior_of_pairs
+from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, summed_by_pair
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import (
     PairFilter,
@@ -81,7 +81,7 @@ class Watch:
             checked_sites(self.model.prior)
         self._prior, self._attrs = stepwise_prior(self.model.prior, scene.world, levels)
         kind, of_goals = (
-            (PairFilter, log_prior_of_pairs(self._prior["log_prior"]))
+            (PairFilter, summed_by_pair(self._prior["log_prior"]))
             if in_phase
             else (PolicyFilter, self._prior["log_prior_goals"])
         )

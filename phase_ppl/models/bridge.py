@@ -99,15 +99,18 @@ class SimulatorBridge:
         columns: _Columns,
         log_prior: NDArray[np.float32],
         seed: NDArray[np.int32],
-        *limits: NDArray[np.float32],
+        error_ceiling: NDArray[np.float32],
+        log_proposal: NDArray[np.float32],
+        log_bound: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         """Return the errors (..., time) that a batch (...) of requests asks for.
 
-        The limits are error ceilings, log_proposal and log_bound, see :class:`Record`.
+        ``log_proposal`` and ``log_bound`` are kept with each, see :class:`Record`.
         """
         if self.failure is None:
             try:
-                return self._simulate(columns, log_prior, seed, *limits)
+                kept = log_proposal, log_bound
+                return self._simulate(columns, log_prior, seed, error_ceiling, *kept)
             except BaseException as error:
                 self.failure = error
         return np.full((*seed.shape, self._n_frames), np.inf, np.float32)
@@ -123,14 +126,17 @@ class SimulatorBridge:
         columns: _Columns,
         log_prior: NDArray[np.float32],
         seed: NDArray[np.int32],
-        *limits: NDArray[np.float32],
+        error_ceiling: NDArray[np.float32],
+        log_proposal: NDArray[np.float32],
+        log_bound: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         batch = seed.shape
         n_rows = seed.size
         rows_per_chain = n_rows // batch[0] if batch else 1
         flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}
         log_prior, seed = log_prior.ravel(), seed.ravel()
-        ceiling, log_proposal, log_bound = (limit.ravel() for limit in limits)
+        ceiling = error_ceiling.ravel()
+        log_proposal, log_bound = log_proposal.ravel(), log_bound.ravel()
         errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
         asked: dict[tuple[Any, ...], list[int]] = {}  # request -> its rows of this batch
         # a density that is no number: outside
@@ -205,24 +211,24 @@ def request_errors(
     ``log_bound`` are kept with the simulation, see :class:`Record`.
     """
     names = tuple(sorted(sites))
-    limits = (jnp.float32(limit) for limit in (error_ceiling, log_proposal, log_bound))
-    arguments = (handle, log_prior, seed, *limits, *(sites[name] for name in names))
+    numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
+    arguments = (handle, log_prior, seed, *numbers, *(sites[name] for name in names))
     errors: jax.Array = request_p.bind(*map(jnp.asarray, arguments), names=names, n_frames=n_frames)
     return errors
 
 
 request_p: Final = core.Primitive("phase_ppl_request")
-"""Stands for a simulation in a traced program: (handle, log_prior, seed, three limits, sites) ->
-errors. All particles of a vectorised program are one request."""
+"""Stands for a simulation in a traced program: (handle, log_prior, seed, error_ceiling,
+log_proposal, log_bound, sites) -> errors. All particles of a vectorised program are one request."""
 
 
 def answered(*arguments: Any, names: tuple[str, ...], n_frames: int) -> NDArray[np.float32]:
     """Return what a request asks for, on the host; errors beyond the observation's end are 0."""
     # NumPy from the first line on: calling JAX in here can deadlock
-    handle, log_prior, seed, *rest = map(np.asarray, arguments)
-    limits, values = rest[:3], rest[3:]
+    handle, *numbers = map(np.asarray, arguments[:6])
+    sites = dict(zip(names, map(np.asarray, arguments[6:]), strict=True))
     bridge = _open[int(handle.flat[0])]
-    found = bridge.answer(dict(zip(names, values, strict=True)), log_prior, seed, *limits)
+    found = bridge.answer(sites, *numbers)
     padding = [(0, 0)] * (found.ndim - 1) + [(0, n_frames - found.shape[-1])]
     return np.pad(found, padding)
 

@@ -102,10 +102,15 @@ class EventProgram:
         sites: Sites,
         log_prior: jax.Array,
         seed: jax.Array,
-        *limits: jax.Array | float,
+        error_ceiling: jax.Array | float = np.inf,
+        log_proposal: jax.Array | float = np.nan,
+        log_bound: jax.Array | float = np.inf,
     ) -> jax.Array:
         """Return (time,) the errors of a simulation; see :func:`request_errors`."""
-        return request_errors(self.bridge, self.n_frames, sites, log_prior, seed, *limits)
+        kept = log_proposal, log_bound
+        return request_errors(
+            self.bridge, self.n_frames, sites, log_prior, seed, error_ceiling, *kept
+        )
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
         """Return the seed, int32, with which a proposed hypothesis is simulated.

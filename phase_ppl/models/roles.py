@@ -1,7 +1,7 @@
 """Priors over who wants what in any world: NumPyro programs of one argument, the world.
 
 A program samples ``goal_<agent>`` (an index into ``world.goals``), ``company`` (an index into
-:func:`phase_ppl.world.hypothesis.company`: who helps or hinders whom) and ``strength_<agent>``
+:func:`phase_ppl.world.hypothesis.all_ways`: who helps or hinders whom) and ``strength_<agent>``
 (newtons), with the agents' ``world.keys``. The goal of an agent that helps or hinders is not used.
 These sites must be independent of each other::
 
@@ -61,7 +61,7 @@ def company(world: World, social: float = SOCIAL) -> None:
         world: whose agents.
         social: probability that any does; all ways are alike then.
     """
-    n = len(hypothesis.company(len(world.agents)))
+    n = len(hypothesis.all_ways(len(world.agents)))
     probs = [1.0 - social, *[social / (n - 1)] * (n - 1)] if n > 1 else [1.0]
     numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.array(probs)))
 
@@ -92,7 +92,7 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
         InvalidSettingError: it gives (nearly) all mass to others.
     """
     program = functools.partial(in_world(prior, world), world)
-    space, ways = space_of(world), hypothesis.company(len(world.agents))
+    space, ways = space_of(world), hypothesis.all_ways(len(world.agents))
     key = jax.random.key(whole_number("seed", seed, 0))
     for _ in range(_DRAWS):
         trace = handlers.trace(handlers.seed(program, key)).get_trace()
@@ -152,7 +152,7 @@ class Masses(NamedTuple):
 
     name: str  # of the prior
     goals: FloatArray  # (agent, goal)
-    company: FloatArray  # (way,), see ``hypothesis.company``
+    company: FloatArray  # (way,), see ``hypothesis.all_ways``
     trace: Mapping[str, Any]  # a run of the program
 
 
@@ -212,7 +212,7 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
         inside[values[values < n]] = density[values < n]
         return inside
 
-    n_ways = len(hypothesis.company(len(world.agents)))
+    n_ways = len(hypothesis.all_ways(len(world.agents)))
     own = np.stack([of_site(site, space.n_goals) for site in space.goal_sites])
     for agent, goal in np.argwhere(np.isfinite(own)).tolist():
         if goal not in possible_goals(agent, world):

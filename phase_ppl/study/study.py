@@ -37,7 +37,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, existing_file, locked, writable_folder, write_bytes
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.scene import check_phase
+from phase_ppl.world.scene import check_is_phase
 
 EVENTS: Final = "events.json"
 VIDEOS: Final = "videos"
@@ -366,7 +366,7 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
         groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}
     if kind in ("likeness", "play"):
         for event in found:
-            check_phase(event.scene, f"a study of {kind}")
+            check_is_phase(event.scene.world, f"a study of {kind}")
             _check_truth(event, kind)
     if kind != "likeness":
         several = [groups.get(event.id) for event in found]

@@ -200,6 +200,9 @@ class Event:
             )
 
     def __repr__(self) -> str:
+        return f"<event {self._words()}>"
+
+    def _words(self) -> str:
         seconds = (self.observation.n_frames - 1) / FRAMES_PER_SECOND
         words = f"{self.id}: {self.observation.n_frames} frames, {seconds:.1f} s simulated"
         if isinstance(self.truth, Roles):
@@ -207,7 +210,7 @@ class Event:
         elif self.truth is not None:
             words += f"; red: {self.truth.goal_red}, green: {self.truth.goal_green}"
             words += f", {self.truth.relation}"
-        return f"<event {words}>"
+        return words
 
     def _repr_html_(self) -> str:
-        return drawn(self.scene, self.observation.trajectory, repr(self)[7:-1])
+        return drawn(self.scene, self.observation.trajectory, self._words())

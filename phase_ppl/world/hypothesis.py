@@ -263,8 +263,12 @@ SOCIAL: Final = 1 - 1 / 3
 """Probability that some agent helps or hinders another (paper, Appendix 4B)."""
 
 
+Towards = tuple[tuple[int, int] | None, ...]
+"""(agent,) another agent, and 1 where it is helped, -1 where it is hindered; None: neither."""
+
+
 @functools.cache
-def company(n_agents: int) -> tuple[tuple[tuple[int, int] | None, ...], ...]:
+def all_ways(n_agents: int) -> tuple[Towards, ...]:
     """Return all ways in which agents can stand to each other, as :attr:`Roles.towards`.
 
     Whoever is helped or hindered pursues its own goal. The first is that nobody does either.
@@ -295,7 +299,7 @@ class Roles:
 
     world: World
     stated: tuple[int | None, ...]
-    towards: tuple[tuple[int, int] | None, ...]
+    towards: Towards
     strengths: tuple[float, ...]
 
     @classmethod

@@ -758,11 +758,6 @@ def check_inside(trajectory: FloatArray, scene: Scene, name: str) -> None:
         )
 
 
-def check_phase(scene: Scene, what: str) -> None:
-    """Raise InvalidSettingError, for ``what`` knows no other world, unless a scene is of PHASE."""
-    check_is_phase(scene.world, what)
-
-
 def check_is_phase(world: World, what: str) -> None:
     """Raise InvalidSettingError, for ``what`` knows no other world, unless it is PHASE."""
     if world != PHASE:

@@ -28,13 +28,11 @@ from phase_ppl.world.hypothesis import (
     RELATIONS,
     Hypothesis,
     Roles,
-    company,
+    Towards,
+    all_ways,
     scenario,
 )
 from phase_ppl.world.scene import PHASE, World
-
-Towards = tuple[tuple[int, int] | None, ...]
-"""(agent,) another agent, and 1 where it is helped, -1 where it is hindered; None: neither."""
 
 COMPANY_SITE: Final = "company"
 ALPHA_SITE: Final = "alpha"
@@ -76,14 +74,14 @@ class HypothesisSpace:
         return (*self.goal_sites, self.company_site, *self.strength_sites)
 
     @functools.cached_property
-    def given(self) -> tuple[str, ...]:
-        """The columns of files that the prior is a density of: those of ``sites``, in order."""
+    def kept_columns(self) -> tuple[str, ...]:
+        """Columns of ``sites`` as files name them: stated goals, way, strengths."""
         return (*self.stated_sites, self.company_site, *self.strength_sites)
 
     @functools.cached_property
     def columns(self) -> tuple[str, ...]:
-        """The columns of files: effective goals, which follow, and those of ``given``."""
-        return (*self.goal_sites, *self.given)
+        """The columns of files: effective goals, which follow, and ``kept_columns``."""
+        return (*self.goal_sites, *self.kept_columns)
 
     @functools.cached_property
     def reserved(self) -> frozenset[str]:
@@ -257,4 +255,4 @@ def space_of(world: World) -> HypothesisSpace:
             for alpha in ALPHAS
         )
         return HypothesisSpace(PHASE, ALPHA_SITE, ways)
-    return HypothesisSpace(world, COMPANY_SITE, company(len(world.agents)))
+    return HypothesisSpace(world, COMPANY_SITE, all_ways(len(world.agents)))

@@ -23,7 +23,7 @@ from phase_ppl.world.errors import (
     QueryError,
 )
 from phase_ppl.world.goals import possible_goals
-from phase_ppl.world.hypothesis import Roles, company
+from phase_ppl.world.hypothesis import Roles, all_ways
 from tests.analysis.readings import reading
 
 TRIO = ppl.worlds.TRIO
@@ -212,7 +212,7 @@ def test_strengths_have_the_priors_margins() -> None:
 
 
 def test_ways_to_help_or_hinder_are_counted() -> None:
-    assert [len(company(n)) for n in (1, 2, 3, 4)] == [1, 5, 25, 153]
+    assert [len(all_ways(n)) for n in (1, 2, 3, 4)] == [1, 5, 25, 153]
     n = len(possible_goals(0, TRIO))
     assert posterior()._table.n_hypotheses == n**3 + 12 * n**2 + 12 * n
 

@@ -11,7 +11,7 @@ from goal_training import Examples, draw_goals, learned, loss_of_whole
 
 from phase_ppl.inference.proposals.tables import (
     FEATURES,
-    GOAL_PARTS,
+    GOALS_ABOUT,
     KINDS,
     WEIGHTS_FILE,
     bottom_up_tables,
@@ -96,10 +96,10 @@ def most_probable(observation: Observation, agent: int) -> str:
 
 
 def test_every_goal_has_a_kind() -> None:
-    assert GOAL_PARTS.kind.shape == (2, N_GOALS)
-    assert KINDS[GOAL_PARTS.kind[RED, goal_index("Get red agent away from blue lm")]] == "not self"
-    assert KINDS[GOAL_PARTS.kind[GREEN, goal_index("Get red agent to blue lm")]] == "other"
-    assert KINDS[GOAL_PARTS.kind[RED, goal_index("get to green agent")]] == "touch"
+    assert GOALS_ABOUT.kind.shape == (2, N_GOALS)
+    assert KINDS[GOALS_ABOUT.kind[RED, goal_index("Get red agent away from blue lm")]] == "not self"
+    assert KINDS[GOALS_ABOUT.kind[GREEN, goal_index("Get red agent to blue lm")]] == "other"
+    assert KINDS[GOALS_ABOUT.kind[RED, goal_index("get to green agent")]] == "touch"
 
 
 def test_an_agent_that_pushes_an_item_is_seen_to_touch_it() -> None:

@@ -198,9 +198,11 @@ class Watched(EventProgram):
 
     ceilings: list[Any]
 
-    def simulate(self, sites: Any, log_prior: Any, seed: Any, *limits: Any) -> Any:
-        self.ceilings.append(limits[0] if limits else np.inf)
-        return super().simulate(sites, log_prior, seed, *limits)
+    def simulate(
+        self, sites: Any, log_prior: Any, seed: Any, error_ceiling: Any = np.inf, *kept: Any
+    ) -> Any:
+        self.ceilings.append(error_ceiling)
+        return super().simulate(sites, log_prior, seed, error_ceiling, *kept)
 
 
 @pytest.mark.parametrize("name", EXACT)

@@ -66,7 +66,7 @@ from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
 from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, Literal, Predicate
 from phase_ppl.world.rooms import RAY_DIRECTIONS
-from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_phase, finite_array
+from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase, finite_array
 
 Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
@@ -506,7 +506,7 @@ def pickled(videos: Sequence[Mapping[str, Any]]) -> bytes:
 def video(event: Event) -> dict[str, Any]:
     """Return an event as one video of the processed form, if that has a place for all of it."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
-    check_phase(scene, "this format")
+    check_is_phase(scene.world, "this format")
     if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
         raise InvalidEventError(
             "its arena is not the original one, and the format has no place for it"

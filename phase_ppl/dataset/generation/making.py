@@ -28,7 +28,7 @@ from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
-from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, company
+from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, all_ways
 from phase_ppl.world.scene import PHASE, Scene, World
 
 NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met
@@ -376,7 +376,7 @@ def _drawn_roles(plan: Plan, seed: int) -> Roles | str:
 def uniform_roles(world: World, seed: int) -> Roles:
     """Return roles of which all goals are alike, and all ways to help or hinder (Appendix 4B)."""
     rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
-    ways = company(len(world.agents))
+    ways = all_ways(len(world.agents))
     social = len(ways) > 1 and rng.random() < SOCIAL
     towards = ways[int(rng.integers(1, len(ways))) if social else 0]
     own = [int(rng.choice(possible_goals(agent, world))) for agent in range(len(towards))]

@@ -16,7 +16,7 @@ from scipy import special, stats
 
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import log_prior_of_pairs
+from phase_ppl.analysis.stepwise_table import summed_by_pair
 from phase_ppl.evaluation.judgments import Study
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
@@ -27,7 +27,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
-from phase_ppl.world.scene import check_phase
+from phase_ppl.world.scene import check_is_phase
 
 _NODES: Final = 64  # points at which what people share about a video is summed out
 
@@ -226,7 +226,7 @@ def evidence_of(
     InvalidSettingError: an event is of another world than PHASE.
     """
     for event in events:
-        check_phase(event.scene, "an observer of people")
+        check_is_phase(event.scene.world, "an observer of people")
     readings: list[list[Made]] = []
     for event in events:
         one = None if made is None else made.get(event.id)
@@ -280,6 +280,6 @@ def _of_frames(post: StepwisePosterior) -> tuple[FloatArray, FloatArray]:
     found = float(post.dataset.attrs["weight"]) * np.array(
         [(0.5 ** (age / half_life) * frames).sum(axis=0) for half_life in HALF_LIVES]
     )
-    prior = log_prior_of_pairs(post.dataset["log_prior"].values).ravel()
+    prior = summed_by_pair(post.dataset["log_prior"].values).ravel()
     possible = np.isfinite(prior)
     return found - found[:, possible].max(axis=1, keepdims=True), prior

@@ -26,7 +26,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 
-NEVER: Final = -60.0
+_NEGLIGIBLE: Final = -60.0
 """Log prior, less the highest, below which a hypothesis is left out; NumPyro gives a probability
 of 0 some -87."""
 
@@ -130,7 +130,7 @@ def _with_mass(
     """Return the grid of those hypotheses that have prior mass."""
     density = jax.jit(jax.vmap(functools.partial(log_density, prior)))(sites)
     keep = np.asarray(density) > NO_DENSITY  # looks at the support, as NumPyro's own does not
-    keep &= log_prior > np.max(log_prior, initial=-np.inf, where=keep) + NEVER
+    keep &= log_prior > np.max(log_prior, initial=-np.inf, where=keep) + _NEGLIGIBLE
     if not keep.any():
         raise InvalidSettingError(
             f"the prior has no mass on the strengths {list(strengths)}; give others that it has"

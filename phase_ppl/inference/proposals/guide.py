@@ -72,12 +72,11 @@ def _local_program(
         prior_of_alpha = _prior_of_alpha(prior)
 
     def local(window: jax.Array) -> None:
-        logits, strength, strength_sd, social = (
-            None if table is None else jnp.asarray(table, jnp.float32)[window] for table in tables
+        logits, strength, strength_sd = (
+            jnp.asarray(table, jnp.float32)[window] for table in tables[:3]
         )
-        assert logits is not None
-        assert strength is not None
-        assert strength_sd is not None
+        alpha = tables.alpha_logits
+        social = None if alpha is None else jnp.asarray(alpha, jnp.float32)[window]
         known = ~jnp.isnan(strength)
         estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
         sd = jnp.where(known, strength_sd, 1.0)

@@ -76,9 +76,8 @@ def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
         beyond = [(0, n_windows + 1 - len(table)), *[(0, 0)] * (np.ndim(table) - 1)]
         return np.pad(np.asarray(table, np.float32), beyond, mode="edge")
 
-    goal, strength, strength_sd, alpha = tables
-    social = None if alpha is None else longer(alpha)
-    return BottomUpTables(longer(goal), longer(strength), longer(strength_sd), social)
+    given = {name: table for name, table in tables._asdict().items() if table is not None}
+    return tables._replace(**{name: longer(table) for name, table in given.items()})
 
 
 def bottom_up_tables(
@@ -136,8 +135,8 @@ def _scores(scene: Scene, observation: Observation, first: IntArray, last: IntAr
     """Return (window + 1, agent, goal) scores; the last stretch is the whole observation."""
     features = goal_features(scene, observation, first, last)
     weights = goal_weights()
-    scores = (features * weights["window"][GOAL_PARTS.kind]).sum(axis=-1)
-    scores[-1] = (features[-1] * weights["whole"][GOAL_PARTS.kind]).sum(axis=-1)
+    scores = (features * weights["window"][GOALS_ABOUT.kind]).sum(axis=-1)
+    scores[-1] = (features[-1] * weights["whole"][GOALS_ABOUT.kind]).sum(axis=-1)
     return scores
 
 
@@ -247,7 +246,7 @@ def _goals() -> _Goals:
     return _Goals(kind, subject, about_agent.astype(bool), agent, landmark)
 
 
-GOAL_PARTS: Final = _goals()
+GOALS_ABOUT: Final = _goals()
 
 
 def goal_features(
@@ -297,7 +296,7 @@ def _summed(values: FloatArray) -> FloatArray:
 
 def _features_of(tracks: _Tracks, agent: int, first: IntArray, last: IntArray) -> FloatArray:
     """Return (stretch, goal, feature) of one agent."""
-    _, subject, about_agent, named, landmark = (part[agent] for part in GOAL_PARTS)
+    _, subject, about_agent, named, landmark = (part[agent] for part in GOALS_ABOUT)
     own = subject == agent
 
     def of_place(of_agents: NDArray[Any], of_landmarks: NDArray[Any]) -> FloatArray:

@@ -200,7 +200,7 @@ class Checkpoint:
         seconds: of wall time that the run took, in all calls.
         recent: seconds that the last iterations took.
         calls: of ``infer`` and ``resume``.
-        versions: of this package and what it builds on, of which it was made; the last last.
+        versions: of this package and what it builds on, with which it was made, oldest first.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.

@@ -94,7 +94,11 @@ def build_tree(
     own = [name for name in records[0].sites if name not in space.sites]
     table = _hypothesis_columns(records, own, space)
     sites = list(table)
-    table |= _results(records, table, model, space)
+    errors = np.array([record.result.errors for record in records])
+    simulated = np.isfinite(errors)
+    # what was not simulated counts as without error: a bound for simulations stopped early
+    by_frame = model.error_likelihood.log_prob(np.where(simulated, errors, 0.0))
+    table |= _results(records, table, by_frame.sum(axis=1), model, space)
     index = _records_of_draws(steps, records)
     n_draws = len(steps)
     draw_coords = {"chain": np.arange(len(index)), "draw": np.arange(n_draws)}
@@ -124,7 +128,7 @@ def build_tree(
                 },
                 "step_log_likelihood": (
                     (*SIMULATION, "time"),
-                    _step_log_likelihood(records, model),
+                    np.where(simulated, by_frame, np.nan).astype(np.float64),
                     {"long_name": "log likelihood of each frame; NaN where not simulated"},
                 ),
             },
@@ -134,7 +138,7 @@ def build_tree(
     }
     tree = xr.DataTree.from_dict(groups)
     if kernel.weights is not None:
-        tree["sample_stats"].dataset["log_weight"].values[:] = _log_weight_of_draws(
+        tree["sample_stats"].dataset["log_weight"].values[:] = _weight_by_simulation(
             tree, kernel, index
         )
     short = n_draws < LONG and not kernel.weighted and has_proposals(tree)
@@ -149,7 +153,7 @@ def build_tree(
     return tree
 
 
-def _log_weight_of_draws(
+def _weight_by_simulation(
     tree: xr.DataTree, kernel: KernelInfo, index: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Return (chain, draw) the log weight of the simulation ``index`` that a draw rests on.
@@ -183,35 +187,24 @@ def numbers_of(records: Sequence[Record]) -> Columns:
 
 
 def _results(
-    records: Sequence[Record], sites: Columns, model: Model, space: HypothesisSpace
+    records: Sequence[Record],
+    sites: Columns,
+    log_likelihood: NDArray[np.float64],
+    model: Model,
+    space: HypothesisSpace,
 ) -> Columns:
     """Return what came out of each simulation, and its prior."""
     results = [record.result for record in records]
-    numbers = numbers_of(records)
     goals = np.stack([sites[name] for name in space.goal_sites], axis=1).astype(np.int64)
     strengths = {name: sites[name] for name in space.strength_sites}
-    errors = np.array([result.errors for result in results])
-    # what was not simulated counts as without error: a bound for simulations stopped early
-    simulated = np.where(np.isfinite(errors), errors, 0.0)
-    log_likelihood = model.error_likelihood.log_prob(simulated).sum(axis=1)
     failed = np.array([result.failure is not None for result in results])
-    ends = {name: numbers.pop(name) for name in ("completed", "frames_simulated")}
     return {
-        **numbers,
+        **numbers_of(records),
         "log_prior_effective": log_prior_of_effective(model.prior, goals, strengths),
         "log_likelihood": np.where(failed, -np.inf, log_likelihood),
         "total_error": np.where(failed, np.inf, [result.total_error for result in results]),
-        **ends,
         "failed": failed,
     }
-
-
-def _step_log_likelihood(records: Sequence[Record], model: Model) -> NDArray[np.float64]:
-    """Return (simulation, time) the log likelihood of the frames that were simulated."""
-    errors = np.array([record.result.errors for record in records])
-    simulated = np.isfinite(errors)
-    by_frame = model.error_likelihood.log_prob(np.where(simulated, errors, 0.0))
-    return np.where(simulated, by_frame, np.nan).astype(np.float64)
 
 
 def _hypothesis_columns(

@@ -34,7 +34,7 @@ from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
-from phase_ppl.world.scene import check_phase
+from phase_ppl.world.scene import check_is_phase
 
 _KEPT_PROGRAMS: Final = 16
 _OURS: Final = "phase_ppl."
@@ -94,7 +94,7 @@ class Run:
         world = self.event.scene.world
         object.__setattr__(self, "info", described(self.kernel))
         if is_stepwise(self.model.likelihood):
-            check_phase(self.event.scene, f"kernel {self.info.name!r} on the closed loop's table")
+            check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
         object.__setattr__(self, "model", self.model.in_world(world))
         self.settings.check_world(world)
         object.__setattr__(self, "chains", whole_number("chains", self.chains))

@@ -122,7 +122,7 @@ class RunOptions:
     # draws at the beginning of each chain that do not count; None: by default
     burn_in: int | None = None
     weights: str | None = None  # name of the weighting of the posterior; None: by kernel and length
-    # of which the run was made so far, the present ones last
+    # with which the run was made so far, oldest first
     versions: Sequence[Mapping[str, Any]] = dataclasses.field(default_factory=lambda: [versions()])
     # when the call began, by ``clock``
     began: float = dataclasses.field(default_factory=lambda: length.clock())

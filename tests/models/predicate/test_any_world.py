@@ -17,7 +17,7 @@ from phase_ppl.models.predicate import (
     without_physics,
 )
 from phase_ppl.world.goals import effective_goal, goal_literal, possible_goals
-from phase_ppl.world.hypothesis import RELATIONS, Roles, company
+from phase_ppl.world.hypothesis import RELATIONS, Roles, all_ways
 from phase_ppl.world.names import NOTHING
 
 PHASE, SOLO, TRIO = ppl.worlds.PHASE, ppl.worlds.SOLO, ppl.worlds.TRIO
@@ -38,7 +38,7 @@ def test_three_agents_are_summed_over_as_if_all_roles_were_listed() -> None:
     prior = prior_in(THREE, "uniform")
     expected = {"goal_ann": np.zeros(len(THREE.goals)), "relation_ann_cy": np.zeros(3)}
     relations: dict[tuple[int, ...], int] = {}
-    for number, way in enumerate(company(3)):
+    for number, way in enumerate(all_ways(3)):
         own = [possible_goals(a, THREE) if one is None else [0] for a, one in enumerate(way)]
         for stated in itertools.product(*own):
             goals = tuple(effective_goal(stated, a, one, THREE) for a, one in enumerate(way))
