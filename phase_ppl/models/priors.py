@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import Final, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -75,7 +75,7 @@ def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
-    return PRIORS.register(name, lambda one, _: one)
+    return PRIORS.register(name, lambda one, _: cast("Program", one))
 
 
 def _ready_made(prior: AnyProgram) -> AnyProgram:

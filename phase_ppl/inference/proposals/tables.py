@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.proposals.strength import estimated_strengths
+from phase_ppl.inference.proposals.strength import Estimator, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Observation
@@ -37,9 +37,6 @@ from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import space_of
-
-if TYPE_CHECKING:
-    from phase_ppl.inference.settings import SimpleSettings
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""
@@ -80,10 +77,25 @@ def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
     return tables._replace(**{name: longer(table) for name, table in given.items()})
 
 
+class Settings(Protocol):
+    """What decides the tables, of :class:`~phase_ppl.inference.settings.SimpleSettings`."""
+
+    @property
+    def window(self) -> int: ...
+    @property
+    def proposal(self) -> str: ...
+    @property
+    def gamma(self) -> float: ...
+    @property
+    def sign(self) -> str: ...
+    @property
+    def strength(self) -> str | Estimator: ...
+
+
 def bottom_up_tables(
     scene: Scene,
     observation: Observation,
-    settings: SimpleSettings,
+    settings: Settings,
     progress: bool | None = None,
 ) -> BottomUpTables:
     """Return the tables of an event under some settings.
