@@ -202,8 +202,8 @@ def _by_proposals(tree: xr.DataTree, weights: str, log_base: FloatArray) -> Rows
     row = np.flatnonzero(usable & np.isfinite(log_weight))
     if not row.size:
         raise InvalidSettingError(f"weights {weights!r} need at least one completed simulation")
-    weights = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
-    return _of_simulations(tree, row, weights)
+    shares = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
+    return _of_simulations(tree, row, shares)
 
 
 def _of_simulations(tree: xr.DataTree, row: NDArray[np.int64], weights: FloatArray) -> Rows:
