@@ -112,7 +112,7 @@ class Posterior(EventPosterior):
         rows = dataclasses.replace(rows, values=columns)
         constant = tree["constant_data"].to_dataset()
         drawn = groups, halves(tree, name, rows)
-        super().__init__(words, tree.attrs, constant, known, rows, *drawn)
+        super().__init__(words, self._tree.attrs, constant, known, rows, *drawn)
 
     @property
     def tree(self) -> xr.DataTree:
