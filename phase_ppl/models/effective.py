@@ -40,7 +40,7 @@ _OWN_DRAWS = 64
 _PRIORS_KEPT = 16
 _TABLES_KEPT = 8
 _NODES = 4  # at which a continuous prior is evaluated in the cell of each level of strength
-_NODES_ALONE = 40  # the same of a strength that depends on nothing, where its density varies
+_NODES_VARYING = 40  # at which masses are summed up where the density varies, a multiple
 _STATED_SITES = (*GOAL_SITES, ALPHA_SITE)
 
 
@@ -189,7 +189,8 @@ def prior_table(
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
     strengths alike between 150 and 600 N, the four default levels have 1/6, 1/3, 1/3 and 1/6. A
-    continuous prior is integrated over them by Gauss-Legendre (:func:`nodes_of`).
+    continuous prior is integrated over them (:func:`nodes_of`): roughly, at ``_NODES`` strengths a
+    cell, only where goals, alpha or further sites decide how strengths are distributed.
 
     Args:
         prior: NumPyro program over the hypothesis sites.
@@ -202,8 +203,11 @@ def prior_table(
     strengths = np.array(levels)
     trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
     apart = strengths_apart(prior)
-    laws = [trace[name]["fn"] for name in STRENGTH_SITES]
-    nodes = [nodes_of(law, strengths, _NODES_ALONE if apart else _NODES) for law in laws]
+    of_example = _NODES_VARYING if apart else _NODES
+    nodes = [
+        nodes_of(trace[name]["fn"], cells(strengths), of_example if upstream(prior)[name] else None)
+        for name in STRENGTH_SITES
+    ]
     stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
         ALPHA_SITE: np.arange(len(ALPHAS))
     }
@@ -238,27 +242,44 @@ def _densities(prior: Any, values: Mapping[str, NDArray[Any]]) -> FloatArray:
 
 
 def nodes_of(
-    found: Any, levels: FloatArray, n_varying: int = _NODES_ALONE
+    found: Any, ends: FloatArray, of_example: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return strengths at which to evaluate their distribution, and the newtons of each.
 
-    In the part of every level's cell that the support has (Gauss-Legendre); ``n_varying`` there,
-    or less of a density that is even.
+    In a cell, density times newtons sums up to its mass.
+
+    Args:
+        found: the distribution of a strength.
+        ends: (cell + 1,) the bounds of cells, newtons, ascending.
+        of_example: nodes in a cell where ``found`` is but an example of a distribution that depends
+            on other sites, whose support and density may be others; None: it depends on none.
     """
     if found.support.is_discrete:
         values = np.asarray(found.enumerate_support(expand=False), np.float64).ravel()
         return values, np.ones(len(values))
+    if of_example is not None:
+        return _gauss_legendre(ends, of_example)
     bounds = (getattr(found.support, f"{end}_bound", None) for end in ("lower", "upper"))
     lowest, highest = (math.nan if end is None else float(np.asarray(end)) for end in bounds)
-    ends = np.fmin(np.fmax(cells(levels), lowest), highest)
-    low, high = ends[:-1, None], ends[1:, None]
-
-    def nodes(n: int) -> tuple[FloatArray, FloatArray]:
-        places, weights = np.polynomial.legendre.leggauss(n)
-        values = (low + high) / 2 + (high - low) / 2 * places
-        return values.ravel(), ((high - low) / 2 * weights).ravel()
-
-    values, newtons = nodes(_NODES)
+    within = np.fmin(np.fmax(ends, lowest), highest)
+    values, newtons = _gauss_legendre(within, _NODES)
     inside = np.asarray(found.log_prob(values))[newtons > 0]
-    even = inside.size == 0 or np.ptp(inside) == 0
-    return (values, newtons) if even else nodes(n_varying)
+    if inside.size == 0 or np.ptp(inside) == 0:
+        return values, newtons
+    # as few, which have the mass of their neighbours too
+    values, newtons = _gauss_legendre(within, _NODES_VARYING)
+    density = np.exp(np.asarray(found.log_prob(values), np.float64))
+    mass = np.where(newtons > 0, density * newtons, 0.0).reshape((len(ends) - 1) * _NODES, -1)
+    total = mass.sum(axis=1)
+    middle = (mass.cumsum(axis=1) >= total[:, None] / 2).argmax(axis=1)
+    middle += np.arange(len(mass)) * mass.shape[1]
+    shares = np.divide(total, density[middle], where=total > 0, out=np.zeros(len(total)))
+    return values[middle], shares
+
+
+def _gauss_legendre(ends: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
+    """Return ``n`` nodes in each cell, and their weights, newtons."""
+    places, weights = np.polynomial.legendre.leggauss(n)
+    low, high = ends[:-1, None], ends[1:, None]
+    values = (low + high) / 2 + (high - low) / 2 * places
+    return values.ravel(), ((high - low) / 2 * weights).ravel()

@@ -29,7 +29,7 @@ from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models import priors
-from phase_ppl.models.effective import nodes_of, place_of_level
+from phase_ppl.models.effective import cells, nodes_of, place_of_level
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
@@ -248,7 +248,7 @@ def log_strengths(prior: Masses, world: World, levels: tuple[float, ...]) -> Flo
 
 def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
     """Return (level,) log masses of the strengths that are nearest to each level."""
-    values, weights = nodes_of(found, levels)
+    values, weights = nodes_of(found, cells(levels))
     inside = np.asarray(found.support(jnp.asarray(values)), bool)
     density = np.full(len(values), -np.inf)
     with np.errstate(divide="ignore"):  # of cells beyond the support

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import numpyro
@@ -11,6 +13,7 @@ import pytest
 from phase_ppl.models import priors, sites
 from phase_ppl.models.effective import (
     log_prior_of_effective,
+    nodes_of,
     prior_table,
     stated_hypotheses,
 )
@@ -79,3 +82,60 @@ def test_levels_of_strength_have_the_mass_of_their_cells(law: dist.Distribution)
 
 def law_ends(law: dist.Distribution) -> tuple[float, float]:
     return float(law.support.lower_bound), float(law.support.upper_bound)
+
+
+def masses_of_levels(prior: Any) -> np.ndarray:
+    """Return (alpha, level of red's strength) prior masses."""
+    table: np.ndarray = np.exp(prior_table(prior, (150.0, 300.0, 450.0, 600.0)))
+    return table.sum(axis=(0, 1, 4))
+
+
+def test_the_mass_of_levels_is_right_where_alpha_depends_on_strengths() -> None:
+    law = dist.TruncatedNormal(378.0, 8.0, low=150.0, high=600.0)
+
+    def prior() -> None:
+        sites.goals()
+        red = numpyro.sample("strength_red", law)
+        helps = 0.1 + 0.1 * (red > 300)
+        probs = jnp.stack([1 - 4 * helps, *[helps] * 4])
+        numpyro.sample("alpha", dist.Categorical(probs=probs))
+        numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
+
+    exact = np.diff(law.cdf(np.array([150.0, 225.0, 375.0, 525.0, 600.0])))
+    np.testing.assert_allclose(masses_of_levels(prior).sum(axis=0), exact, atol=1e-4)
+    np.testing.assert_allclose(masses_of_levels(prior).sum(axis=1), [0.2] * 5, atol=1e-4)
+
+
+def test_strengths_with_a_support_that_depends_on_alpha_have_their_mass_in_all_of_it() -> None:
+    def prior() -> None:
+        sites.goals()
+        low = jnp.where(sites.alpha() == 0, 150.0, 400.0)
+        numpyro.sample("strength_red", dist.Uniform(low, low + 200.0))
+        numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
+
+    found = masses_of_levels(prior)
+    np.testing.assert_allclose(found.sum(axis=1), [1 / 3, *[1 / 6] * 4], atol=1e-4)
+    np.testing.assert_allclose(found[0] * 3, [0.375, 0.625, 0, 0], atol=0.005)
+    np.testing.assert_allclose(found[1] * 6, [0, 0, 0.625, 0.375], atol=0.005)
+
+
+def test_a_strength_below_the_other_one_has_its_mass_at_all_levels() -> None:
+    def prior() -> None:
+        sites.goals()
+        sites.alpha()
+        red = numpyro.sample("strength_red", dist.Uniform(200.0, 600.0))
+        numpyro.sample("strength_green", dist.Uniform(150.0, red))
+
+    found = np.exp(prior_table(prior, (150.0, 300.0, 450.0, 600.0))).sum(axis=(0, 1, 2, 3))
+    # green < x with probability 1/400 times the integral of min(1, (x - 150) / (red - 150))
+    ends = np.array([225.0, 375.0, 525.0])
+    below = ends - 200 + (ends - 150) * np.log(450 / (ends - 150))
+    np.testing.assert_allclose(found, np.diff([0, *below / 400, 1]), atol=0.005)
+
+
+def test_few_strengths_stand_for_an_uneven_distribution() -> None:
+    law, ends = dist.Normal(374.0, 8.0), np.array([150.0, 225.0, 375.0, 525.0, 600.0])
+    values, newtons = nodes_of(law, ends)
+    assert len(values) == 16  # a table has the square of that times 6480 entries
+    mass = (np.exp(np.asarray(law.log_prob(values), float)) * newtons).reshape(4, -1).sum(axis=1)
+    np.testing.assert_allclose(mass, np.diff(law.cdf(ends)), atol=1e-5)
