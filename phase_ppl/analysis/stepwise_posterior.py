@@ -273,13 +273,15 @@ class StepwisePosterior(EventPosterior):
     @property
     def tempering(self) -> str:
         """What a frame counts as evidence, in words; "" where nothing is tempered."""
-        tracking = self.settings.get("likelihood", {}).get("tracking", {})
-        counts = {
-            "goals": float(self._found.attrs["weight"]),
-            "strengths": float(tracking.get("strength_weight", 1.0)),
-        }
+        counts = {"goals": float(self._found.attrs["weight"]), "strengths": self._strength_weight}
         words = [f"{count:g} for {what}" for what, count in counts.items() if count != 1]
         return f"tempered: a frame counts {' and '.join(words)}" if words else ""
+
+    @property
+    def _strength_weight(self) -> float:
+        """What a frame counts as evidence for strengths; 1 where it is not known."""
+        tracking = self.settings.get("likelihood", {}).get("tracking", {})
+        return float(tracking.get("strength_weight", 1.0))
 
     @property
     def log_evidence(self) -> float:
@@ -534,7 +536,10 @@ class StepwisePosterior(EventPosterior):
         lines += [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
             lines += wrapped("prior", changed)
-        evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
+        in_full = "every frame counted in full"
+        if self._strength_weight != 1:
+            in_full += f", for strengths {self._strength_weight:g}"
+        evidence = f"log p(video) = {self.log_evidence:.1f} nats, {in_full}"
         lines += wrapped("evidence", evidence)
         if self.tempering:
             lines += wrapped("weight", f"{self.tempering} in the probabilities above")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,18 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows() -> None:
     assert tempered.log_evidence == pytest.approx(evidence[3])
     assert "tempered: a frame counts 0.1 for goals" in str(tempered)
     assert "tempered" not in str(StepwisePosterior(reading(weight=1.0)))
+
+
+def test_what_is_tempered_is_said_of_goals_and_strengths() -> None:
+    found = reading(weight=1.0)
+    found.attrs["settings"] = json.dumps({"likelihood": {"tracking": {"strength_weight": 0.05}}})
+    post = StepwisePosterior(found)
+    tempering = "tempered: a frame counts 0.05 for strengths"
+    assert post.tempering == tempering
+    assert tempering in str(post)
+    assert "nats, every frame counted in full, for strengths 0.05" in str(post)
+    assert post.why("relation=friendly").attrs["tempering"] == tempering
+    assert post.over_time().attrs["tempering"] == tempering
 
 
 def test_why_gives_the_log_odds_and_who_changed_them() -> None:
