@@ -259,9 +259,7 @@ def nodes_of(
         return values, np.ones(len(values))
     if of_example is not None:
         return _gauss_legendre(ends, of_example)
-    bounds = (getattr(found.support, f"{end}_bound", None) for end in ("lower", "upper"))
-    lowest, highest = (math.nan if end is None else float(np.asarray(end)) for end in bounds)
-    within = np.fmin(np.fmax(ends, lowest), highest)
+    within = within_support(found, ends)
     values, newtons = _gauss_legendre(within, _NODES)
     inside = np.asarray(found.log_prob(values))[newtons > 0]
     if inside.size == 0 or np.ptp(inside) == 0:
@@ -275,6 +273,13 @@ def nodes_of(
     middle += np.arange(len(mass)) * mass.shape[1]
     shares = np.divide(total, density[middle], where=total > 0, out=np.zeros(len(total)))
     return values[middle], shares
+
+
+def within_support(found: Any, newtons: FloatArray) -> FloatArray:
+    """Return strengths, those beyond the support of a continuous distribution at its ends."""
+    bounds = (getattr(found.support, f"{end}_bound", None) for end in ("lower", "upper"))
+    lowest, highest = (math.nan if end is None else float(np.asarray(end)) for end in bounds)
+    return np.fmin(np.fmax(newtons, lowest), highest)
 
 
 def _gauss_legendre(ends: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:

@@ -261,6 +261,10 @@ def walkers(scene: Scene, roles: Roles, rng: np.random.Generator) -> Iterator[Fl
             frame[literal.subject, :2] += roles.strengths[agent] / 600 * way / np.hypot(*way)
 
 
+LEVELS = (150.0, 300.0, 450.0, 600.0)
+SHARES = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the strengths from 150 to 600 N that are nearest to each
+
+
 @functools.cache
 def walking(n_frames: int = 14) -> Event:
     scene = SOLO.random_scene(3)
@@ -282,12 +286,13 @@ def enumerated() -> ppl.Posterior:
 def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None:
     event, likelihood = walking(), RadialLikelihood(n_entities=3)
     mass: dict[tuple[str, float], float] = {}
-    for goal, force in itertools.product(SOLO.goals, (150.0, 300.0, 450.0, 600.0)):
+    for goal, force in itertools.product(SOLO.goals, LEVELS):
         one = Roles.of(SOLO, {"red agent": goal}, strength=force)
         frames = itertools.islice(walkers(event.scene, one, np.random.default_rng(0)), 14)
         apart = (np.array(list(frames)) - event.observation.trajectory)[..., :2]
         error = np.linalg.norm(apart.reshape(14, -1), axis=1)
-        mass[goal, force] = float(np.exp(likelihood.log_prob(error).sum() + 14 * 26))
+        fits = float(np.exp(likelihood.log_prob(error).sum() + 14 * 26))
+        mass[goal, force] = SHARES[LEVELS.index(force)] * fits
     post, total = enumerated(), sum(mass.values())
     for goal in SOLO.goals:
         expected = sum(m for (g, _), m in mass.items() if g == goal) / total
@@ -316,7 +321,7 @@ def test_simple_agrees_with_enumeration() -> None:
 def of_levels(world: World) -> None:
     roles.goals(world)
     roles.company(world)
-    numpyro.sample("strength_red", ppl.sites.OneOf([150.0, 300.0, 450.0, 600.0]))
+    numpyro.sample("strength_red", ppl.sites.OneOf(LEVELS, SHARES))
 
 
 @functools.cache
@@ -347,6 +352,7 @@ def test_a_posterior_of_three_agents_answers_is_kept_and_tells_of_itself(tmp_pat
     assert str(again) == str(post)
     assert again.map() == post.map()
     assert "purple agent" in str(post)
+    assert "tempered: beta = 0.05" in str(post)
     assert set(post.summary()["goals"]) == set(TRIO.agents)
     assert set(post.over_time()) >= {"goal_green", "relation_green_purple"}
     model = ppl.Model(simulator=walkers)

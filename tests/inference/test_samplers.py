@@ -15,7 +15,7 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
-from phase_ppl.inference.kernels.enumeration import Enumeration
+from phase_ppl.inference.kernels.enumeration import Enumeration, hypothesis_grid
 from phase_ppl.inference.kernels.importance import Importance
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.kernels.wrapped import Ensemble, GibbsKernel, SampleAdaptive
@@ -166,6 +166,32 @@ def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
 
 
 STATED = ("goal_red", "goal_green", "alpha")
+
+
+def narrow() -> None:
+    ppl.sites.goals()
+    ppl.sites.alpha()
+    numpyro.sample("strength_red", dist.Uniform(200.0, 400.0))
+    numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
+
+
+@pytest.mark.parametrize(
+    ("prior", "strengths", "masses"),
+    [
+        ("uniform", (150.0, 300.0, 450.0, 600.0), [1 / 6, 1 / 3, 1 / 3, 1 / 6]),
+        ("uniform", (400.0, 200.0), [1 / 3, 2 / 3]),
+        ("uniform", (300.0, 300.0, 450.0), [1 / 2, 1 / 2]),
+        (narrow, (200.0, 300.0, 400.0), [1 / 4, 1 / 2, 1 / 4]),
+    ],
+    ids=["the default", "in any order", "one of them twice", "cut to the support"],
+)
+def test_a_strength_of_the_grid_has_the_prior_mass_of_those_nearest_to_it(
+    prior: Any, strengths: tuple[float, ...], masses: list[float]
+) -> None:
+    grid = hypothesis_grid(Model(prior=prior), strengths)
+    _, place = np.unique(grid.sites["strength_red"], return_inverse=True)
+    found = np.bincount(place, np.exp(grid.log_prior.astype(float)))
+    np.testing.assert_allclose(found, masses, atol=1e-4)
 
 
 def by_effective_goals(rows: Iterable[Any]) -> dict[tuple[int, int], float]:

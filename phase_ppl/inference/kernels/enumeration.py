@@ -13,11 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import random
 from numpy.typing import NDArray
+from numpyro import handlers
 
 from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY, log_density
-from phase_ppl.models.effective import drawn_stated, log_prior_of_effective, stated_hypotheses
+from phase_ppl.models.effective import (
+    cells,
+    drawn_stated,
+    log_prior_of_effective,
+    stated_hypotheses,
+    upstream,
+    within_support,
+)
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
@@ -52,7 +60,9 @@ class Grid(NamedTuple):
 def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SIMULATIONS) -> Grid:
     """Return all effective goals of all agents with prior mass, times all strengths [N].
 
-    In other worlds than PHASE as many as ``most``; each way to help or hinder counts by itself.
+    A strength weighs the prior's density times the newtons that are nearer to it than to any other.
+    In other worlds than PHASE as many hypotheses as ``most``; each way to help or hinder counts by
+    itself.
     """
     space = space_of_prior(model.prior)
     own = [name for name in model.sites if name not in space.sites]
@@ -81,6 +91,11 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     force = np.repeat(forces, len(pairs), axis=0)
     columns = dict(zip(STRENGTH_SITES, force.T.astype(np.float64), strict=True))
     log_prior = log_prior_of_effective(prior, pairs[which], columns)
+    trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
+    depends = upstream(prior)
+    for name in STRENGTH_SITES:
+        law = trace[name]["fn"]
+        log_prior = log_prior + _log_newtons(law, columns[name], cut=not depends[name])
     stated = drawn_stated(prior, pairs[which], force)
     sites = dict(zip((*GOAL_SITES, ALPHA_SITE), stated.T.astype(np.int32), strict=True))
     sites |= dict(zip(STRENGTH_SITES, force.T, strict=True))
@@ -119,9 +134,30 @@ def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -
     for name in space.strength_sites:
         law = found.trace[name]["fn"]
         log_strengths += np.asarray(law.log_prob(sites[name]), np.float64)
+        log_strengths += _log_newtons(law, sites[name])
     inside = space.in_support(sites)
     kept = {name: values[inside] for name, values in sites.items()}
     return _with_mass(prior, kept, (log_goals[which] + log_strengths)[inside], strengths)
+
+
+def _log_newtons(law: Any, strengths: NDArray[Any], cut: bool = True) -> FloatArray:
+    """Return (row,) the log of how many newtons the strengths of a grid stand for.
+
+    Args:
+        law: of the strength in the prior.
+        strengths: (row,) newtons, each of the grid as often as it is given there.
+        cut: whether the support of ``law`` is that of the strength in all hypotheses.
+    """
+    if law.support.is_discrete:
+        return np.zeros(len(strengths))
+    levels, index, count = np.unique(
+        strengths.astype(np.float64), return_inverse=True, return_counts=True
+    )
+    ends = cells(levels)
+    ends[[0, -1]] = min(ends[0], levels[0]), max(ends[-1], levels[-1])
+    newtons = np.diff(within_support(law, ends) if cut else ends)
+    with np.errstate(divide="ignore"):  # of what the prior cannot have
+        return np.asarray(np.log(newtons * count.min() / count)[index])
 
 
 def _with_mass(
@@ -149,7 +185,9 @@ class Enumeration(ParticleKernel[WeightedState]):
     "exact". The particles share the work; the seeds vary slowest.
 
     Args:
-        strengths: grid of each agent's strength, newtons, weighted by the prior's density.
+        strengths: grid of each agent's strength, newtons. Each weighs the prior's density times the
+            newtons that are nearer to it than to another: with strengths alike between 150 and
+            600 N, the four by default 1/6, 1/3, 1/3 and 1/6.
         noise_seeds: simulations of each hypothesis, with seeds of their own.
         max_simulations: more than these are refused.
 
