@@ -4,8 +4,8 @@ Resampling a handful of events, or many of which nearly all are right, shows too
 where all answers are right it shows none. Shares of right answers (:func:`proportion`) therefore
 have Clopper and Pearson's interval, which covers at least as often as it says, for as many
 independent answers as the given ones are worth (Korn and Graubard 1998, Survey Methodology 24);
-differences of shares are resampled with one more event that speaks for either side (after Agresti
-and Caffo 2000, The American Statistician 54).
+differences of shares are resampled with one more event that speaks for either side (after Bonett
+and Price 2012, Journal of Educational and Behavioral Statistics 37).
 
 A resample of n events is a vector of n weights: how often each event was drawn. Every figure is a
 function of weighted sums over events, so that one matrix of weights, whose first row is the data

@@ -213,9 +213,7 @@ class Scores:
         of_other = self._of(other, ids, second.where_known(first))
         result: dict[str, Any] = {"n_events": len(chosen)}
         differences = {
-            path: difference(
-                curve.values, of_other[path].values, curve.n, path[-1].endswith("accuracy")
-            )
+            path: difference(curve.values, of_other[path].values, curve.n, curve.scores is not None)
             for path, curve in of_one.items()
         }
         put(result, differences)

@@ -7,14 +7,19 @@ import json
 from pathlib import Path
 
 import arviz as az
+import jax
 import jax.numpy as jnp
 import numpy as np
+import numpyro
+import numpyro.distributions as dist
 import pytest
+from jax import Array
 from people import chosen_inside
+from scipy.stats import norm
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.observers.answers import Answers, expected, log_of_counts, shared
-from phase_ppl.evaluation.observers.fit import PeopleFit, observer_of, sampled
+from phase_ppl.evaluation.observers.fit import FittedObserver, PeopleFit, observer_of, sampled
 from phase_ppl.models.observer.observers import ANSWERS, Evidence, observer_named
 from phase_ppl.models.observer.perception import CUES
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -100,6 +105,41 @@ def test_counts_weigh_as_their_answers_do() -> None:
         np.testing.assert_allclose(found, by_hand, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.parametrize("diversity", [0.5, 1.0, 1.5])
+def test_shares_are_those_of_raters_who_differ_in_how_sharply_they_answer(diversity: float) -> None:
+    """Not of the median one, who is surer than they are together."""
+    evidence, _ = world(n=3)
+    law = np.array([[0.9, 0.05, 0.05], [0.7, 0.2, 0.1], [0.98, 0.01, 0.01]])
+    draws = {"spread": np.zeros(2), "diversity": np.full(2, diversity)}
+
+    def sure(given: Evidence) -> dict[str, Array]:
+        return {"relation": jnp.log(jnp.asarray(law))}
+
+    places, steps = np.linspace(-8, 8, 4001, retstep=True)
+    powers = (law / law.max(axis=1, keepdims=True)) ** np.exp(diversity * places)[:, None, None]
+    raters = powers / powers.sum(axis=-1, keepdims=True)
+    exact = np.einsum("r,rea->ea", norm.pdf(places) * steps, raters)
+    fit = FittedObserver(sure, "", draws, ("relation",), None)
+    np.testing.assert_allclose(fit.shares(evidence)["relation"], [exact, exact], atol=1e-3)
+    predicted = fit.predict(evidence)["v0"].probabilities["relation"]
+    assert predicted[0] == pytest.approx({0.5: 0.869, 1.0: 0.827, 1.5: 0.795}[diversity], abs=1e-3)
+    # of people without names it is not known
+    del draws["diversity"]
+    np.testing.assert_allclose(fit.shares(evidence)["relation"], [law, law], atol=1e-5)
+
+
+def test_a_parameter_of_ones_own_is_not_taken_for_the_raters() -> None:
+    evidence, _ = world(n=1)
+
+    def own(given: Evidence) -> dict[str, Array]:
+        times = numpyro.sample("diversity", dist.LogNormal(0.0, 1.0))
+        return {"relation": jax.nn.log_softmax(times * jnp.log(jnp.array([[0.8, 0.1, 0.1]])))}
+
+    draws = {"spread": np.zeros(1), "diversity": np.ones(1)}
+    found = FittedObserver(own, "", draws, ("relation",), None).shares(evidence)["relation"]
+    np.testing.assert_allclose(found, [[[0.8, 0.1, 0.1]]], atol=1e-5)
+
+
 @pytest.mark.slow
 def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
     evidence, answers = world()
@@ -114,15 +154,6 @@ def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
     assert moved[0] < 0.8
     assert moved.argmax() == 0
     assert moved.sum() == pytest.approx(1.0, abs=1e-4)
-
-
-def test_shares_of_people_are_means_over_raters_who_differ_in_sharpness() -> None:
-    logs = np.log(np.array([[0.9, 0.06, 0.04]]))
-    sharp = np.exp(np.random.default_rng(0).standard_normal((100_000, 1)))
-    by_hand = np.exp(sharp * logs) / np.exp(sharp * logs).sum(axis=1, keepdims=True)
-    found = np.asarray(expected({"relation": logs}, 0.0, 1.0)["relation"])[0]
-    np.testing.assert_allclose(found, by_hand.mean(axis=0), atol=0.003)
-    assert found[0] < 0.85
 
 
 def study(path: Path, events: list[Event]) -> None:

@@ -122,8 +122,9 @@ def log_of_counts(
     return chosen - counts.sum(axis=-1) * jax.nn.logsumexp(moved, axis=0)
 
 
-_RATERS, _SHARE_OF_RATERS = np.polynomial.hermite_e.hermegauss(9)
-"""Nodes and weights of a mean over raters, whose log sharpness is normal."""
+_PLACES, _MASSES = np.polynomial.hermite_e.hermegauss(21)
+_RATERS: Final = np.stack([_PLACES, _MASSES / _MASSES.sum()], axis=1)
+"""(node, [place, mass]) of a standard normal: shares are off by 0.0003 at a diversity of 1.5."""
 
 
 def expected(
@@ -131,19 +132,23 @@ def expected(
 ) -> Responses:
     """Return question -> (event, answer) shares of people that are to be expected.
 
-    A mean over what they share about a video and, with a ``diversity``, over how sharply raters
-    answer: together they answer less sharply than the median one.
+    A mean over what they share about a video (``spread``) and, where raters differ in how sharply
+    they answer (``diversity`` as in :func:`people`), over raters, by Gauss-Hermite quadrature:
+    together they answer less sharply than the median one.
     """
+    of_nodes = {question: shared(logs, spread, question) for question, logs in said.items()}
     if diversity is None:
-        return {q: jnp.exp(shared(logs, spread, q)).mean(axis=0) for q, logs in said.items()}
-    found = {}
-    for question, logs in said.items():
-        of_raters = [
-            share * jax.nn.softmax(jnp.exp(diversity * z) * shared(logs, spread, question))
-            for z, share in zip(_RATERS, _SHARE_OF_RATERS / _SHARE_OF_RATERS.sum(), strict=True)
-        ]
-        found[question] = sum(of_raters, jnp.zeros(())).mean(axis=0)
-    return found
+        return {question: jnp.exp(logs).mean(axis=0) for question, logs in of_nodes.items()}
+
+    def of_raters(node: Array) -> Responses:
+        place, mass = node
+        sharp = jnp.exp(diversity * place)
+        return {
+            q: mass * jax.nn.softmax(sharp * n, axis=-1).mean(axis=0) for q, n in of_nodes.items()
+        }
+
+    found: Responses = jax.lax.map(of_raters, jnp.asarray(_RATERS))
+    return {question: shares.sum(axis=0) for question, shares in found.items()}
 
 
 def people(observer: Program, evidence: Evidence, answers: Answers, counted: Array) -> None:

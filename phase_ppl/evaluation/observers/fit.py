@@ -64,9 +64,11 @@ class FittedObserver:
         def of_all(draws: dict[str, Array], numbers: Any) -> dict[str, Array]:
             def of_one(draw: dict[str, Array]) -> dict[str, Array]:
                 program = handlers.substitute(self.observer, draw)
-                with handlers.block(), handlers.seed(rng_seed=0):
+                with handlers.block(), handlers.seed(rng_seed=0), handlers.trace() as sites:
                     said = program(evidence.of_numbers(*numbers))
-                    return expected(said, draw["spread"], draw.get("diversity"))
+                # an observer of answers without names may call a parameter of its own so
+                diversity = None if "diversity" in sites else draw.get("diversity")
+                return expected(said, draw["spread"], diversity)
 
             return jax.lax.map(of_one, draws, batch_size=_AT_A_TIME)
 
