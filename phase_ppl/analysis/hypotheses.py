@@ -267,7 +267,7 @@ class Hypotheses:
         if without is None:
             return Mode(label)
         without_each = estimate.shares(codes, without.weights, size)
-        worth = self._effective_size * float(self._rows.weights[rows].sum())
+        worth = self._size_of(rows)
         return Mode(label, doubt(mass, without, without_each, worth))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
@@ -566,13 +566,15 @@ class Hypotheses:
         chains = float(len(np.unique(self._rows.index["chain"])))
         return min(min(sizes, default=chains), max(chains, estimate.worth(self._rows.weights)))
 
+    def _size_of(self, rows: NDArray[np.bool_]) -> float:
+        """Return how many independent draws those of ``rows`` would be as sure as; or NaN."""
+        return self._effective_size * float(self._rows.weights[rows].sum())
+
     def _error_of_share(
         self, mass: FloatArray | float, error: FloatArray, rows: NDArray[np.bool_]
     ) -> FloatArray:
         """Return errors of probabilities given ``rows``, with what few draws need not show."""
-        return with_unseen(
-            mass, error, self._effective_size * float(self._rows.weights[rows].sum())
-        )
+        return with_unseen(mass, error, self._size_of(rows))
 
     def _weighed(
         self, given: Given, *asked: NDArray[Any], share: float = 0.0
@@ -614,7 +616,7 @@ class Hypotheses:
             error = self._error_of_share(number, error, rows)
         elif statistic is estimate.mean:
             # a few draws that agree by chance do not make it sure
-            size = self._effective_size * float(self._rows.weights[rows].sum())
+            size = self._size_of(rows)
             error = np.fmax(error, float(estimate.sd(values, weights)) / math.sqrt(size + 1))
             error *= estimate.widened(size)
         of_draws = statistic is not estimate.share and not math.isnan(self._effective_size)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -363,11 +362,8 @@ class Posterior(EventPosterior):
             far = noise > max(x1 - x0, y1 - y0)
             words = f"beta = {beta:g}, as noise {noise:.0f} units in a frame"
             return f"tempered: {words}, wider than the arena" if far else words
-        likelihood = str(self.settings.get("model", {}).get("likelihood", ""))
-        counts = re.search(r"StepwiseLikelihood\(.*?\bweight=([0-9.e-]+)", likelihood)
-        if counts is None or float(counts[1]) == 1:
-            return ""
-        return f"the closed loop's, tempered: a frame counts {counts[1]}"
+        counts = self._tree[SIMULATED].attrs.get("frame_weight", 1.0)
+        return f"the closed loop's, tempered: a frame counts {counts:g}" if counts != 1 else ""
 
     def __repr__(self) -> str:
         chains, draws = shape_of_draws(self._tree)

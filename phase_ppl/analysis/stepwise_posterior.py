@@ -399,9 +399,8 @@ class StepwisePosterior(EventPosterior):
 
         Returns:
             ``log_odds`` (time,) of one over the other given the frames so far, in nats, tempered
-            as the attribute ``tempering`` says, its
-            ``error`` (time,) by the jackknife over planner seeds (NaN: there is one), and
-            ``change`` (time,) by each frame.
+            as the attribute ``tempering`` says, its ``error`` (time,) by the jackknife over planner
+            seeds (NaN: there is one), and ``change`` (time,) by each frame.
 
         Raises:
             QueryError, UnknownNameError: it cannot be read, or names something unknown.

@@ -271,7 +271,8 @@ def _with_again(simulations: xr.Dataset, log_first: FloatArray) -> FloatArray:
     """Return (simulation,) log 1 / Q summed over requests, given the first's; NaN: not known."""
     again = simulations["log_again"].values
     first = np.where(np.isnan(log_first) & (again > -np.inf), -np.inf, log_first)
-    return np.asarray(np.logaddexp(first, again), np.float64)
+    with np.errstate(invalid="ignore"):  # of what is not known
+        return np.asarray(np.logaddexp(first, again), np.float64)
 
 
 def log_reciprocal_proposal(
@@ -291,8 +292,7 @@ def log_reciprocal_proposal(
     limited = np.isfinite(bound)
     log_completion[limited] = np.minimum(0.0, bound[limited] + log_likelihood[limited])
     log_first = -simulations["log_proposal"].values - log_completion
-    with np.errstate(invalid="ignore"):  # of what is not known
-        return _with_again(simulations, log_first)
+    return _with_again(simulations, log_first)
 
 
 def truncated(weights: FloatArray, n_requests: NDArray[np.int64] | None = None) -> FloatArray:

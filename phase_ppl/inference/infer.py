@@ -29,11 +29,9 @@ if TYPE_CHECKING:
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
-_OF_SAMPLING: Final = (
-    *("iterations", "budget", "on_failure", "retries", "simulation_seconds", "executor"),
-    *("checkpoint", "burn_in", "weights"),
-)
-"""Options of a run that are refused for a video read step by step."""
+_NOT_OF_SAMPLING: Final = ("workers", "progress", "versions", "began")
+"""Options of a run that are not refused for a video read step by step: it uses the first two, and
+the others are made anew in every call."""
 
 
 @overload
@@ -159,7 +157,7 @@ def infer(
             f"preset={shown(kernel_options['preset'])} stands for several arguments: write "
             "infer(event, **phase_ppl.preset(...))"
         )
-    given = {name: getattr(options, name) for name in _OF_SAMPLING}
+    given = {name: value for name, value in vars(options).items() if name not in _NOT_OF_SAMPLING}
     given |= {"chains": chains, "settings": settings, **kernel_options}
     check_event(event)
     settings = SimpleSettings.of(event.scene.world) if settings is None else settings

@@ -70,14 +70,19 @@ class TemperedProgram(EventProgram):
         return cls(model, program.bridge, program.n_frames, program.salt, observed)
 
     def simulate(
-        self, sites: Sites, log_prior: jax.Array, seed: jax.Array, *limits: jax.Array | float
+        self,
+        sites: Sites,
+        log_prior: jax.Array,
+        seed: jax.Array,
+        error_ceiling: jax.Array | float = np.inf,
+        *_: jax.Array | float,
     ) -> jax.Array:
         """Return (time,) the errors of a simulation, whose proposal's density is not kept.
 
         How probable it was that it is not stopped follows from L^t, not from L, so that it cannot
         be weighed as the simulations of other kernels are.
         """
-        return super().simulate(sites, log_prior, seed, *limits[:1])
+        return super().simulate(sites, log_prior, seed, error_ceiling)
 
 
 def next_temperature(

@@ -139,6 +139,8 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
         raise ValueError("the records differ in length")
     if simulated.min() < 0 or simulated.max() > n_frames:
         raise ValueError(f"a record has more than {n_frames} frames")
+    # checkpoints did not always say how many requests came later
+    n_again = columns.get("n_again", np.isfinite(columns["log_again"]))
     records = []
     densities = ("log_prior", "log_proposal", "log_bound", "log_again")
     for row, (end, n) in enumerate(zip(ends, simulated, strict=True)):
@@ -162,7 +164,7 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event)
                 here,
                 chain=int(columns["chain"][row]),
                 iteration=int(columns["iteration"][row]),
-                n_again=int(columns["n_again"][row]),
+                n_again=int(n_again[row]),
                 **{name: float(columns[name][row]) for name in densities},
             )
         )

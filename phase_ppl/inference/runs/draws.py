@@ -14,7 +14,7 @@ from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, 
 from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
-from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.world_prior import kept_prior, log_prior_of_effective, space_of_prior
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
@@ -115,7 +115,7 @@ def build_tree(
         SIMULATED: xr.Dataset(
             {"trajectory": ((*DRAW, *FRAME), _trajectories(records, index))},
             {**draw_coords, **frame_coords},
-            {"beta": model.likelihood.beta} if type(model.likelihood) is RadialLikelihood else {},
+            _tempering(model.likelihood),
         ),
         "observed_data": xr.Dataset(
             {"trajectory": (FRAME, event.observation.trajectory)}, frame_coords
@@ -151,6 +151,13 @@ def build_tree(
         **attrs,
     }
     return tree
+
+
+def _tempering(likelihood: object) -> dict[str, float]:
+    """Return as attributes what tempers a likelihood of this package."""
+    if is_stepwise(likelihood):
+        return {"frame_weight": likelihood.weight}
+    return {"beta": likelihood.beta} if type(likelihood) is RadialLikelihood else {}
 
 
 def _weight_by_simulation(

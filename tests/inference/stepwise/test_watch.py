@@ -167,6 +167,8 @@ def test_kernels_that_sample_find_the_same(
         *(short(), model), kernel=kernel, chains=chains, iterations=iterations, progress=False
     )
     assert isinstance(post, ppl.Posterior)
+    assert "tempered: a frame counts 0.2" in str(post)
+    assert "tempered: a frame counts 0.2 for goals and 0.5 for strengths" in str(exact)
     if kernel == "prior_mh":
         post = ppl.Posterior(post.tree.isel(draw=slice(500, None)), "count")
     for name, tolerance in (("relation", 0.06), ("goal_red", 0.12)):
