@@ -324,7 +324,7 @@ class TestQuery:
             {"relation": a, "sign_red": "to", "probability": p, "error": pytest.approx(0.25)}
             for a, p in (("friendly", 0.75), ("neutral", 0.25))
         ]
-        assert (mode["value"], mode["error"]) == ("friendly", pytest.approx(0.197, abs=2e-3))
+        assert (mode["value"], mode["error"]) == ("friendly", pytest.approx(0.198, abs=1e-3))
         assert interval["bounds"] == [{"value": 300.0, "error": None}] * 2
         alone = [
             "P(sign_red=to | relation=neutral)",
