@@ -199,12 +199,14 @@ def difference(
 ) -> Figure | None:
     """Return ``one - other`` with its interval and a two-sided p, over the same resamples.
 
-    The interval of a difference ``of_shares``, of means from 0 to 1, is wider (:func:`with_two`).
+    Differences ``of_shares``, of means from 0 to 1, are resampled with two more events
+    (:func:`with_two`).
 
     p is twice the share of resamples (the data among them) in which the difference is not above
-    0, or not below 0, whichever is smaller, but at least 2 ** (1 - n): resamples of a few events
-    that agree all agree, while the signs of n differences are all alike by chance that often.
-    None, like the interval, with one event.
+    0, or not below 0, whichever is smaller, so that it is below 0.05 where the interval is on one
+    side of 0; but at least 2 ** (1 - n): resamples of a few events that agree all agree, while the
+    signs of n differences are all alike by chance that often. None, like the interval, with one
+    event.
     """
     values = one - other
     # what is equal but for rounding is equal
@@ -213,9 +215,10 @@ def difference(
     if found is None:
         return None
     if of_shares and n > 1:
-        found["ci_low"], found["ci_high"] = interval(with_two(values, n))
+        values = with_two(values, n)
+        found["ci_low"], found["ci_high"] = interval(values)
     drawn = values[1:][np.isfinite(values[1:])]
-    tail = min((drawn <= 0).sum(), (drawn >= 0).sum()) + 1
+    tail = min((drawn <= _CONSTANT).sum(), (drawn >= -_CONSTANT).sum()) + 1
     p = min(1.0, max(float(2 * tail / (drawn.size + 1)), 2.0 ** (1 - n)))
     return {**found, "p": p if n > 1 and drawn.size else None}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -31,6 +33,27 @@ def test_intervals_of_differences_of_shares_hold_them(share: float) -> None:
     found = [of_shares(int(wrong)) for wrong in k]
     held = np.array([one["ci_low"] <= -share <= one["ci_high"] for one in found])  # type: ignore[operator]
     assert stats.binom.pmf(k, N, share)[held].sum() > 0.945
+
+
+@pytest.mark.parametrize("n", [10, 20, 50])
+@pytest.mark.parametrize("apart", [0.1, 0.3, 0.6])
+def test_models_that_are_equally_good_differ_in_one_of_twenty_cases(n: int, apart: float) -> None:
+    """They are apart on that share of events; p is below 0.05 where the interval leaves out 0."""
+    weights, events = resampled(n, resamples=1000), np.arange(n)
+    rejected = 0.0
+    for one, other in itertools.product(range(n + 1), repeat=2):
+        chance = stats.multinomial.pmf(
+            [one, other, n - one - other], n, [apart / 2, apart / 2, 1 - apart]
+        )
+        if chance < 1e-4:
+            continue
+        values = weights @ ((events < one) * 1.0 - (events >= n - other)) / n
+        found = difference(values, 0 * values, n, of_shares=True)
+        assert found is not None
+        low, high, p = found["ci_low"], found["ci_high"], found["p"]
+        assert abs(p - 0.05) < 0.01 or (p < 0.05) == (low > 0 or high < 0)  # type: ignore[operator]
+        rejected += chance * (p <= 0.05)  # type: ignore[operator]
+    assert rejected <= 0.05
 
 
 def test_models_that_agree_on_few_events_are_not_known_to_agree() -> None:

@@ -315,7 +315,7 @@ def test_difference_is_paired() -> None:
     assert found["value"] == pytest.approx(0.5)
     # two further events could speak for either side
     assert (found["ci_low"], found["ci_high"]) == pytest.approx((7 / 22, 13 / 22))
-    assert found["p"] == pytest.approx(2 / 1000)
+    assert found["p"] < 0.01
     equal = paired_difference(EVENTS, ANSWERS, ANSWERS)["goal_accuracy"]
     assert (equal["value"], equal["p"]) == (0, 1)
     assert equal["ci_low"] == -equal["ci_high"] < 0
@@ -328,8 +328,8 @@ def test_p_is_small_only_where_the_difference_is_clear() -> None:
     )
     assert clear["p"] < 0.01
     assert clear["ci_low"] > 0
-    # none of the two is drawn in (28 / 30) ** 30 = 13 % of the resamples
-    assert unclear["p"] == pytest.approx(2 * 0.126, abs=0.06)
+    assert unclear["p"] > 0.2
+    assert unclear["ci_low"] < 0
 
 
 @pytest.mark.parametrize(("n", "least"), [(2, 1 / 2), (3, 1 / 4), (5, 1 / 16)])
