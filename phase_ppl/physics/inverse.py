@@ -22,9 +22,10 @@ from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.flat import ANGLE, SPIN, VX, VY, X, Y
 from phase_ppl.physics.jit import bare_kernel
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 
-_STOP = int(Action.STOP)
+_STOP, _NO_FORCE = int(Action.STOP), int(Action.NO_FORCE)
+_ATTACH, _DETACH = int(Action.ATTACH), int(Action.DETACH)
 _SUBSTEPS_ADD = 0.6  # of a push over duration squared: one half, and steps add their ends
 
 FRAME_LAG: Final = 3
@@ -44,6 +45,7 @@ class Trial(NamedTuple):
     actions: IntArray  # (agent,) the joint action tried
     group: IntArray  # (entity,) the least agent that each can meet, or ``_ALONE``
     way: FloatArray  # (entity,) how far each can get, units
+    grabs: BoolArray  # (agent,) whether there is something that each can grab
     best: IntArray  # (agent,) the best action so far
     parts: FloatArray  # (agent, joint action of its group) log densities
     alone: FloatArray  # (agent, N_ACTIONS) work space
@@ -60,6 +62,7 @@ def make_trial(n_bodies: int = 4, n_agents: int = 2) -> Trial:
         np.zeros(n_agents, np.int64),
         np.zeros(n_bodies, np.int64),
         np.zeros(n_bodies),
+        np.zeros(n_agents, np.bool_),
         np.zeros(n_agents, np.int64),
         np.zeros((n_agents, N_ACTIONS**n_agents)),
         np.zeros((n_agents, N_ACTIONS)),
@@ -142,7 +145,7 @@ def _join(one: int, other: int, trial: Trial) -> None:
 
 @bare_kernel
 def _find_groups(bodies: FloatArray, held: IntArray, params: Params, trial: Trial) -> None:
-    """Write into ``trial.group`` who can meet whom during this planner step."""
+    """Write into ``trial`` who can meet whom during this planner step, and who can grab."""
     n_bodies, n_agents = bodies.shape[0], held.shape[0]
     duration = params.dt * params.substeps
     for body in range(n_bodies):
@@ -153,8 +156,10 @@ def _find_groups(bodies: FloatArray, held: IntArray, params: Params, trial: Tria
             trial.way[body] += _SUBSTEPS_ADD * pushed * duration**2
     for agent in range(n_agents):
         item = held[agent]
+        trial.grabs[agent] = False
         if item < 0:
             item, _ = compiled.find_grab(bodies, held, agent, params)
+            trial.grabs[agent] = item >= 0
         if item >= 0:
             _join(agent, item, trial)
     joined = True
@@ -172,6 +177,23 @@ def _find_groups(bodies: FloatArray, held: IntArray, params: Params, trial: Tria
     for item in range(n_agents, n_bodies):
         if trial.group[item] >= n_agents:
             trial.group[item] = _ALONE
+
+
+@bare_kernel
+def _first_alike(held: IntArray, trial: Trial) -> int:
+    """Return the first joint action that does the same as the one in ``trial``.
+
+    With nothing to let go of, or to grab, that is to exert no force. A grab moves what is grabbed,
+    after which others may be able to grab something.
+    """
+    joint, grabbed = 0, False
+    for agent in range(held.shape[0]):
+        action = trial.actions[agent]
+        grabbed |= action == _ATTACH and trial.grabs[agent]
+        if (action == _ATTACH and not grabbed) or (action == _DETACH and held[agent] < 0):
+            action = _NO_FORCE
+        joint = joint * N_ACTIONS + action
+    return joint
 
 
 @bare_kernel
@@ -333,13 +355,19 @@ def try_all(
             elif size == 2:
                 largest = 2
         # all groups at a time, each its own joint actions
-        for joint in range(N_ACTIONS**largest):
+        last = N_ACTIONS**largest - 1  # is tried, for what is seen of the rest
+        for joint in range(last + 1):
             for group in range(n_agents):
                 left = joint
                 for agent in range(n_agents - 1, -1, -1):
                     if trial.group[agent] == group:
                         trial.actions[agent] = left % N_ACTIONS
                         left //= N_ACTIONS
+            if largest == n_agents and joint < last:  # one group
+                alike = _first_alike(holds, trial)
+                if alike < joint:
+                    trial.parts[0, joint] = trial.parts[0, alike]
+                    continue
             attempt(state, holds, welds, params, scratch, trial)
             for group in range(n_agents):
                 size = _size(group, trial)

@@ -14,6 +14,9 @@ from tests.agents.scenes import scene
 
 APART = scene(red=(10.0, 18.0, 0.4), green=(22.0, 18.0, -1.0))
 TOUCHING = scene(red=(14.0, 8.0, 0.0), blue=(14.0, 9.7), green=(22.0, 18.0, -1.0))
+# one group each: nothing to grab; an item that both can grab, so that the first one moves it
+NEAR = scene(red=(14.0, 18.0, 0.4), green=(16.0, 18.0, -1.0))
+BOTH = scene(red=(14.0, 8.0, 0.0), blue=(14.0, 9.7), green=(14.1, 11.3, 3.0))
 SCALE, ANGLE_SCALE, TAIL = 0.06, 0.05, 3.0
 
 
@@ -33,7 +36,9 @@ def tried(where: Scene) -> tuple[np.ndarray, np.ndarray, compiled.Params]:
     return found[0].reshape(N_ACTIONS, N_ACTIONS), observed, params
 
 
-@pytest.mark.parametrize("where", [APART, TOUCHING], ids=["apart", "touching"])
+@pytest.mark.parametrize(
+    "where", [APART, TOUCHING, NEAR, BOTH], ids=["apart", "touching", "near", "both"]
+)
 def test_every_pair_has_the_density_of_its_own_frame(where: Scene) -> None:
     found, observed, params = tried(where)
     place = stats.multivariate_t(np.zeros(2), SCALE**2 * np.eye(2), df=TAIL)
