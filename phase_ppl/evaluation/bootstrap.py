@@ -48,11 +48,16 @@ def weighted_mean(weights: FloatArray, values: ArrayLike) -> FloatArray:
 
     NaN among the values counts for nothing; the mean of nothing is NaN.
     """
-    given = np.asarray(values, np.float64)
-    given = given.reshape(len(given), int(np.prod(given.shape[1:])))
+    given = by_event(values)
     known = ~np.isnan(given)
     total = weights @ np.where(known, given, 0).sum(axis=1)
     return divided(total, weights @ known.sum(axis=1).astype(np.float64))
+
+
+def by_event(values: ArrayLike) -> FloatArray:
+    """Return values (event, ...), be they of no event, as (event, component)."""
+    given = np.asarray(values, np.float64)
+    return given.reshape(len(given), int(np.prod(given.shape[1:])))
 
 
 def correlation(
@@ -130,8 +135,7 @@ def proportion(values: ArrayLike) -> Figure | None:
     shares, such as that of people who are right, from how much the events' means vary, with the
     quantile of Student's t. None without a score; of one event there is no interval (None, None).
     """
-    given = np.asarray(values, np.float64)
-    given = given.reshape(len(given), int(np.prod(given.shape[1:])))
+    given = by_event(values)
     given = given[~np.isnan(given).all(axis=1)]
     if not len(given):
         return None

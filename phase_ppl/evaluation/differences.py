@@ -66,29 +66,22 @@ def differences(
     for one, other in pairs:
         found = paired.difference(models[one], models[other])
         for path, value in _figures(found):
-            scenario = path[1] if path[0] == "by_scenario" else None
-            rows.append(
-                {
-                    **{"one": one, "other": other},
-                    **{"measure": ".".join(path[2:] if scenario else path), "scenario": scenario},
-                    **value,
-                    "n_events": found["by_scenario"][scenario]["n"]
-                    if scenario
-                    else found["n_events"],
-                }
-            )
+            scenario, n = None, found["n_events"]
+            if path[0] == "by_scenario":
+                _, scenario, *path = path
+                n = found["by_scenario"][scenario]["n"]
+            row = {"one": one, "other": other, "measure": ".".join(path), "scenario": scenario}
+            rows.append({**row, **value, "n_events": n})
     return _corrected(rows, "p")
 
 
-def _figures(
-    found: Mapping[str, Any], above: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+def _figures(found: Mapping[str, Any], *above: str) -> Iterator[tuple[list[str], dict[str, Any]]]:
     """Yield path and figure of all that :class:`Scores` found."""
     for name, value in found.items():
         if isinstance(value, dict) and "value" in value:
-            yield (*above, name), value
+            yield [*above, name], value
         elif isinstance(value, dict):
-            yield from _figures(value, (*above, name))
+            yield from _figures(value, *above, name)
 
 
 def equivalence(
@@ -184,6 +177,5 @@ def holm(p: Sequence[float]) -> list[float]:
     values = np.asarray(p, np.float64)
     order = np.argsort(values, kind="stable")
     steps = values[order] * np.arange(len(values), 0, -1)
-    corrected = np.empty(len(values))
-    corrected[order] = np.minimum(np.maximum.accumulate(steps), 1)
-    return [float(one) for one in corrected]
+    corrected = np.minimum(np.maximum.accumulate(steps), 1)
+    return [float(one) for one in corrected[np.argsort(order)]]

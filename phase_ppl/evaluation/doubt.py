@@ -206,8 +206,7 @@ def ceiling(
         found[f"split_half_r{suffix}"] = halves
         found[f"spearman_brown{suffix}"] = 2 * halves / (1 + halves) if halves > -1 else np.nan
         found[f"one_out_r{suffix}"] = float(correlation(times[None], rest, answer, of_rows)[0])
-    scores = np.average(log_score(rest, answer), weights=times)
-    found["one_out_log_score"] = float(scores)
+    found["one_out_log_score"] = float(np.average(log_score(rest, answer), weights=times))
     return {name: None if np.isnan(value) else value for name, value in found.items()}
 
 
@@ -291,7 +290,6 @@ def split_half(
     judged: Sequence[Judgments | None],
     questions: Sequence[str],
     weights: FloatArray,
-    *,
     by_participant: bool,
     seed: int = 0,
     splits: int = SPLITS,

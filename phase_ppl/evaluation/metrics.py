@@ -71,6 +71,7 @@ import numpy as np
 from phase_ppl.evaluation import tables
 from phase_ppl.evaluation.bootstrap import (
     Figure,
+    by_event,
     correlation,
     difference,
     figure,
@@ -248,13 +249,8 @@ def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Path, An
     by_participant = known.by_participant
     found: dict[Path, Any] = {}
     for kind, prefix in PREFIX.items():
-        halves = split_half(
-            known.judgments,
-            kinds_of(known.world)[kind],
-            weights,
-            by_participant=by_participant,
-            seed=seed,
-        )
+        questions = kinds_of(known.world)[kind]
+        halves = split_half(known.judgments, questions, weights, by_participant, seed)
         found["human", f"{prefix}split_half_r"] = figure(*halves)
     judged = any(one is not None for one in known.judgments)
     by = "participants" if by_participant else "votes"
@@ -281,7 +277,7 @@ class Curve(NamedTuple):
 def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return all figures that are about the model."""
     curves = accuracy_curves(model.right, known, weights)
-    curves["goal_top3_accuracy",] = share_curve(weights, model.in_top)
+    curves["goal_top3_accuracy",] = mean_curve(weights, model.in_top, of_shares=True)
     for kind, prefix in PREFIX.items():
         probabilities, people = model.probabilities[kind], known.people[kind]
         of_truth = at_truth(log_probabilities(probabilities), known.truth[kind])
@@ -302,20 +298,14 @@ def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, C
 
 
 def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
-    flat = (x.shape[0], int(np.prod(x.shape[1:])))
-    left, right = x.reshape(flat), y.reshape(flat)
-    of_groups = None if groups is None else groups.reshape(flat)
-    return Curve(correlation(weights, left, right, of_groups), events_with(left * right))
+    of_groups = None if groups is None else by_event(groups)
+    return Curve(correlation(weights, by_event(x), by_event(y), of_groups), events_with(x * y))
 
 
-def mean_curve(weights: FloatArray, values: FloatArray) -> Curve:
-    """Return the mean of (event, answer) values of any size."""
-    return Curve(weighted_mean(weights, values), events_with(values))
-
-
-def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
-    """Return the mean of (event, answer) scores from 0 to 1."""
-    return Curve(weighted_mean(weights, scores), events_with(scores), scores)
+def mean_curve(weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Curve:
+    """Return the mean of (event, answer) values, which may be shares, from 0 to 1."""
+    scores = values if of_shares else None
+    return Curve(weighted_mean(weights, values), events_with(values), scores)
 
 
 def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
@@ -339,7 +329,7 @@ def accuracy_curves(
     for kind, values in right.items():
         for path, chosen in known.parts(kind).items():
             part = np.where(chosen, values, np.nan)
-            curves[*path, f"{kind}_accuracy"] = share_curve(weights, part)
+            curves[*path, f"{kind}_accuracy"] = mean_curve(weights, part, of_shares=True)
     return curves
 
 
@@ -409,10 +399,10 @@ def put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:
         place[path[-1]] = value
 
 
-def at(metrics: Mapping[str, Any], path: Path) -> Any:
-    """Return what is where a path says; None where there is nothing."""
+def at(metrics: Mapping[str, Any], path: str | Path) -> Any:
+    """Return what is where a path, or its parts joined by dots, says; None: there is nothing."""
     found: Any = metrics
-    for name in path:
+    for name in path.split(".") if isinstance(path, str) else path:
         found = found.get(name) if isinstance(found, Mapping) else None
     return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -87,14 +87,9 @@ class Facts:
 
         The whole comes first, at (), then :func:`parts_of` the world.
         """
-        parts: dict[tuple[str, ...], BoolArray] = {(): np.ones((1, 1), bool)}
         paths = parts_of(self.world, kind)
-        for place, path in enumerate(paths):
-            if self.world == PHASE:
-                parts[path] = (self.scenario == place)[:, None]
-            else:
-                parts[path] = np.arange(len(paths))[None] == place
-        return parts
+        place = self.scenario[:, None] if self.world == PHASE else np.arange(len(paths))[None]
+        return {(): np.ones((1, 1), bool), **{path: place == i for i, path in enumerate(paths)}}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -152,13 +147,10 @@ def facts(events: Sequence[Event]) -> Facts:
     world = world_of(events)
     return Facts(
         truth=_places([true_answers(event) for event in events], world),
-        scenario=np.array([_true_scenario(event) for event in events], np.int64),
+        scenario=_scenarios(map(true_scenario, events)),
         judgments=judgments,
         people=_distributions(
-            [
-                {} if one is None else {q: one.distribution(q) for q in questions_of(world)}
-                for one in judgments
-            ],
+            [{q: one.distribution(q) for q in one.counts} if one else None for one in judgments],
             world,
         ),
         world=world,
@@ -179,10 +171,7 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
         },
         in_top=_in_top(probabilities["goal"], truth["goal"]),
         probabilities=probabilities,
-        scenario=np.array(
-            [-1 if one.scenario is None else SCENARIOS.index(one.scenario) for one in made],
-            np.int64,
-        ),
+        scenario=_scenarios(one.scenario for one in made),
     )
 
 
@@ -203,16 +192,21 @@ def true_answers(event: Event) -> dict[str, str]:
     return dict(goals) | {q: truth.relation_between(*pair) for q, pair in pairs}
 
 
+def true_scenario(event: Event) -> str | None:
+    """Return the true scenario; None where it is unknown, as in other worlds than PHASE."""
+    known = event.truth is not None and not isinstance(event.truth, Roles)
+    return event.truth.scenario if known else None
+
+
 def at_truth(values: FloatArray, truth: IntArray) -> FloatArray:
     """Return (event, question) the values (event, question, answer) of true answers, else NaN."""
     of_truth = np.take_along_axis(values, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
     return np.where(truth < 0, np.nan, of_truth)
 
 
-def _true_scenario(event: Event) -> int:
-    """Return the index of the true scenario; -1 where it is unknown, as in other worlds."""
-    known = event.truth is not None and not isinstance(event.truth, Roles)
-    return SCENARIOS.index(event.truth.scenario) if known else -1
+def _scenarios(names: Iterable[str | None]) -> IntArray:
+    """Return (event,) the indices of scenarios, -1 where there is none."""
+    return np.array([-1 if name is None else SCENARIOS.index(name) for name in names], np.int64)
 
 
 def _in_top(probabilities: FloatArray, truth: IntArray) -> FloatArray:
@@ -240,7 +234,7 @@ def _places(given: Sequence[Mapping[str, str]], world: World) -> dict[str, IntAr
 
 
 def _distributions(
-    given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray]], world: World
+    given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray] | None], world: World
 ) -> dict[str, FloatArray]:
     """Return kind -> (event, question, answer) from question -> distribution per event."""
     arrays = {}
@@ -249,8 +243,7 @@ def _distributions(
         values = np.full((len(given), len(questions), n_answers), np.nan)
         for event, of_event in enumerate(given):
             for place, question in enumerate(questions):
-                shares = of_event.get(question)
-                if shares is not None:
-                    values[event, place] = shares
+                if of_event is not None and question in of_event:
+                    values[event, place] = of_event[question]
         arrays[kind] = values
     return arrays

@@ -14,9 +14,10 @@ from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import COMPARISON
+from phase_ppl.evaluation.tables import true_scenario
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.hypothesis import SCENARIOS, Roles
+from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,11 +59,7 @@ def compared(source: Source) -> ModelComparison:
 
 def scenarios_of(results: Results) -> dict[str, str]:
     """Return event -> true scenario, of the events of PHASE whose truth is known."""
-    return {
-        e.id: e.truth.scenario
-        for e in results.events
-        if e.truth is not None and not isinstance(e.truth, Roles)
-    }
+    return {event.id: name for event in results.events if (name := true_scenario(event))}
 
 
 # --- layout ---------------------------------------------------------------------------------------

@@ -32,7 +32,14 @@ from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
-from phase_ppl.evaluation.tables import parts_of, titles_of, true_answer, true_answers, world_of
+from phase_ppl.evaluation.tables import (
+    parts_of,
+    titles_of,
+    true_answer,
+    true_answers,
+    true_scenario,
+    world_of,
+)
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
@@ -191,8 +198,7 @@ def _item(
         for name, title in titles_of(event.scene.world).items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
-    known = event.truth is not None and not isinstance(event.truth, Roles)
-    scenario = event.truth.scenario if known else ""
+    scenario = true_scenario(event) or ""
     right = [
         label
         for label, answers in given.items()
@@ -370,10 +376,8 @@ def evaluation_page(
     present = {name: name for name in SCENARIOS if name in scenarios.values()}
     items = []
     for event in counted(evaluation.events, progress, "event", "showing"):
-        shown = [one for one in evaluation.answers if event.id in one.predictions]
-        own = next((o.predictions[event.id] for o in shown if o.kind == "model"), None)
-        post = None if own is None else _posterior(evaluation, event.id)
-        items.append({**_item(event, shown, post, videos), **_outcome(event, own)})
+        item = _item(event, evaluation.answers, _posterior(evaluation, event.id), videos)
+        items.append({**item, **_outcome(event, evaluation.predictions.get(event.id))})
     return page(
         "evaluation.html",
         title=f"Evaluation of {label_of(evaluation.name)}",
@@ -544,10 +548,10 @@ def picture_of(image: Image.Image, alt: str, width: int) -> Picture:
     return Picture(embedded(buffer.getvalue(), "image/png"), alt, small.width, small.height)
 
 
-def figure_of(figure: Figure, alt: str, dpi: int = 160) -> Picture:
+def figure_of(figure: Figure, alt: str) -> Picture:
     """Return a matplotlib figure, a little larger than on paper."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi)
+    figure.savefig(buffer, format="png", dpi=160)
     width, height = (round(inches * _SCREEN) for inches in figure.get_size_inches())
     return Picture(embedded(buffer.getvalue(), "image/png"), alt, width, height)
 
