@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
@@ -80,16 +81,15 @@ def answer_sets(
         metrics: of people and models by name, where they are asked for.
     """
     labels = [label_of(name) for name in models]
-    found = [AnswerSet(PEOPLE, PEOPLE, PEOPLE, PEOPLE_COLOUR, peoples_answers(events))]
-    for name, label, colour in zip(models, labels, colours_of(list(models)), strict=True):
+    colours = itertools.cycle(c for c in PALETTE if c not in map(COLOURS.get, models))
+    people = peoples_answers(events)
+    found = [AnswerSet(PEOPLE, PEOPLE, PEOPLE, PEOPLE_COLOUR, people, metrics.get(PEOPLE, {}))]
+    for name, label in zip(models, labels, strict=True):
         kind = "reference" if name in stored else "model"
         unlike = label if labels.count(label) == 1 else name
-        found.append(AnswerSet(name, kind, unlike, colour, models[name]))
-    return [
-        dataclasses.replace(answers, metrics=metrics.get(answers.name, {}))
-        for answers in found
-        if answers.predictions
-    ]
+        colour = COLOURS.get(name) or next(colours)
+        found.append(AnswerSet(name, kind, unlike, colour, models[name], metrics.get(name, {})))
+    return [answers for answers in found if answers.predictions]
 
 
 def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
@@ -98,9 +98,8 @@ def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
     for event in events:
         judgments = event_judgments(event)
         if judgments is not None:
-            shares = {question: judgments.distribution(question) for question in judgments.counts}
-            given = {question: share for question, share in shares.items() if share is not None}
-            found[event.id] = Prediction(event.id, given, world=event.scene.world)
+            shares = {q: ratings / ratings.sum() for q, ratings in judgments.counts.items()}
+            found[event.id] = Prediction(event.id, shares, world=event.scene.world)
     return found
 
 
@@ -112,16 +111,3 @@ def stored_label(name: str, models: Collection[str]) -> str:
 def label_of(name: str) -> str:
     """Return how figures call a source."""
     return LABELS.get(name, name.replace("_", " "))
-
-
-def colours_of(names: Sequence[str]) -> list[str]:
-    """Return a colour for each name, different ones while there are enough."""
-    found: dict[int, str] = {}
-    for place, name in enumerate(names):
-        colour = COLOURS.get(name)
-        if colour is not None and colour not in found.values():
-            found[place] = colour
-    free = [colour for colour in PALETTE if colour not in found.values()] or list(PALETTE)
-    others = [place for place in range(len(names)) if place not in found]
-    found |= {place: free[i % len(free)] for i, place in enumerate(others)}
-    return [found[place] for place in range(len(names))]

@@ -89,20 +89,16 @@ def metric_tables(models: Sequence[Row], people: Mapping[str, Any] | None = None
     """
     lines = []
     for title, columns, rows in _tables(models, people):
+        figures = [heading for heading, place in columns.items() if place != _EVENTS]
         cells = {
-            name: [_cell(metrics, place) for place in columns.values()] for name, metrics in rows
+            name: {heading: _cell(metrics, place) for heading, place in columns.items()}
+            for name, metrics in rows
         }
-        counted = list(columns.values()).index(_EVENTS) if _EVENTS in columns.values() else None
-        kept = {
-            name: row
-            for name, row in cells.items()
-            if any(cell != NOTHING for j, cell in enumerate(row) if j != counted)
-        }
-        used = [j for j in range(len(columns)) if any(row[j] != NOTHING for row in kept.values())]
+        kept = {n: row for n, row in cells.items() if any(row[h] != NOTHING for h in figures)}
+        used = [h for h in columns if any(row[h] != NOTHING for row in kept.values())]
         if kept:
-            headings = [list(columns)[j] for j in used]
-            body = [[short(name, _LABEL), *(row[j] for j in used)] for name, row in kept.items()]
-            lines += ["", title, *aligned([["", *headings], *body])]
+            body = [[short(name, _LABEL), *(row[h] for h in used)] for name, row in kept.items()]
+            lines += ["", title, *aligned([["", *used], *body])]
     return lines
 
 
@@ -189,21 +185,20 @@ def _among_people(models: Sequence[Row]) -> dict[str, Any]:
     """
     by_events = sorted((m for _, m in models), key=lambda metrics: -metrics["n_events"])
 
-    def first(*path: str) -> Any:
+    def first(path: str) -> Any:
         return next(filter(None, (at(metrics, path) for metrics in by_events)), None)
 
+    doubt = {f"relation_{r}": first(f"doubt.ceiling.one_out_{r}") for r in ("r", "r_given_truth")}
     human = {}
     for kind, prefix in PREFIX.items():
-        human[f"{kind}_r"] = first("human", f"{prefix}split_half_r")
-        human[f"{prefix}log_score"] = first("human", f"{prefix}log_score_people")
-    doubt = {f"relation_{r}": first("doubt", "ceiling", f"one_out_{r}")
-             for r in ("r", "r_given_truth")}  # fmt: skip
+        human[f"{kind}_r"] = first(f"human.{prefix}split_half_r")
+        human[f"{prefix}log_score"] = first(f"human.{prefix}log_score_people")
     return {"human": human, "doubt": doubt}
 
 
 def _cell(metrics: Mapping[str, Any], place: str | Path) -> str:
     """Return what a table shows of a place in the metrics."""
-    found = at(metrics, tuple(place.split(".")) if isinstance(place, str) else place)
+    found = at(metrics, place)
     if place == "cpu_seconds" and found is not None:
         value = found["value"]
         return f"{value:.3f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"

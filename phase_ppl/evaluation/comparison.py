@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import numbers
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -174,10 +173,9 @@ class ModelComparison:
 
         columns: dict[tuple[str, str], list[Any]] = {}
         for measure in _TABLE:
-            path = tuple(measure.split("."))
-            figures = [at(self.metrics[name], path) for name in self.models]
+            figures = [at(self.metrics[name], measure) for name in self.models]
             for part in ("value", "ci_low", "ci_high"):
-                columns[measure, part] = [None if f is None else f[part] for f in figures]
+                columns[measure, part] = [f and f[part] for f in figures]
         return pd.DataFrame(columns, index=pd.Index(self.models, name="model"), dtype=float)
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
@@ -303,8 +301,7 @@ def compare_models(
 
 def _checked(settings: Mapping[str, Any], compared: Sequence[Entry]) -> dict[str, Any]:
     margin, against = settings["margin"], settings["against"]
-    number = isinstance(margin, numbers.Real) and not isinstance(margin, bool)
-    if not (number and 0 < margin < 1):
+    if not 0 < number_or_nan(margin) < 1:
         raise InvalidSettingError(f"margin={shown(margin)}, expected a number between 0 and 1")
     names = [one.name for one in compared]
     check_names(names)
@@ -358,19 +355,16 @@ def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> di
         return {name: evaluation_of(source) for name, source in sources.items()}
     if isinstance(sources, str | os.PathLike | Evaluation):
         sources = [sources]
-    found: list[tuple[str | None, Evaluation]] = []
+    found: list[tuple[str, Evaluation]] = []
     for source in sources:
-        inside = [] if isinstance(source, Evaluation) else _inside(source)
-        if inside:
-            found += [(folder.name, Evaluation.load(folder)) for folder in inside]
-        else:
-            found.append((None, evaluation_of(source)))
+        inside = [(folder.name, Evaluation.load(folder)) for folder in _inside(source)]
+        found += inside or [("", evaluation_of(source))]
     models = [evaluation.name for _, evaluation in found]
     named: dict[str, Evaluation] = {}
     for given, evaluation in found:
         name = given or evaluation.name
         folder = evaluation.folder
-        if given is None and models.count(name) > 1 and folder is not None:
+        if not given and models.count(name) > 1 and folder is not None:
             name = folder.path.resolve().name
         if name in named:
             raise InvalidSettingError(
@@ -526,17 +520,12 @@ def _difference_lines(c: ModelComparison) -> list[str]:
         if len(pairs) > PAIRS and c.settings["against"] is None:
             shown = [pair for pair in pairs if c.models[0] in pair]
             pairs, left_out = shown, max(left_out, len(pairs) - len(shown))
-        table = [
-            ["one minus other", *(cell for word in KIND_WORDS.values() for cell in (word, "p"))]
-        ]
+        table = [["one minus other", KIND_WORDS["goal"], "p", KIND_WORDS["relation"], "p"]]
         for one, other in pairs:
             cells = [f"{short(one, _NAME)} - {short(other, _NAME)}"]
             for name in measures:
                 row = found.get((one, other, name))
-                cells += [
-                    figure_text(row, signed=True),
-                    p_text(None if row is None else row["p_holm"]),
-                ]
+                cells += [figure_text(row, signed=True), p_text(row["p_holm"] if row else None)]
             table.append(cells)
         lines += ["", f"paired differences in {title}", *aligned(table)]
     if lines:

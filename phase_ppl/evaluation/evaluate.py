@@ -295,13 +295,9 @@ class _Outcome(NamedTuple):
 def _ask(predict: Predict, job: _Job) -> _Outcome:
     """Ask a model about one event; whatever it raises is an outcome."""
     clock, used = time.perf_counter(), time.process_time()
-    of_settings = False
+    given: Any = None
     try:
-        try:
-            given = predict(job.scene, job.observation, job.seed)
-        except (InvalidSettingError, UnknownNameError):
-            of_settings = True
-            raise
+        given = predict(job.scene, job.observation, job.seed)
         seconds, cpu = time.perf_counter() - clock, time.process_time() - used
         answer = given if isinstance(given, Answer) else Answer(given)
         prediction = as_prediction(answer.given, world=job.scene.world)
@@ -309,6 +305,7 @@ def _ask(predict: Predict, job: _Job) -> _Outcome:
         prediction = dataclasses.replace(prediction, cost=cost)
         return _Outcome(prediction, _contents(answer) if job.with_artefacts else {})
     except (Exception, SystemExit) as error:
+        of_settings = given is None and isinstance(error, InvalidSettingError | UnknownNameError)
         return _Outcome(failure=described(error), of_settings=of_settings)
     finally:
         jax = sys.modules.get("jax")

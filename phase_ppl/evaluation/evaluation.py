@@ -86,14 +86,11 @@ class Evaluation:
     def measured(self) -> list[AnswerSet]:
         """The same with metrics; of an evaluation that is not finished all about what is."""
         events, metrics = self.events, self.metrics
-        others = {
-            PEOPLE: metrics["people"] or {},
-            **self._of_references(metrics["reference_models"]),
-        }
+        people, references = metrics["people"] or {}, metrics["reference_models"]
         if not self.finished:
             events = [event for event in events if event.id in self.predictions]
-            references = self._of_references(reference_models(events))
-            others = {PEOPLE: human_accuracy(events), **references}
+            people, references = human_accuracy(events), reference_models(events)
+        others = {PEOPLE: people, **self._of_references(references)}
         return self._answers_about(events, {**others, self.name: metrics})
 
     def _answers_about(
