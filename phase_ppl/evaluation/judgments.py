@@ -128,12 +128,8 @@ def load_judgments(
             raise unknown_name("video", row["video"], videos)
         return row
 
-    rows = read_rows(
-        path,
-        check,
-        functools.partial(_check_header, world, events is not None),
-        once=("participant", "video"),
-    )
+    check_header = functools.partial(_check_header, world, events is not None)
+    rows = read_rows(path, check, check_header, once=("participant", "video"))
     if not any(row[question] for row in rows for question in questions):
         raise InvalidEventError(f"{path}: holds no judgments")
     # plain objects: pandas' own text would make NaN of None
@@ -152,15 +148,8 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
         raise InvalidEventError(
             f"the study is about the world {study.world.name!r}, the events are of {of}"
         )
-    found = [
-        dataclasses.replace(
-            event,
-            judgments=study.judgments[event.id].to_record()
-            if event.id in study.judgments
-            else None,
-        )
-        for event in events
-    ]
+    records = {video: given.to_record() for video, given in study.judgments.items()}
+    found = [dataclasses.replace(event, judgments=records.get(event.id)) for event in events]
     if all(event.judgments is None for event in found):
         some = ", ".join(shown(video) for video in list(study.judgments)[:3])
         raise InvalidEventError(f"the study is of none of the {len(events)} events, but of {some}")

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.dataset.documents import in_front, of_kind
@@ -19,7 +19,9 @@ from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
+from phase_ppl.world.picture import plain
 from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import space_of
 
 _SUM_TOLERANCE: Final = 1e-3
 
@@ -44,6 +46,17 @@ def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
         for place, (other, whom) in enumerate(named)
         for one, agent in named[:place]
     }
+
+
+def independent(goals: NDArray[Any], world: World) -> dict[str, NDArray[Any]]:
+    """Return question -> probabilities, from those (agent, goal) of agents that are independent."""
+    found = {f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)}
+    for question, pair in pairs_of(world).items():
+        one, other = map(world.agent, pair)
+        codes = space_of(world).relations[one, other].ravel()
+        joint = np.outer(goals[one], goals[other]).ravel()
+        found[question] = np.bincount(codes, joint, len(RELATIONS))
+    return found
 
 
 QUESTIONS: Final = questions_of(PHASE)
@@ -82,22 +95,16 @@ class Prediction:
     world: World = PHASE
 
     def __post_init__(self) -> None:
-        given, questions = {**self.probabilities, **self.answers}, self.questions
-        for question in {**given, **self.errors}:
+        for question in {**self.probabilities, **self.answers, **self.errors}:
             labels_of(question, self.world)
-        probabilities = {
-            question: _distribution(question, self.probabilities[question], labels)
-            for question, labels in questions.items()
-            if question in self.probabilities
-        }
-        answers = {
-            question: checked_answer(question, self.answers[question], self.world)
-            if question in self.answers
-            else labels[int(probabilities[question].argmax())]
-            for question, labels in questions.items()
-            if question in given
-        }
-        errors = {}
+        probabilities, answers, errors = {}, {}, {}
+        for question, labels in self.questions.items():
+            if question in self.probabilities:
+                values = _distribution(question, self.probabilities[question], labels)
+                probabilities[question] = values
+                answers[question] = labels[int(values.argmax())]
+            if question in self.answers:
+                answers[question] = checked_answer(question, self.answers[question], self.world)
         for question, given_errors in self.errors.items():
             if question not in probabilities:
                 raise InvalidEventError(f"{question} has errors, but no probabilities")
@@ -148,19 +155,14 @@ class Prediction:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
-        errors = {
-            question: {
-                label: None if math.isnan(error) else error
-                for label, error in zip(self.questions[question], values.tolist(), strict=True)
-            }
-            for question, values in self.errors.items()
-        }
+        labels = self.questions
+        probabilities, errors = (
+            {q: dict(zip(labels[q], plain(values), strict=True)) for q, values in given.items()}
+            for given in (self.probabilities, self.errors)
+        )
         return {
             "event": self.event_id,
-            "probabilities": {
-                question: dict(zip(self.questions[question], values.tolist(), strict=True))
-                for question, values in self.probabilities.items()
-            },
+            "probabilities": probabilities,
             **({"errors": errors} if errors else {}),
             "answers": dict(self.answers),
             "cost": dict(self.cost),
@@ -189,7 +191,7 @@ class Prediction:
             answers=record["answers"],
             cost=given["cost"],
             errors={
-                question: _in_order(question, errors, math.nan, world)
+                question: probabilities_of(question, errors, world, math.nan)
                 for question, errors in given["errors"].items()
             },
             world=world,
@@ -229,13 +231,13 @@ def _one_of(world: World) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
-def probabilities_of(question: str, shares: Mapping[str, Any], world: World = PHASE) -> FloatArray:
-    """Return probabilities in label order from answer -> probability; those left out are 0."""
-    return _in_order(question, shares, 0.0, world)
+def probabilities_of(
+    question: str, shares: Mapping[str, Any], world: World = PHASE, default: float = 0.0
+) -> FloatArray:
+    """Return probabilities in label order from answer -> probability; those left out are 0.
 
-
-def _in_order(question: str, shares: Mapping[str, Any], default: float, world: World) -> FloatArray:
-    """Return numbers in label order; ``default`` for answers that are left out, or null."""
+    Or their errors, with the ``default`` NaN for those that are left out, or null.
+    """
     labels = labels_of(question, world)
     if not isinstance(shares, Mapping):
         raise InvalidEventError(f"{question} is {shown(shares)}, expected answers with numbers")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.statistics import PHASE, goal_type
-from phase_ppl.evaluation.prediction import Prediction, pairs_of
+from phase_ppl.evaluation.prediction import Prediction, independent
 from phase_ppl.evaluation.registry import Predict, register_model
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import (
@@ -22,7 +20,6 @@ from phase_ppl.world.hypothesis import RELATIONS, relation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, LANDMARKS
 from phase_ppl.world.scene import PHASE as PHASE_WORLD
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.space import space_of
 
 
 # a prediction takes less than a process does to start
@@ -57,16 +54,7 @@ def _predict_elsewhere(scene: Scene, observation: Observation) -> Prediction:
         ]
         alike = came_true or possible
         share[alike] = 1 / len(alike)
-    probabilities: dict[str, Any] = {
-        f"goal_{key}": own for key, own in zip(world.keys, shares, strict=True)
-    }
-    relations = space_of(world).relations
-    for question, pair in pairs_of(world).items():
-        one, other = (world.agent(name) for name in pair)
-        joint = np.outer(shares[one], shares[other])
-        codes = relations[one, other].ravel()
-        probabilities[question] = np.bincount(codes, joint.ravel(), len(RELATIONS))
-    return Prediction("", probabilities, world=world)
+    return Prediction("", independent(shares, world), world=world)
 
 
 def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:

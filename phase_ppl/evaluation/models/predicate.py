@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.evaluation.prediction import Prediction, pairs_of
+from phase_ppl.evaluation.prediction import Prediction, independent, pairs_of
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Observation
@@ -116,17 +116,12 @@ def _given_way(
         np.bincount(np.maximum(effective[agent], 0), of_owner[one], n_goals)
         for agent, one in enumerate(owner)
     ]
-    found: dict[str, NDArray[Any]] = {
-        f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)
-    }
+    found = independent(np.array(goals), world)
     for question, pair in pairs_of(world).items():
         one, other = map(world.agent, pair)
-        table = space.relations[one, other]
         if owner[one] == owner[other]:
-            codes, shares = table[effective[one], effective[other]], of_owner[owner[one]]
-        else:
-            codes, shares = table.ravel(), np.outer(goals[one], goals[other]).ravel()
-        found[question] = np.bincount(codes, shares, len(RELATIONS))
+            codes = space.relations[one, other][effective[one], effective[other]]
+            found[question] = np.bincount(codes, of_owner[owner[one]], len(RELATIONS))
     return log_evidence, found
 
 
