@@ -83,10 +83,11 @@ def design(
         InvalidEventError: events that cannot be read, or at which a model failed.
     """
     chosen = all_events(events)
-    given = models if isinstance(models, Mapping) else {name: name for name in models}
+    named = models if isinstance(models, Mapping) else {name: name for name in models}
+    given = {str(label): one for label, one in named.items()}
     if isinstance(models, str) or len(given) < 2:
         raise InvalidSettingError(f"models={shown(models)}: it takes two to be told apart")
-    kinds = {str(label): _kind(str(label), one) for label, one in given.items()}
+    kinds = {label: _kind(label, one) for label, one in given.items()}
     asking = {"workers": workers, "progress": progress, "seed": seed, **options}
     base: Mapping[str, Made] | None = None
     if {"prior", "observer"} & {*kinds.values()}:
@@ -95,34 +96,28 @@ def design(
                 f"source={shown(source)}: expected what makes posteriors, such as 'stepwise'"
             )
         base = _made(chosen, source, asking)
-    rows: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
+    rows: list[list[FloatArray]] = []
     labels: tuple[str, ...] = ()
     for label, one in given.items():
-        kind = kinds[str(label)]
         made: Mapping[str, Made]
-        if kind == "observer":
-            assert isinstance(one, FittedObserver)
+        if isinstance(one, FittedObserver):
             made = one.predict(evidence_of(chosen, base))
-        elif kind == "prior":
+        elif kinds[label] == "prior":
             assert base is not None
-            made = _under(str(label), one, chosen, base, progress)
+            made = _under(label, one, chosen, base, progress)
         else:
             made = _made(chosen, one, asking)
-        rows[str(label)] = []
+        rows.append([])
         for event in chosen:
-            found_labels, *found = _predicted(str(label), question, event.id, made)
+            found_labels, found = _predicted(label, question, event.id, made)
             if labels and labels != found_labels:
                 raise InvalidSettingError(f"{label} has other answers to {question} than others")
             labels = found_labels
-            rows[str(label)].append((found[0], found[1]))
+            rows[-1].append(found)
     dims = ("model", "event", "answer")
-    values, errors = (
-        np.array([[one[part] for one in of_model] for of_model in rows.values()])
-        for part in range(2)
-    )
-    coords: dict[str, Any] = {"model": [*rows], "event": [event.id for event in chosen]}
-    coords |= {"answer": list(labels), "error": (dims, errors)}
-    table = xr.DataArray(values, coords, dims=dims, name="probability")
+    values, errors = np.moveaxis(np.array(rows), 2, 0).copy()
+    coords = {"model": [*given], "event": [event.id for event in chosen], "answer": list(labels)}
+    table = xr.DataArray(values, {**coords, "error": (dims, errors)}, dims, name="probability")
     return checked(table, question, answers=answers, lapse=lapse, prior=prior, seed=seed)
 
 
@@ -176,13 +171,13 @@ def _under(
 
 def _predicted(
     label: str, question: str, event: str, made: Mapping[str, Made]
-) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Return the answers to a question about an event, their probabilities and errors."""
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the answers to a question about an event, their probabilities and errors (2, n)."""
     one = made.get(event)
     if isinstance(one, Hypotheses):
         marginal = one.marginal(question)
         names = tuple(str(name) for name in marginal[question].values)
-        return names, np.asarray(marginal.values), np.asarray(marginal["error"].values)
+        return names, np.stack([marginal.values, marginal["error"].values])
     if not isinstance(one, Prediction):
         raise InvalidSettingError(f"{label} says nothing of the event {event!r}")
     if question not in one.questions:
@@ -191,5 +186,5 @@ def _predicted(
     if question not in one.probabilities:
         raise InvalidSettingError(f"{label} has no probabilities of {question} for {event!r}")
     shares = one.probabilities[question]
-    unknown = np.full_like(shares, np.nan)
-    return one.questions[question], shares, one.errors.get(question, unknown)
+    errors = one.errors.get(question, np.full_like(shares, np.nan))
+    return one.questions[question], np.stack([shares, errors])

@@ -77,7 +77,7 @@ def _found(folder: Path, kind: str) -> _Found:
 def _complete(found: Sequence[_Found]) -> list[_Found]:
     """Return all shards of a whole in their order."""
     first = found[0]
-    places: dict[int, _Found] = {}
+    places: dict[Shard, _Found] = {}
     for one in found:
         apart = differences(_of_whole(first), _of_whole(one))
         if one.shard.of != first.shard.of:
@@ -86,16 +86,16 @@ def _complete(found: Sequence[_Found]) -> list[_Found]:
             raise InvalidSettingError(
                 f"{one.folder} and {first.folder} are of different requests: {'; '.join(apart)}"
             )
-        other = places.setdefault(one.shard.number, one)
+        other = places.setdefault(one.shard, one)
         if other is not one:
             raise InvalidSettingError(
                 f"the shard {one.shard} is there twice: {other.folder} and {one.folder}"
             )
-    missing = [str(Shard(i, first.shard.of)) for i in range(1, first.shard.of + 1)
-               if i not in places]  # fmt: skip
+    wanted = [Shard(i, first.shard.of) for i in range(1, first.shard.of + 1)]
+    missing = [str(shard) for shard in wanted if shard not in places]
     if missing:
         raise InvalidSettingError(f"the shard {', '.join(missing)} is missing")
-    return [places[number] for number in sorted(places)]
+    return [places[shard] for shard in wanted]
 
 
 def _of_whole(one: _Found) -> Mapping[str, Any]:
@@ -142,12 +142,12 @@ def _merged_evaluation(found: Sequence[_Found], out: Path) -> Evaluation:
     folder = ResultsFolder.create(out, settings, events)
     failures = {}
     for place, event in enumerate(events):
-        source, target = given[place % len(given)].folder, folder.folder_of(event.id)
-        assert source is not None, "it was loaded"
-        if event.id in given[place % len(given)].predictions:
-            shutil.copytree(source.folder_of(event.id), target)
+        mine = given[place % len(given)]
+        assert mine.folder is not None, "it was loaded"
+        if event.id in mine.predictions:
+            shutil.copytree(mine.folder.folder_of(event.id), folder.folder_of(event.id))
         else:
-            failures[event.id] = given[place % len(given)].failures[event.id]
+            failures[event.id] = mine.failures[event.id]
     if failures:
         folder.write_failures(failures)
     predictions = folder.predictions()

@@ -220,13 +220,9 @@ def reproduce(
         comparison = compare_models(found, stored="all")
         comparison.save(folder / COMPARED)
         cells = list(_cells(comparison, asked, missing, labels, rated))
-        notes = [
-            note,
-            *(
-                f"{label_of(label)} is left out, for it needs {why}"
-                for label, why in missing.items()
-            ),
-        ]
+        notes = [note]
+        for label, why in missing.items():
+            notes.append(f"{label_of(label)} is left out, for it needs {why}")
         if real and len(events) != _VIDEOS:
             notes.append(
                 f"the paper has {_VIDEOS} test videos, these are {len(events)}: with fewer, "
@@ -379,11 +375,8 @@ def _of_people(comparison: ModelComparison) -> dict[str, Any]:
 
 
 def _of_events(events: Sequence[Event]) -> dict[str, Figure | None]:
-    relations = [event.truth.relation for event in events if event.truth is not None]
-    return {
-        name: proportion(np.array([[float(one == name)] for one in relations]).reshape(-1, 1))
-        for name in RELATIONS
-    }
+    relations = np.array([event.truth.relation for event in events if event.truth is not None], str)
+    return {name: proportion((relations == name).astype(float)) for name in RELATIONS}
 
 
 def _of_tags(tags: Tags) -> dict[str, Figure]:
