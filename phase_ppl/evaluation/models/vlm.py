@@ -125,10 +125,8 @@ class Store:
 
     def keep(self, record: Mapping[str, Any]) -> None:
         """Write a record, in place of the one before."""
-        write_json(
-            writable_folder(self.path) / self.file_of(record["request"], record["seed"]).name,
-            record,
-        )
+        writable_folder(self.path)
+        write_json(self.file_of(record["request"], record["seed"]), record)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,11 +149,8 @@ class Vlm:
         request = Request(
             scene, observation, str(self.named["model"]), self.pictures, as_video, self.text
         )
-        determines = {
-            **self.named,
-            "prompt_sha256": sha256(request.prompt),
-            "film_sha256": request.digest,
-        }
+        hashes = {"prompt_sha256": sha256(request.prompt), "film_sha256": request.digest}
+        determines = {**self.named, **hashes}
         record = self.store.find(determines, seed) if self.store else None
         if record is None:
             record = {"schema": SCHEMA, "request": determines, "seed": seed}
@@ -218,10 +213,8 @@ class Vlm:
             found = {name: word and in_a_line(word) for name, word in words.items()}
             found = {**vars(reply), **found, "text": writable(reply.text)}
         except NoReply as error:
-            found, again = (
-                {"failure": writable(str(error)), "requests": error.requests},
-                error.again,
-            )
+            found = {"failure": writable(str(error)), "requests": error.requests}
+            again = error.again
         except (ConnectionError, TimeoutError) as error:
             found = {"failure": in_a_line(f"{type(error).__name__}: {error}")}
         seconds = round(time.perf_counter() - clock, 3)

@@ -20,7 +20,7 @@ from numpyro import handlers
 from numpyro.infer import MCMC, NUTS
 
 from phase_ppl.analysis._arviz import arviz_groups, pareto_smoothed
-from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of, expected, people
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel
@@ -118,9 +118,7 @@ class FittedObserver:
             InvalidEventError: it is no such record, or lacks the program.
             UnknownNameError: there is no such ready-made observer.
         """
-        if record.get("schema") != SCHEMA:
-            schema = shown(record.get("schema"))
-            raise InvalidEventError(f"this is no fitted observer: its schema is {schema}")
+        check_schema(record, SCHEMA, "this is no fitted observer")
         name = str(record.get("observer", ""))
         if observer is None and not name:
             raise InvalidSettingError("the observer is one of somebody's own: hand in its program")
@@ -334,26 +332,23 @@ class Observed:
         readings = [observation]
         if perception is not None:
             readings = perception.readings(scene, observation, seed)
-        answers = [self._asked(scene, one, seed) for one in readings]
+        given = [self.model(scene, one, seed) for one in readings]
+        answers = [one if isinstance(one, Answer) else Answer(one) for one in given]
         made: list[Made] = [answer.posterior or as_prediction(answer.given) for answer in answers]
         event = Event(scene, observation)
         evidence = evidence_of([event], {event.id: made})
         (expected,) = self.observer.predict(evidence).values()
         own = as_prediction(answers[0].given)
-        given = {q: p for q, p in expected.probabilities.items() if q in self.observer.questions}
-        kept = {q: a for q, a in own.answers.items() if q not in given}
+        fitted = {q: p for q, p in expected.probabilities.items() if q in self.observer.questions}
+        kept = {q: a for q, a in own.answers.items() if q not in fitted}
         prediction = Prediction(
             "",
-            {**{q: own.probabilities[q] for q in kept if q in own.probabilities}, **given},
+            {**{q: own.probabilities[q] for q in kept if q in own.probabilities}, **fitted},
             kept,
             own.cost,
             {q: e for q, e in own.errors.items() if q in kept},
         )
         return Answer(prediction, answers[0].artefacts)
-
-    def _asked(self, scene: Scene, observation: Observation, seed: int) -> Answer:
-        given = self.model(scene, observation, seed)
-        return given if isinstance(given, Answer) else Answer(given)
 
     def warm_up(self) -> None:
         """Prepare what all processes share."""

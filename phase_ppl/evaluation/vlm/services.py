@@ -9,6 +9,7 @@ latest moment.
 from __future__ import annotations
 
 import base64
+import contextlib
 import dataclasses
 import importlib
 import ipaddress
@@ -77,8 +78,8 @@ class Service:
         failure: NoReply | InvalidSettingError
         guard = _Guard(key, self.timeout)
         client = {"follow_redirects": False, "event_hooks": guard.hooks}
+        ask = _google if self.name == "google" else _openai
         try:
-            ask = _google if self.name == "google" else _openai
             reply = ask(self, request, retries, key, client)
         except Exception as error:
             try:
@@ -291,13 +292,11 @@ def make_service(
     settings: dict[str, Any] = dict(_USUAL[name])
     for option, most in _MOST.items():
         if option in given:
-            number, least = (
-                number_or_nan(given[option]),
-                ">= 0" if option == "temperature" else "> 0",
-            )
-            if not (0 < number <= most or (number == 0 and option == "temperature")):
+            number, may_be_0 = number_or_nan(given[option]), option == "temperature"
+            if not (0 < number <= most or (number == 0 and may_be_0)):
                 raise InvalidSettingError(
-                    f"{option}={shown(given[option])}, expected a number {least} and <= {most:g}"
+                    f"{option}={shown(given[option])}, expected a number "
+                    f"{'>=' if may_be_0 else '>'} 0 and <= {most:g}"
                 )
             settings[option] = number
     if name == "openai" and show == "video":
@@ -339,20 +338,17 @@ def _is_open(address: object) -> bool:
 
     No part of it may be a secret: settings are written into files.
     """
-    text = address if isinstance(address, str) else ""
-    try:
+    text, host, secret = address if isinstance(address, str) else "", None, None
+    with contextlib.suppress(ValueError):
         parts = urllib.parse.urlsplit(text)
         host, secret = parts.hostname, parts.username or parts.password or parts.query
-    except ValueError:
-        host, secret = None, None
     if secret:
         raise InvalidSettingError(
             "base_url has a user name, a password or a query; it must be an address alone"
         )
     if not host or not text.startswith(("http://", "https://")):
         raise InvalidSettingError(f"base_url={shown(address)}, expected an address (https://...)")
-    try:
+    here = host == "localhost"
+    with contextlib.suppress(ValueError):
         here = ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        here = host == "localhost"
     return text.startswith("http://") and not here
