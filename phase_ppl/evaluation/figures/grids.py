@@ -154,8 +154,7 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
     scenarios = scenarios_of(results)
     people = next((o for o in results.measured if o.kind == "people"), None)
     models = [] if people is None else [o for o in results.measured if o.kind != "people"]
-    clouds = [(o, _clouds(o, people, scenarios, kind)) for o in models if people is not None]
-    clouds = [(o, points) for o, points in clouds if points]
+    clouds = [(o, p) for o in models if people and (p := _clouds(o, people, scenarios, kind))]
     if people is None or not clouds:
         raise NothingToDrawError(f"people judged no {kind} that a model gives probabilities for")
     columns = [name for name in (*SCENARIOS, "") if any(name in points for _, points in clouds)]
@@ -225,16 +224,12 @@ def costs(source: Source, path: PathLike | None = None) -> Figure:
         NothingToDrawError: of no model both are known, or it is no comparison of models.
     """
     measured = compared(source).measured
+    timed = [o for o in measured if _positive(o.metrics.get("cpu_seconds"), "value")]
     kinds = {
-        kind: [
-            o
-            for o in measured
-            if o.metrics.get(f"{kind}_accuracy")
-            and _positive(o.metrics.get("cpu_seconds"), "value")
-        ]
+        kind: shown
         for kind in KIND_TITLES
+        if (shown := [o for o in timed if o.metrics.get(f"{kind}_accuracy")])
     }
-    kinds = {kind: shown for kind, shown in kinds.items() if shown}
     if not kinds:
         raise NothingToDrawError("of no model are both CPU seconds and accuracy known")
     names = width_of(o for shown in kinds.values() for o in shown)
@@ -246,9 +241,8 @@ def costs(source: Source, path: PathLike | None = None) -> Figure:
         axes.set_title(KIND_TITLES[kind], fontweight="bold")
         _costs(axes, shown, kind)
         for o in measured:
-            found = o.metrics.get(f"{kind}_accuracy") if o.kind == "people" else None
-            if found is not None:
-                axes.axhline(found["value"], color=o.colour, lw=1.1, ls=(0, (4, 2)), zorder=1)
+            if o.kind == "people" and (right := o.metrics.get(f"{kind}_accuracy")) is not None:
+                axes.axhline(right["value"], color=o.colour, lw=1.1, ls=(0, (4, 2)), zorder=1)
     return written(figure, path)
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.figures.style import (
     COLOURS,
@@ -50,7 +49,6 @@ from phase_ppl.evaluation.tables import facts, kinds_of, said
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.errors import shown as in_short
-from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 
 if TYPE_CHECKING:
@@ -93,8 +91,10 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
         found = [at(o.metrics, (*part, f"{kind}_accuracy")) for o in blocks[kind]]
         _bars(axes, blocks[kind], found)
         asked = (known.truth[kind] >= 0) & masks[kind][part]
+        questions = kinds_of(known.world)[kind]
+        pairs = [(results.events[i].id, questions[j]) for i, j in np.argwhere(asked)]
         return [
-            int((asked & _answered(o, results.events, kinds_of(known.world)[kind])).sum())
+            sum(e in o.predictions and q in o.predictions[e].answers for e, q in pairs)
             for o in blocks[kind]
         ]
 
@@ -143,14 +143,6 @@ def equivalence(source: Source, path: PathLike | None = None) -> Figure:
         "people judged no event whose truth is known",
     )
     return written(figure, path)
-
-
-def _answered(
-    answers: AnswerSet, events: Sequence[Event], questions: Sequence[str]
-) -> NDArray[np.bool_]:
-    """Return (event, question) whether there is an answer."""
-    given = [answers.predictions.get(event.id) for event in events]
-    return np.array([[one is not None and q in one.answers for q in questions] for one in given])
 
 
 def _by_part(

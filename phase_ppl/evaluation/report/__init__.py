@@ -52,7 +52,7 @@ def report(
     from phase_ppl.evaluation.report import contents
 
     if of_evaluation:
-        text = contents.evaluation_page(Evaluation.load(source), videos=videos, progress=progress)
+        text = contents.evaluation_page(Evaluation.load(source), videos, progress)
     elif of_comparison:
         from phase_ppl.evaluation.comparison import ModelComparison
 

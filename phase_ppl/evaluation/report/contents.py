@@ -32,14 +32,7 @@ from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
-from phase_ppl.evaluation.tables import (
-    parts_of,
-    titles_of,
-    true_answer,
-    true_answers,
-    true_scenario,
-    world_of,
-)
+from phase_ppl.evaluation.tables import parts_of, titles_of, true_answers, true_scenario, world_of
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
@@ -159,7 +152,8 @@ def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str
     if question in pairs_of(event.scene.world):
         return list(labels)
     highest = np.zeros(len(labels))
-    asked: list[str] = [answer for answer in [true_answer(event, question)] if answer]
+    truth = true_answers(event)
+    asked = [truth[question]] if question in truth else []
     for answers in shown:
         prediction = answers.predictions[event.id]
         if question in prediction.answers:
@@ -186,24 +180,14 @@ def _item(
     replay = None if post is None else post.replay()
     if replay is not None:
         strips.append(_strip("Best hypothesis, simulated", replay, event.scene, event.id))
+    truth, labels = true_answers(event), questions_of(event.scene.world)
     questions = [
-        Question(
-            name,
-            title,
-            questions_of(event.scene.world)[name],
-            rows_of(name, shown, event),
-            true_answer(event, name),
-            shown,
-        )
+        Question(name, title, labels[name], rows_of(name, shown, event), truth.get(name), shown)
         for name, title in titles_of(event.scene.world).items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
     scenario = true_scenario(event) or ""
-    right = [
-        label
-        for label, answers in given.items()
-        if answers and all(answer == true_answer(event, q) for q, answer in answers.items())
-    ]
+    right = [label for label, said in given.items() if said and said.items() <= truth.items()]
     return {
         "id": event.id,
         "scenario": scenario,
@@ -345,6 +329,7 @@ def _summary(results: Results) -> dict[str, Any]:
         found = next(filter(None, (at(o.metrics, ("human", name)) for o in shown)), None)
         if found is not None:
             halves.append(f"{number(found['value'])} on {what}")
+    between_people = f"Halves of the people correlate {' and '.join(halves)}." if halves else ""
     parts: dict[str, tuple[list[str], list[Any]]] = {}  # what they are -> their names, and rows
     for kind, word in (("goal", "goals"), ("relation", "relations")):
         places = parts_of(world, kind)
@@ -357,16 +342,12 @@ def _summary(results: Results) -> dict[str, Any]:
     return {
         "columns": [_COLUMNS[place] for place in used],
         "rows": [(one, [at(one.metrics, place) for place in used]) for one in shown],
-        "between_people": f"Halves of the people correlate {' and '.join(halves)}."
-        if halves
-        else "",
+        "between_people": between_people,
         "parts": parts,
     }
 
 
-def evaluation_page(
-    evaluation: Evaluation, *, videos: bool = False, progress: bool | None = None
-) -> str:
+def evaluation_page(evaluation: Evaluation, videos: bool, progress: bool | None) -> str:
     """Return the page of an evaluation."""
     scenarios = scenarios_of(evaluation)
     state = f"{len(evaluation.predictions)} of {len(evaluation.events)} events predicted"
@@ -405,16 +386,13 @@ def _outcome(event: Event, own: Prediction | None) -> dict[str, Any]:
     """
     if own is None:
         return {"outcome": "none", "marks": [("no prediction", "bad")], "belief": None}
-    right = {q: answer == true_answer(event, q) for q, answer in own.answers.items()}
-    if event.truth is None or not right:
+    truth = true_answers(event)
+    right = {q: answer == truth.get(q) for q, answer in own.answers.items()}
+    if not truth or not right:
         return {"outcome": "unknown", "marks": [], "belief": None}
-    belief, labels = None, questions_of(event.scene.world)
+    belief = None
     if own.probabilities:
-        shares = [
-            float(values[labels[question].index(str(true_answer(event, question)))])
-            for question, values in own.probabilities.items()
-        ]
-        belief = float(np.prod(shares))
+        belief = float(np.prod([own.estimate(q, truth[q]) for q in own.probabilities]))
     return {
         "outcome": "right" if all(right.values()) else "wrong",
         "marks": [
@@ -603,11 +581,6 @@ def _environment() -> Environment:
         "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'; "
         f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
     )
-    made.globals |= {
-        "style": style,
-        "script": script,
-        "policy": policy,
-        "least": LEAST,
-        "version": phase_ppl.__version__,
-    }
+    made.globals |= {"style": style, "script": script, "policy": policy}
+    made.globals |= {"least": LEAST, "version": phase_ppl.__version__}
     return made
