@@ -148,12 +148,12 @@ def proportion(values: ArrayLike) -> Figure | None:
     return {"value": value, "ci_low": min(low, value), "ci_high": max(high, value)}
 
 
-def clopper_pearson(right: float, n: float, level: float = LEVEL) -> tuple[float, float]:
-    """Return the interval of a probability of which ``right`` of ``n`` trials came true.
+def clopper_pearson(right: float, n: float) -> tuple[float, float]:
+    """Return the 95 % interval of a probability of which ``right`` of ``n`` trials came true.
 
     Neither needs to be a whole number.
     """
-    tail = (1 - level) / 2
+    tail = (1 - LEVEL) / 2
     wrong = n - right
     low = float(special.betaincinv(right, wrong + 1, tail)) if right > _CONSTANT else 0.0
     high = float(special.betaincinv(right + 1, wrong, 1 - tail)) if wrong > _CONSTANT else 1.0

@@ -59,20 +59,15 @@ _STREAM: Final = 0xD0B7
 
 
 def doubt_of(
-    events: Sequence[Event],
-    predictions: Mapping[str, Prediction],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
+    events: Sequence[Event], predictions: Mapping[str, Prediction]
 ) -> dict[str, Any] | None:
     """Return what the module describes."""
     chosen = predicted(events, predictions)
-    found = [event.id for event in chosen]
-    return doubt(facts(chosen), said(chosen, predictions), found, seed, resamples)
+    return doubt(facts(chosen), said(chosen, predictions), [event.id for event in chosen])
 
 
 def doubt(
-    known: Facts, model: Said, ids: Sequence[str], seed: int, resamples: int
+    known: Facts, model: Said, ids: Sequence[str], seed: int = 0, resamples: int = 1000
 ) -> dict[str, Any] | None:
     """Return what the module describes, of events as arrays; None in other worlds than PHASE."""
     if known.world != PHASE or not any(known.judgments):
@@ -85,16 +80,22 @@ def doubt(
     judged = [one for one, is_there in zip(known.judgments, there, strict=True) if is_there and one]
     counts = np.array([one.counts["relation"] for one in judged])
     names = [name for name, is_there in zip(ids, there, strict=True) if is_there]
-    groups = same_truth(truth, len(RELATIONS))
     rng = np.random.default_rng([seed, _STREAM])
     drawn = people_drawn(judged, counts, known.by_participant, rng, resamples)
     weights = resampled(len(p), seed, resamples)
     gap = negative_entropy(people) - log_score(p, people)
     brier = (p**2).sum(axis=1) - 2 * (p * people).sum(axis=1) + 1
     bins = calibration(p, people)
+
+    def two_way(groups: IntArray | None) -> Figure | None:
+        value = correlation(weights[:1], p, people, groups)
+        among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
+        moved = correlation(weights[1:], p, drawn, groups) + value - _mean(among_raters)
+        return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
+
     return {
-        "relation_r": _two_way(weights, p, people, drawn, None),
-        "relation_r_given_truth": _two_way(weights, p, people, drawn, groups),
+        "relation_r": two_way(None),
+        "relation_r_given_truth": two_way(same_truth(truth, len(RELATIONS))),
         "log_score_gap": figure(weighted_mean(weights, gap), len(p)),
         "brier": figure(weighted_mean(weights, brier), len(p)),
         "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
@@ -148,20 +149,6 @@ def people_drawn(
         found = rng.multinomial(total, counts / total[:, None], size=(n, len(counts))).astype(float)
     found = np.where(found.sum(axis=-1, keepdims=True) > 0, found, counts)
     return np.asarray(found / found.sum(axis=-1, keepdims=True))
-
-
-def _two_way(
-    weights: FloatArray,
-    p: FloatArray,
-    people: FloatArray,
-    drawn: FloatArray,
-    groups: IntArray | None,
-) -> Figure | None:
-    value = correlation(weights[:1], p, people, groups)
-    among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
-    both = correlation(weights[1:], p, drawn, groups)
-    moved = both + value - _mean(among_raters)
-    return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
 
 
 def calibration(p: FloatArray, people: FloatArray) -> list[dict[str, Any]]:

@@ -179,8 +179,7 @@ class Scores:
         self._events, self._seed, self._resamples = events, seed, resamples
         self._facts: dict[tuple[str, ...], tuple[Facts, FloatArray]] = {}
         self._among_people: dict[tuple[str, ...], dict[Path, Any]] = {}
-        self._curves: dict[tuple[int, tuple[str, ...], bytes], dict[Path, Curve]] = {}
-        self._models: list[Mapping[str, Prediction]] = []  # kept, so that each has its own id
+        self._curves: dict[tuple[tuple[str, ...], bytes], dict[Path, Curve]] = {}
 
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
         """Return what :func:`evaluate_predictions` does."""
@@ -210,8 +209,8 @@ class Scores:
         """Return what :func:`paired_difference` does."""
         chosen, ids, known, _ = self._of_events(one, other)
         first, second = tables.said(chosen, one), tables.said(chosen, other)
-        of_one = self._of(one, ids, first.where_known(second))
-        of_other = self._of(other, ids, second.where_known(first))
+        of_one = self._of(ids, first.where_known(second))
+        of_other = self._of(ids, second.where_known(first))
         result: dict[str, Any] = {"n_events": len(chosen)}
         differences = {
             path: difference(curve.values, of_other[path].values, curve.n, curve.scores is not None)
@@ -234,12 +233,9 @@ class Scores:
             self._facts[ids] = tables.facts(chosen), weights
         return chosen, ids, *self._facts[ids]
 
-    def _of(
-        self, model: Mapping[str, Prediction], ids: tuple[str, ...], said: Said
-    ) -> dict[Path, Curve]:
-        key = id(model), ids, said.unknown()
+    def _of(self, ids: tuple[str, ...], said: Said) -> dict[Path, Curve]:
+        key = ids, said.content()
         if key not in self._curves:
-            self._models.append(model)
             self._curves[key] = model_curves(self._facts[ids][0], said, self._facts[ids][1])
         return self._curves[key]
 

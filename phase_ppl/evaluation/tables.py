@@ -121,10 +121,10 @@ class Said:
             },
         )
 
-    def unknown(self) -> bytes:
-        """Return which of its entries are unknown, as a key."""
+    def content(self) -> bytes:
+        """Return its entries but for scenarios, as a key."""
         arrays = [*self.right.values(), self.in_top, *self.probabilities.values()]
-        return b"".join(np.isnan(array).tobytes() for array in arrays)
+        return b"".join(array.tobytes() for array in arrays)
 
 
 def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
