@@ -483,9 +483,7 @@ def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list
 
 # --- printed --------------------------------------------------------------------------------------
 
-PAIRS: Final = 15
-"""Pairs of models that are printed at most; of more, those with the first model."""
-
+PAIRS: Final = 15  # pairs of models that are printed at most; of more, those with the first model
 _NAME: Final = 19  # most characters of a name in a pair
 
 _DIFFERENCES: Final = {

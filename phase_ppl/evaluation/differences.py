@@ -25,7 +25,6 @@ from phase_ppl.evaluation.bootstrap import (
 )
 from phase_ppl.evaluation.metrics import Scores, events_with
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 
@@ -115,7 +114,7 @@ def equivalence(
         chosen = tables.predicted(events, predictions)
         known, said = tables.facts(chosen), tables.said(chosen, predictions)
         weights = resampled(len(chosen), seed, resamples)
-        for kind in KINDS:
+        for kind in known.people:
             more = said.right[kind] - tables.at_truth(known.people[kind], known.truth[kind])
             for path, chosen_rows in known.parts(kind).items():
                 scenario = path[-1] if path else None

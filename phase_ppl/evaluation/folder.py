@@ -39,7 +39,7 @@ from phase_ppl.world.errors import (
     PhasePPLError,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.files import refusing, writable_folder, write_json
 from phase_ppl.world.identity import differences
 
 SCHEMA: Final = "phase-ppl-evaluation-1"  # value of ``schema`` in settings.json
@@ -166,13 +166,11 @@ class ResultsFolder:
         The metrics, which belong to those before, are deleted, and so is what an evaluation
         that was killed has left half done.
         """
-        try:
+        with refusing(f"into {self.path}"):
             for name in (METRICS, FAILURES):
                 (self.path / name).unlink(missing_ok=True)
             for part in self.path.glob("events/.part-*"):
                 shutil.rmtree(part, ignore_errors=True)
-        except OSError as error:
-            raise OutputError(f"cannot write into {self.path}: {error.strerror or error}") from None
         save_events(events, self.path / EVENTS)
         self.settings = {"schema": SCHEMA, **settings}
         self.events = list(events)
@@ -188,17 +186,14 @@ class ResultsFolder:
         target = self.folder_of(prediction.event_id)
         part = target.with_name(f".part-{secrets.token_hex(4)}")
         try:
-            part.mkdir()
-            if artefacts is not None:
-                artefacts(part)
-            write_json(part / PREDICTION, prediction.to_dict())
-            if target.exists():
-                shutil.rmtree(target)
-            os.replace(part, target)
-        except OSError as error:
-            if isinstance(error, OutputError):
-                raise
-            raise OutputError(f"cannot write {target}: {error.strerror or error}") from None
+            with refusing(str(target)):
+                part.mkdir()
+                if artefacts is not None:
+                    artefacts(part)
+                write_json(part / PREDICTION, prediction.to_dict())
+                if target.exists():
+                    shutil.rmtree(target)
+                os.replace(part, target)
         finally:
             shutil.rmtree(part, ignore_errors=True)
 

@@ -104,8 +104,7 @@ NO_REPRODUCTION: Final = (
 
 VERDICTS: Final = ("inside", "outside", "not computable")
 
-LOOSE: Final = 0.4
-"""Width of an interval of ours from which on to be inside of it says little."""
+LOOSE: Final = 0.4  # width of an interval of ours from which on to be inside of it says little
 
 
 class Cell(NamedTuple):

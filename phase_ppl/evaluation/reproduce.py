@@ -84,9 +84,7 @@ class Asked(NamedTuple):
     whose: str = ""  # as which of the paper's models its numbers count
 
 
-_FEW: Final = {"budget": simulations(30)}
-"""Quick: 15 particles, one iteration."""
-
+_FEW: Final = {"budget": simulations(30)}  # quick: 15 particles, one iteration
 _LESIONS: Final = (
     *("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight"),
     "no_social_goals",

@@ -25,10 +25,6 @@ def kinds_of(world: World) -> Mapping[str, tuple[str, ...]]:
     return {"goal": tuple(f"goal_{key}" for key in world.keys), "relation": tuple(pairs_of(world))}
 
 
-KINDS: Final = kinds_of(PHASE)
-"""What is measured together -> its questions, in PHASE."""
-
-
 def parts_of(world: World, kind: str) -> list[tuple[str, str]]:
     """Return where the metrics have parts of the answers of a kind.
 

@@ -87,7 +87,7 @@ def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 def writable_folder(path: str | os.PathLike[str]) -> Path:
     """Create a folder, where there is none, and check that it can be written."""
     folder = as_path(path)
-    with _refusing(f"into folder {shown_path(folder)}"):
+    with refusing(f"into folder {shown_path(folder)}"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -108,7 +108,7 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
     digest = hashlib.sha256(target.name.encode(errors="replace")).hexdigest()[:8]
     lock = target / ".lock" if target.is_dir() else target.with_name(f".lock-{digest}")
     with contextlib.ExitStack() as held:
-        with _refusing(shown_path(target)):
+        with refusing(shown_path(target)):
             while True:
                 handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
                 held.callback(os.close, handle)
@@ -129,7 +129,7 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _refusing(what: str) -> Iterator[None]:
+def refusing(what: str) -> Iterator[None]:
     """Turn whatever a file system refuses into one line."""
     try:
         yield
@@ -147,7 +147,7 @@ def _part_of(target: Path, suffixes: Sequence[str]) -> Iterator[Path]:
         raise OutputError(f"cannot write {name}: expected a name in {' or '.join(suffixes)}")
     # a short name of its own: a long target name must not become too long
     part = target.with_name(f".part-{secrets.token_hex(4)}{target.suffix}")
-    with _refusing(name):
+    with refusing(name):
         if target.is_dir():
             raise OutputError(f"cannot write {name}: it is a folder")
         try:

@@ -53,8 +53,7 @@ __all__ = [
     "tags",
 ]
 
-FOLDER: Final = "figures"
-"""The folder of the figures in that of the results."""
+FOLDER: Final = "figures"  # of the figures, in that of the results
 
 
 class Drawing(NamedTuple):

@@ -9,20 +9,14 @@ from phase_ppl.dataset.statistics import PHASE, goal_type
 from phase_ppl.evaluation.prediction import Prediction, independent
 from phase_ppl.evaluation.registry import Predict, register_model
 from phase_ppl.world.event import Observation
-from phase_ppl.world.goals import (
-    N_GOALS,
-    goal_literal,
-    is_self_referring,
-    is_true,
-    possible_goals,
-)
+from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, is_true, possible_goals
 from phase_ppl.world.hypothesis import RELATIONS, relation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, LANDMARKS
 from phase_ppl.world.scene import PHASE as PHASE_WORLD
 from phase_ppl.world.scene import Scene
 
 
-# a prediction takes less than a process does to start
+# parallel: a prediction of these takes less than a process does to start
 @register_model("last_frame", parallel=False, any_world=True)
 def last_frame() -> Predict:
     """Each agent wants what is nearest to a landmark at the end: itself or an item that moved.
@@ -74,7 +68,6 @@ def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
     )
 
 
-# a prediction takes less than a process does to start
 @register_model("majority", parallel=False)
 def majority() -> Predict:
     """The most frequent relation and goals of PHASE, whatever there is to see.
@@ -94,7 +87,6 @@ def majority() -> Predict:
     return lambda scene, observation, seed: prediction
 
 
-# a prediction takes less than a process does to start
 @register_model("chance", parallel=False)
 def chance() -> Predict:
     """All relations alike: with an observer, what surface cues alone can tell."""

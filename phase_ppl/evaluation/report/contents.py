@@ -23,7 +23,7 @@ from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, AnswerSet, label_of
-from phase_ppl.evaluation.cells import number
+from phase_ppl.evaluation.cells import KIND_WORDS, number
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.figures import drawings_of
@@ -52,9 +52,7 @@ REPLAY: Final = "replay.mp4"  # the film in the folder of a run
 MAX_ROWS: Final = 6  # most goals that are shown of an agent
 _WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
 _PANELS: Final = 6
-_STRIP_WIDTH: Final = 1200
-"""Pixels."""
-
+_STRIP_WIDTH: Final = 1200  # pixels
 _DIAGNOSTICS: Final = {
     "kernel": "kernel",
     "validity": "validity",
@@ -331,7 +329,7 @@ def _summary(results: Results) -> dict[str, Any]:
             halves.append(f"{number(found['value'])} on {what}")
     between_people = f"Halves of the people correlate {' and '.join(halves)}." if halves else ""
     parts: dict[str, tuple[list[str], list[Any]]] = {}  # what they are -> their names, and rows
-    for kind, word in (("goal", "goals"), ("relation", "relations")):
+    for kind, word in KIND_WORDS.items():
         places = parts_of(world, kind)
         for one in shown:
             cells = [at(one.metrics, (*place, f"{kind}_accuracy")) for place in places]

@@ -48,9 +48,7 @@ _USUAL: Final[Mapping[str, Mapping[str, Any]]] = {
     },
 }
 _MOST: Final = {"timeout": 86_400.0, "temperature": 2.0, "video_fps": 24.0}
-_NO_KEY: Final = "none"
-"""What is sent as the key to a server of one's own that asks for none."""
-
+_NO_KEY: Final = "none"  # sent as the key to a server of one's own that asks for none
 _SECRET_LENGTH: Final = 12
 """A shorter key, such as the "x" that a server of one's own is content with, is no secret, and
 hiding it would spoil the answers."""
