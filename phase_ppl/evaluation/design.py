@@ -95,7 +95,7 @@ def design(
             raise InvalidSettingError(
                 f"source={shown(source)}: expected what makes posteriors, such as 'stepwise'"
             )
-        base = _made(chosen, source, asking)
+        base = asked_about(chosen, source, **asking)
     rows: list[list[FloatArray]] = []
     labels: tuple[str, ...] = ()
     for label, one in given.items():
@@ -106,7 +106,7 @@ def design(
             assert base is not None
             made = _under(label, one, chosen, base, progress)
         else:
-            made = _made(chosen, one, asking)
+            made = asked_about(chosen, one, **asking)
         rows.append([])
         for event in chosen:
             found_labels, found = _predicted(label, question, event.id, made)
@@ -141,10 +141,6 @@ def _kind(label: str, one: object) -> str:
     except TypeError:
         return "model"  # a function of scene, observation and seed
     return "prior"
-
-
-def _made(events: Sequence[Event], one: Any, asking: Mapping[str, Any]) -> Mapping[str, Made]:
-    return one if isinstance(one, Mapping) else asked_about(events, one, **asking)
 
 
 def _under(

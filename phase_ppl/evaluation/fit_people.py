@@ -100,9 +100,9 @@ def evidence_from(
         check_is_phase(judged_event.scene.world, "an observer of people")
     if isinstance(source, Evidence):
         return source
-    if source is None or isinstance(source, Mapping):
-        return evidence_of(events, source)
-    if perception is None or isinstance(source, Evaluation) or _is_folder(source):
+    if source is None:
+        return evidence_of(events)
+    if perception is None or isinstance(source, Evaluation | Mapping) or _is_folder(source):
         return evidence_of(events, asked_about(events, source, **options))
     seed = options.get("seed", 0)
     readings = [perception.readings(e.scene, e.observation, seed) for e in events]
@@ -121,15 +121,17 @@ def _is_folder(source: object) -> bool:
     return isinstance(source, os.PathLike) or (isinstance(source, str) and Path(source).is_dir())
 
 
-def asked_about(events: Sequence[Event], source: Any, **options: Any) -> dict[str, Made]:
+def asked_about(events: Sequence[Event], source: Any, **options: Any) -> Mapping[str, Made]:
     """Return event id -> the posterior, or prediction, that a model makes of it.
 
     Args:
         events: about which a model is asked.
-        source: a model as :func:`phase_ppl.evaluate` takes it; or an evaluation or its folder,
-            whose posteriors are read.
+        source: a model as :func:`phase_ppl.evaluate` takes it; an evaluation or its folder, whose
+            posteriors are read; or what is to be returned.
         **options: for :func:`phase_ppl.evaluate`.
     """
+    if isinstance(source, Mapping):
+        return source
     if isinstance(source, Evaluation) or _is_folder(source):
         return _made(source if isinstance(source, Evaluation) else Evaluation.load(source))
     with tempfile.TemporaryDirectory() as folder:
