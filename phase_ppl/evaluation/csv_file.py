@@ -32,16 +32,15 @@ def csv_text(source: Path) -> str:
 def csv_lines(text: str) -> Iterator[tuple[int, list[str]]]:
     """Yield the number of its first line and the cells of each row that is not blank."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    while True:
-        line = reader.line_num + 1
-        try:
-            cells = [cell.strip() for cell in next(reader)]
-        except StopIteration:
-            return
-        except csv.Error as error:
-            raise InvalidEventError(f", line {line}: is no CSV: {error}") from None
-        if any(cells):
-            yield line, cells
+    line = 1
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if any(cells):
+                yield line, cells
+            line = reader.line_num + 1
+    except csv.Error as error:
+        raise InvalidEventError(f", line {line}: is no CSV: {error}") from None
 
 
 def read_rows(

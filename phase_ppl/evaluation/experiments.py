@@ -260,7 +260,7 @@ def load_likeness(path: str | os.PathLike[str]) -> Likeness:
             raise InvalidEventError(f"participant {shown(who)} is in two groups")
 
     rows = read_columns(path, names, check, required=names, once=names[:2])
-    if len({row["group"] for row in rows}) != 2:
-        found = sorted({row["group"] for row in rows})
-        raise InvalidEventError(f"{path}: groups are {shown(found)}, expected two")
+    groups = sorted({row["group"] for row in rows})
+    if len(groups) != 2:
+        raise InvalidEventError(f"{path}: groups are {shown(groups)}, expected two")
     return Likeness(pd.DataFrame(rows))

@@ -434,14 +434,13 @@ def human_accuracy(
     chosen = [e for e in events if e.truth is not None and event_judgments(e) is not None]
     known = tables.facts(chosen)
     weights = resampled(len(chosen), seed, resamples)
-    share: dict[str, FloatArray] = {}
-    majority: dict[str, FloatArray] = {}
-    for kind, people in known.people.items():
-        truth = known.truth[kind]
-        share[kind] = at_truth(people, truth)
-        # argmax takes NaN for the largest, and what nobody answered is left out here
-        most = np.nan_to_num(people).argmax(axis=-1)
-        majority[kind] = np.where(np.isnan(share[kind]), np.nan, most == truth)
+    share = {kind: at_truth(people, known.truth[kind]) for kind, people in known.people.items()}
+    # argmax takes NaN for the largest, and what nobody answered is left out here
+    most = {kind: np.nan_to_num(people).argmax(axis=-1) for kind, people in known.people.items()}
+    majority = {
+        kind: np.where(np.isnan(right), np.nan, most[kind] == known.truth[kind])
+        for kind, right in share.items()
+    }
     result: dict[str, Any] = {"n_events": len(chosen)}
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
