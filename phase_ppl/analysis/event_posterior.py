@@ -214,9 +214,9 @@ class EventPosterior(Hypotheses):
 
         Hypotheses are drawn from the posterior, and each is simulated twice with the same seed: as
         it is, and with the change. Printed, the result says how often and when each agent reaches
-        its goal in either world, and whether that differs by more than chance;
-        ``film(path)`` shows both side by side. With nothing changed they are simulated as they are
-        only. See :class:`phase_ppl.analysis.what_if.WhatIf`.
+        its goal in either world, and whether that differs by more than chance (sign test of the
+        pairs); ``film(path)`` shows both side by side. With nothing changed they are simulated as
+        they are only. See :class:`phase_ppl.analysis.what_if.WhatIf`.
 
         Args:
             alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.

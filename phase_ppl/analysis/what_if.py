@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.special import bdtr
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.estimate import Estimate, cautious
@@ -33,8 +34,8 @@ from phase_ppl.world.scene import Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 WORLDS: Final = ("as it is", "changed")
-_SURE: Final = 1.96
-"""Errors from which on a difference is put down to the change."""
+_BY_CHANCE: Final = 0.05
+"""Two-sided p of the sign test of the pairs up to which a difference is put down to the change."""
 
 _FEWEST: Final = 2
 
@@ -175,7 +176,9 @@ class WhatIf:
             return f"{shares[0]}{median[0]}"
         words = f"{shares[0]}{median[0]} as it is, {shares[1]}{median[1]} with {self.change}"
         change = self.difference(agent)
-        if abs(change) < _SURE * change.error:
+        before, after = np.isfinite(self.reached(agent).values)
+        either = [int((after & ~before).sum()), int((before & ~after).sum())]
+        if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
             return f"{words}; no difference that so few simulations would show ({change})"
         if not self.removed:
             return f"{words}: {'more' if change > 0 else 'less'} often ({change})"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import json
 import math
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 import pytest
+from scipy.stats import multinomial
 
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -55,8 +57,12 @@ def test_without_who_is_in_its_way_an_agent_reaches_its_goal(alone: Any) -> None
     before, after = alone.probability("red")
     assert after == 1
     assert before < after
-    assert alone.difference("red") == after - before
-    assert "the green agent was in its way" in " ".join(str(alone).split())
+    assert alone.difference("red") == pytest.approx(after - before)
+    assert "no difference that so few" in " ".join(str(alone).split())  # five pairs differ
+    twice = dataclasses.replace(
+        alone, poses=np.concatenate([alone.poses] * 2, axis=1), goals=alone.goals * 2
+    )
+    assert "the green agent was in its way" in " ".join(str(twice).split())
     assert "the green agent reaches" not in str(alone)
     arrival = alone.reached("red").sel(world="changed").values
     for row, seconds in enumerate(arrival):
@@ -64,6 +70,27 @@ def test_without_who_is_in_its_way_an_agent_reaches_its_goal(alone: Any) -> None
         assert is_on(pose, alone.scenes[0].landmark_centres[2], 2.5)
     assert alone.tracks.sel(world="changed", entity="green agent").isnull().all()
     assert not alone.tracks.sel(entity="red agent").isnull().any()
+
+
+@pytest.mark.parametrize(("n", "differing"), [(2, 1.0), (4, 0.5), (6, 1.0), (8, 0.5)])
+def test_chance_is_taken_for_a_change_in_one_case_of_twenty_at_most(
+    alone: Any, n: int, differing: float
+) -> None:
+    """Of pairs that differ, either world is the better one as often as the other."""
+    there = alone.poses[1, 0]
+    away = np.repeat(there[:1], len(there), axis=0)
+    both = {1: [away, there], 0: [away, away], -1: [there, away]}
+    wrong = 0.0
+    for more, less in itertools.product(range(n + 1), repeat=2):
+        if more + less > n:
+            continue
+        rows = [1] * more + [-1] * less + [0] * (n - more - less)
+        poses = np.stack([both[row] for row in rows], axis=1)
+        told = str(dataclasses.replace(alone, poses=poses, goals=alone.goals[:1] * n))
+        law = multinomial(n, [differing / 2, differing / 2, 1 - differing])
+        if "no difference that" not in " ".join(told.split()):
+            wrong += law.pmf([more, less, n - more - less])
+    assert wrong <= 0.05  # it was 0.50, 0.07, 0.22 and 0.08
 
 
 def test_the_same_seeds_give_the_same_worlds(contested: ppl.Posterior, alone: Any) -> None:
