@@ -193,7 +193,11 @@ class EventPosterior(Hypotheses):
     def _source(self) -> Source:
         from phase_ppl.analysis.what_if import Source
 
-        return Source(self.event_id, self.settings, self.scene, self.observed(), self.table)
+        own = self._constant.get("log_prior_goals")
+        return Source(
+            self.event_id, self.settings, self.scene, self.observed(), self.table,
+            None if own is None else np.exp(own.values),
+        )  # fmt: skip
 
     def do(
         self,
@@ -221,7 +225,8 @@ class EventPosterior(Hypotheses):
         Args:
             alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
             relation: the same in any world, (who, whom) -> "help" or "hinder"; of all others,
-                neither.
+                neither. Whoever helps or hinders no more pursues a goal of its own; beside PHASE
+                it is drawn from the prior, as nothing else is known of it.
             remove: an entity or several, such as ``"green agent"``.
             walls: (n, 2, 2) ends of the inner walls, units; an empty list: there are none.
             at: frame from which on it is changed; what was seen until then has happened, and

@@ -331,6 +331,7 @@ class Source(NamedTuple):
     scene: Scene
     observed: FloatArray
     table: Rows
+    own_goals: FloatArray | None = None  # (agent, goal) prior of own goals, beside PHASE
 
 
 def simulated(
@@ -407,8 +408,8 @@ def _simulator(post: Source, simulator: Simulator | None) -> Simulator:
 
 def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
     """Return the sites of hypotheses, each by its weight to within one (systematic)."""
-    weights = np.cumsum(post.table.weights)
-    places = (np.random.default_rng(seed).random() + np.arange(n)) / n
+    weights, rng = np.cumsum(post.table.weights), np.random.default_rng(seed)
+    places = (rng.random() + np.arange(n)) / n
     rows = np.minimum(np.searchsorted(weights, places * weights[-1], "right"), len(weights) - 1)
     space, values = space_of(post.scene.world), post.table.values
     if space.company_site in values:
@@ -420,16 +421,20 @@ def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
         }
         ways = [way_of[tuple(int(values[name][row]) for name in codes)] for row in rows]
     stated = [  # whoever pursues a goal of its own acts on it
-        values[name if name in values else name.removeprefix("stated_")]
+        values[name if name in values else name.removeprefix("stated_")][rows]
         for name in space.stated_sites
     ]
+    if post.own_goals is not None:  # of those who help or hinder nothing is known but the prior
+        for agent, masses in enumerate(post.own_goals):
+            idle = space.owner[ways, agent] != agent
+            stated[agent][idle] = rng.choice(len(masses), idle.sum(), p=masses / masses.sum())
     return [
         {
-            **{name: int(codes[row]) for name, codes in zip(space.goal_sites, stated, strict=True)},
+            **{name: int(one) for name, one in zip(space.goal_sites, own, strict=True)},
             space.company_site: int(way),
             **{name: float(values[name][row]) for name in space.strength_sites},
         }
-        for row, way in zip(rows, ways, strict=True)
+        for row, way, *own in zip(rows, ways, *stated, strict=True)
     ]
 
 

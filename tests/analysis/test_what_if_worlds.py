@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+import numpyro
+import numpyro.distributions as dist
 import pytest
+from numpyro import handlers
 
 import phase_ppl as ppl
-from phase_ppl.analysis.what_if import Change
+from phase_ppl.analysis.what_if import Change, _drawn
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.space import space_of
 
@@ -106,6 +110,24 @@ def test_ways_are_found_again_in_what_was_read_of_three_agents() -> None:
     seen = set(zip(*columns, strict=True))
     assert set(found.goals) <= seen
     assert "nobody helping or hindering" in " ".join(str(found).split())
+    # whoever helped or hindered wants what the prior says, not what it did for or against others
+    drawn = _drawn(post.with_prior(seldom)._source(), 4000, 0)
+    idle = [one for one in drawn if space_of(TRIO).ways[one["company"]][2] is not None]
+    wanted = [Change.of(TRIO, {}, relation={}).hypothesis(one).effective_goals[2] for one in idle]
+    assert len(idle) > 200
+    assert np.mean(np.array(wanted) == HOME) == pytest.approx(0.7, abs=0.1)
+    assert set(wanted) == {HOME, FIELD}
+
+
+def seldom(world: ppl.World) -> None:
+    """Purple wants a ball at home more often than in the field, and nothing else."""
+    probs = np.zeros(len(world.goals))
+    probs[[HOME, FIELD]] = 0.7, 0.3
+    with handlers.block(hide=["goal_purple"]):
+        ppl.roles.goals(world)
+    numpyro.sample("goal_purple", dist.Categorical(probs=jnp.array(probs)))
+    ppl.roles.company(world)
+    ppl.roles.strengths(world)
 
 
 def test_simulated_posteriors_too() -> None:
