@@ -30,6 +30,7 @@ from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
 from phase_ppl.world.scene import check_is_phase
 
 _NODES: Final = 64  # points at which what people share about a video is summed out
+_STEPS: Final = 10  # of Newton's method, damped, to where they lie
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,17 +110,40 @@ def shared(logs: Array, spread: Array | float, question: str) -> Array:
     return jax.nn.log_softmax(moved, axis=-1)
 
 
-def log_of_counts(
-    counts: IntArray | Array, logs: Array, spread: Array | float, question: str
-) -> Array:
-    """Return (node, event) log probabilities of numbers of answers (event, answer).
+def about(
+    counts: IntArray, logs: Array, spread: Array | float, question: str
+) -> tuple[Array, Array]:
+    """Return (answer, node, event) log odds that people may share, and (node, event) log masses.
 
-    As by :func:`shared`, but with the sums over answers outermost, five times as fast.
+    A sum over nodes is the mean over standard normals times ``spread``. They lie about what numbers
+    of answers (event, answer) make most probable, as far as these leave it open (Laplace); with 64
+    that is off by 0.1 nats at most for 20 answers about a relation and a spread of up to 2.5.
     """
-    normals = jnp.asarray(NORMALS[question])
-    moved = logs.T[:, None] + spread * normals.T[:, :, None]  # answer, node, event
-    chosen = (counts * logs).sum(axis=-1) + spread * normals @ counts.T
-    return chosen - counts.sum(axis=-1) * jax.nn.logsumexp(moved, axis=0)
+    counts, logs = jnp.asarray(counts, logs.dtype).T, jax.lax.stop_gradient(logs).T
+    given, n = jax.lax.stop_gradient(spread), counts.sum(axis=0)
+    much = n * given**2
+
+    def at(place: Array) -> tuple[Array, Array, Array, Array]:
+        """Return shares, and the curvature: diag(d) less a matrix of rank one."""
+        p = jax.nn.softmax(logs + given * place, axis=0)
+        d = 1 + much * p
+        return p, d, p / d, 1 - much * (p**2 / d).sum(axis=0)
+
+    def newton(_: int, place: Array) -> Array:
+        p, d, q, rest = at(place)
+        slope = given * (counts - n * p) - place
+        step = slope / d + much * q * (q * slope).sum(axis=0) / rest
+        far = 1e-6 + given * jnp.ptp(step, axis=0)
+        return place + step * jnp.log1p(far) / far
+
+    place = jax.lax.fori_loop(0, _STEPS, newton, jnp.zeros_like(logs))
+    p, d, _, rest = at(place)
+    root = p / jnp.sqrt(d)
+    normals = jnp.asarray(NORMALS[question]).T[:, :, None]
+    along = (normals * root[:, None]).sum(axis=0) * (1 / jnp.sqrt(rest) - 1) / (root**2).sum(axis=0)
+    moved = place[:, None] + (normals + along * root[:, None]) / jnp.sqrt(d)[:, None]
+    log_mass = (normals**2 - moved**2 - jnp.log(d)[:, None]).sum(axis=0) - jnp.log(rest)
+    return spread * moved, log_mass / 2 - jnp.log(_NODES)
 
 
 _PLACES, _MASSES = np.polynomial.hermite_e.hermegauss(21)
@@ -171,15 +195,18 @@ def people(observer: Program, evidence: Evidence, answers: Answers, counted: Arr
     for place, question in enumerate(QUESTIONS):
         if question not in said or question not in answers.counts:
             continue
+        counts = answers.counts[question]
+        moved, log_mass = about(counts, said[question], spread, question)
+        logs = said[question].T[:, None] + moved  # answer, node, event
         if n_raters:
-            logs = shared(said[question], spread, question)
             of = answers.rows[answers.rows[:, 0] == place]
-            own = jax.nn.log_softmax(logs[:, of[:, 1]] * sharp[of[:, 2], None], axis=-1)
-            chosen = own[:, np.arange(len(of)), of[:, 3]]
-            by_node = jnp.zeros(logs.shape[:2]).at[:, of[:, 1]].add(chosen)
-        else:
-            by_node = log_of_counts(answers.counts[question], said[question], spread, question)
-        total += jax.nn.logsumexp(by_node, axis=0) - jnp.log(_NODES)
+            logs = jax.nn.log_softmax(logs, axis=0)[:, :, of[:, 1]] * sharp[of[:, 2]]
+            chosen = jax.nn.log_softmax(logs, axis=0)[of[:, 3], :, np.arange(len(of))]
+            by_node = log_mass.at[:, of[:, 1]].add(chosen.T)
+        else:  # sums over answers outermost, five times as fast
+            by_node = log_mass + (counts.T[:, None] * logs).sum(axis=0)
+            by_node -= counts.sum(axis=1) * jax.nn.logsumexp(logs, axis=0)
+        total += jax.nn.logsumexp(by_node, axis=0)
     if len(answers.seconds):
         total += _of_times(said, answers, n_raters, len(evidence.events))
     numpyro.deterministic("log_likelihood", total)
