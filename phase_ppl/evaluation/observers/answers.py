@@ -119,8 +119,8 @@ def about(
     of answers (event, answer) make most probable, as far as these leave it open (Laplace); with 64
     that is off by 0.1 nats at most for 20 answers about a relation and a spread of up to 2.5.
     """
-    counts, logs = jnp.asarray(counts, logs.dtype).T, jax.lax.stop_gradient(logs).T
-    given, n = jax.lax.stop_gradient(spread), counts.sum(axis=0)
+    votes, logs = jnp.asarray(counts, logs.dtype).T, jax.lax.stop_gradient(logs).T
+    given, n = jax.lax.stop_gradient(spread), votes.sum(axis=0)
     much = n * given**2
 
     def at(place: Array) -> tuple[Array, Array, Array, Array]:
@@ -131,7 +131,7 @@ def about(
 
     def newton(_: int, place: Array) -> Array:
         p, d, q, rest = at(place)
-        slope = given * (counts - n * p) - place
+        slope = given * (votes - n * p) - place
         step = slope / d + much * q * (q * slope).sum(axis=0) / rest
         far = 1e-6 + given * jnp.ptp(step, axis=0)
         return place + step * jnp.log1p(far) / far
