@@ -11,7 +11,8 @@ else:
                             1): where it is known who answered what, people are resampled,
                             elsewhere the ratings of each event. Resampling raters adds their
                             noise a second time, by which the intervals are moved back
-``log_score_gap``           people's own log score minus the model's [nats], 0 at best
+``log_score_gap``           people's own log score minus the model's [nats]. Theirs is in-sample: a
+                            model that knew how people answer would be some 1 / n behind n raters
 ``brier``                   mean over people of the squared distance of the model's probabilities
                             from their answer, 0 to 2
 ``ece``                     expected calibration error: mean distance of the model's probabilities

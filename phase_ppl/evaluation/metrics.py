@@ -50,8 +50,8 @@ without "goal" are about the relation:
                                people are
 ``log_score``,                 mean over events of sum_k h_k log m_k [nats], h people's share of
 ``goal_log_score``             answer k, m = (1 - lapse) p + lapse / K the model's, lapse = 0.01
-``log_score_people``,          the same of people themselves, sum_k h_k log h_k: no model has more
-``goal_log_score_people``
+``log_score_people``,          the same of people themselves, sum_k h_k log h_k, in-sample: no model
+``goal_log_score_people``      has more, nor as much if it knows how likely people are to answer k
 ``js``, ``goal_js``            mean over events of the Jensen-Shannon divergence [bits], 0 to 1
 ``split_half_r``,              r of the answers of two halves of the raters, mean over 1000 random
 ``goal_split_half_r``          splits, without Spearman-Brown correction
