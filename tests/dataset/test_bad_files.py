@@ -25,18 +25,9 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.names import ENTITIES
+from tests.dataset.authors.traps import Trap
 from tests.dataset.test_phase_test import put, video, write
 from tests.world.examples import make_event
-
-
-class Trap:
-    """Its pickle, when loaded, leaves a file behind."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.path),)
 
 
 def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str:
@@ -54,7 +45,11 @@ def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 @pytest.mark.parametrize("name", ["event.pkl", "event.json"])
 def test_a_pickle_is_refused_without_being_loaded(tmp_path: Path, name: str, protocol: int) -> None:
-    for content in (Trap(tmp_path / "sprung"), {"format": "phase-ppl-event-1"}, [1, 2]):
+    for content in (
+        Trap(os.mkdir, str(tmp_path / "sprung")),
+        {"format": "phase-ppl-event-1"},
+        [1, 2],
+    ):
         path = tmp_path / name
         path.write_bytes(pickle.dumps(content, protocol))
         assert "is a pickle, which is never loaded" in refused(path)

@@ -151,18 +151,18 @@ TRICKS: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize("trick", TRICKS)
-@pytest.mark.parametrize("load", [ppl.load_posterior, Posterior.load])
 def test_a_posterior_made_to_do_harm_is_refused_unread(
-    tmp_path: Path, posterior: bytes, load: Callable[[Path], object], trick: str
+    tmp_path: Path, posterior: bytes, trick: str
 ) -> None:
     change, message = TRICKS[trick]
     path = tmp_path / "run.nc"
     path.write_bytes(posterior)
     with h5py.File(path, "r+") as file:
         change(file["constant_data"])
-    with pytest.raises(InvalidEventError, match=f"run.nc: .*{message}") as raised:
-        load(path)
-    assert "\n" not in str(raised.value)
+    for load in (ppl.load_posterior, Posterior.load):
+        with pytest.raises(InvalidEventError, match=f"run.nc: .*{message}") as raised:
+            load(path)
+        assert "\n" not in str(raised.value)
 
 
 def test_what_a_terminal_would_obey_is_taken_out_of_a_posterior(

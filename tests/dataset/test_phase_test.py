@@ -219,23 +219,20 @@ def test_every_step_of_a_turn_is_counted_once() -> None:
     assert count_turns(turned([0, 0, 0]), RADII) == (0, 0)
 
 
-def test_agents_that_turn_one_way_only_are_recognised() -> None:
-    assert observed_turning(turned([1, 1, 0, 1, 0]), RADII) == "both"
-    assert observed_turning(turned([1, 1, 1, 1, 0]), RADII) == "ccw"
-    assert observed_turning(turned([-1, 0, -1, 0], [0, -1, -1]), RADII) == "cw"
-
-
-def test_agents_that_turn_both_ways_are_recognised() -> None:
-    assert observed_turning(turned([1] * 6, [-1] * 6), RADII) == "both"
-
-
-def test_too_few_turns_leave_both_ways_open() -> None:
-    assert observed_turning(turned([1, 1, 1, 0]), RADII) == "both"
-    assert observed_turning(turned([0]), RADII) == "both"
-
-
-def test_one_contrary_turn_does_not_outweigh_many() -> None:
-    assert observed_turning(turned([1] * 9, [0, -1, 0]), RADII) == "ccw"
+@pytest.mark.parametrize(
+    ("red", "green", "way"),
+    [
+        ([1, 1, 0, 1, 0], [], "both"),
+        ([1, 1, 1, 1, 0], [], "ccw"),
+        ([-1, 0, -1, 0], [0, -1, -1], "cw"),
+        ([1] * 6, [-1] * 6, "both"),
+        ([1, 1, 1, 0], [], "both"),  # too few turns
+        ([0], [], "both"),
+        ([1] * 9, [0, -1, 0], "ccw"),  # one contrary turn does not outweigh many
+    ],
+)
+def test_the_way_that_agents_turn_is_recognised(red: list[int], green: list[int], way: str) -> None:
+    assert observed_turning(turned(red, green), RADII) == way
 
 
 def test_being_pushed_round_is_no_turn() -> None:

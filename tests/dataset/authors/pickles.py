@@ -152,9 +152,3 @@ def processed(
         "landmark_centers": made["landmark_centers"],
         "social_goals": "neutral",
     }
-
-
-def changed(video: dict[str, Any], **values: Any) -> dict[str, Any]:
-    """Return a video with some fields replaced, or left out where the value is ``...``."""
-    made = {**video, **values}
-    return {name: value for name, value in made.items() if value is not ...}

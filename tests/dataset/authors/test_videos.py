@@ -26,8 +26,7 @@ from phase_ppl.dataset.motion import full_turn
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
-from phase_ppl.world.goals import GOALS as ALL_GOALS
+from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from tests.dataset.authors.pickles import (
     FRAMES,
@@ -67,7 +66,7 @@ def assert_shows(event: Event, copy: int | None) -> None:
     assert event.scene.rooms.wall_length.tolist() == made.scene.rooms.wall_length.tolist()
     assert event.truth is not None
     red, green = made.hypothesis.effective_goals
-    assert (event.truth.goal_red, event.truth.goal_green) == (ALL_GOALS[red], ALL_GOALS[green])
+    assert (event.truth.goal_red, event.truth.goal_green) == (GOALS[red], GOALS[green])
     assert (event.truth.strength_red, event.truth.strength_green) == (600.0, 150.0)
 
 
@@ -258,8 +257,7 @@ def test_a_name_says_where_it_was_and_who_wanted_what() -> None:
     for ending in ("", ".mp4", ".pik"):
         assert parse_name(name_of(None) + ending) == recorded
 
-
-def test_a_reflected_copy_has_a_number_after_the_layout() -> None:
+    # a reflected copy has a number after the layout
     said = parse_name(name_of(3))
     assert (said.id, said.place) == ("D082020_1817530_E8.3", Place(8, 3))
     assert place_in_id(said.id) == said.place
@@ -297,13 +295,13 @@ def test_numbers_of_a_goal_stand_for_a_string_of_the_paper(given_: tuple, string
 
 
 @pytest.mark.parametrize("holder", [0, 1])
-@pytest.mark.parametrize("goal", range(N_GOALS))
-def test_every_goal_has_numbers_unless_it_names_its_holder(goal: int, holder: int) -> None:
-    if is_self_referring(goal, holder):
-        with pytest.raises(InvalidEventError, match="names its own holder"):
-            goal_numbers(GOALS[goal], holder)
-    else:
-        assert goal_string(goal_numbers(GOALS[goal], holder), holder) == GOALS[goal]
+def test_every_goal_has_numbers_unless_it_names_its_holder(holder: int) -> None:
+    for goal, string in enumerate(GOALS):
+        if is_self_referring(goal, holder):
+            with pytest.raises(InvalidEventError, match="names its own holder"):
+                goal_numbers(string, holder)
+        else:
+            assert goal_string(goal_numbers(string, holder), holder) == string
 
 
 places = st.builds(Place, st.integers(0, 99), st.sampled_from([None, 0, 1, 2, 3]))
@@ -380,22 +378,14 @@ def assert_equal_but_for_whole_turns(got: FloatArray, wanted: FloatArray) -> Non
     np.testing.assert_allclose(got, wanted + whole, atol=1e-9)
 
 
-@pytest.mark.parametrize("radius", SIZES)
-@pytest.mark.parametrize("way", [1, -1])
-@pytest.mark.parametrize("part", np.arange(0, 1, 0.1).tolist())
-def test_an_agent_that_turns_round_and_round(radius: float, way: int, part: float) -> None:
-    angles = turning([0, 0, *[way] * 40, 0, 0], radius, -part * TURN)
-    assert_equal_but_for_whole_turns(repaired(spoiled(angles), radius), averaged(angles, 1))
-
-
 @settings(max_examples=200, deadline=None)
 @given(
-    steps=st.lists(st.integers(1, 12), min_size=2, max_size=12),
+    steps=st.lists(st.integers(1, 12), min_size=2, max_size=12) | st.just([1, 40]),
     radius=st.sampled_from(SIZES),
     start=st.floats(-TURN, 0),
     way=st.sampled_from([1, -1]),
 )
-def test_an_agent_that_turns_one_way_now_and_then(
+def test_an_agent_that_turns_one_way_now_and_then_or_all_the_time(
     steps: list[int], radius: float, start: float, way: int
 ) -> None:
     moves = [way * (block % 2) for block, length in enumerate(steps) for _ in range(length)]

@@ -185,7 +185,7 @@ def test_ids_are_moved_only_where_the_rules_of_the_family_hold() -> None:
         for first in situations(cell):
             assert not any("ids" in name for name in changes(cell, first))
     moved = 0
-    for first in situations("collab", 400):
+    for first in situations("collab", 150):
         for name, other in changes("collab", first).items():
             if "ids" not in name:
                 continue
