@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import io
 import os
 import runpy
 import signal
@@ -144,6 +145,35 @@ def _figures_of_few_pixels() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", coarsely)
         yield
+
+
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not painted, which is most of their work: each file is the same PNG."""
+    from matplotlib.figure import Figure
+
+    save, painted = Figure.savefig, io.BytesIO()
+    Figure(figsize=(6, 4), facecolor="red").savefig(painted, format="png")
+    content = painted.getvalue().ljust(20_000, b"\0")
+
+    def keep(self: Figure, target: Any, **options: Any) -> None:
+        if isinstance(target, io.BytesIO):
+            target.write(content)
+        elif Path(target).suffix == ".png":
+            Path(target).write_bytes(content)
+        else:
+            save(self, target, **options)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+
+
+@pytest.fixture
+def own_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Models of social perception that a test registers are forgotten after it."""
+    from phase_ppl.evaluation import registry
+
+    registry.available_models()
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
 
 @pytest.fixture

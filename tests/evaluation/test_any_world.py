@@ -82,12 +82,7 @@ def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
     text = str(found)
     for word in ("purple agent", "red & purple", "0.75 [0.19, 0.99] of 4"):
         assert word in text
-
-
-def test_sure_answers_are_counted_with_the_share_of_them_that_is_true(
-    events: list[ppl.Event],
-) -> None:
-    sure = ppl.evaluate(events, always_home, **ONE_PROCESS).metrics["calibration"]["goal"]
+    sure = metrics["calibration"]["goal"]  # of sure answers, the share that is true
     assert [one["n"] for one in sure.values()] == [6, 6, 4, 2]
     assert [one["accuracy"]["value"] for one in sure.values()] == [5 / 6, 5 / 6, 0.75, 1.0]
     assert sure["0.8"]["probability"] == pytest.approx(0.95)
@@ -358,41 +353,31 @@ def test_events_that_tell_models_apart_are_found_in_any_world(events: list[ppl.E
         ppl.design(events, models, "relation_red_purpel")
 
 
-def test_the_terminal_evaluates_events_of_another_world(
-    events: list[ppl.Event], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ppl.save_events(events, tmp_path / "events.json")
-    command = ["evaluate", str(tmp_path / "events.json"), "--model", "last_frame"]
-    assert main([*command, "--out", str(tmp_path / "out")]) == 0
-    assert "red & green" in capsys.readouterr().out
-    assert main([*command, "--model", "predicate", "--out", str(tmp_path / "two")]) == 0
-    printed = capsys.readouterr()
-    assert "relations right, by pair" in printed.out
-    for folder in ("out", "two"):
-        drawn = {path.name for path in (tmp_path / folder / "figures").iterdir()}
-        assert {"accuracy.png", "film_strips.png"} <= drawn
-        assert "confusion.png" not in drawn  # there are no scenarios
-        page = ppl.report(tmp_path / folder).read_text("utf-8")
-        for words in ("Goal of the purple agent", "Relation of red &amp; green", "By agent",
-                      "By pair", "red &amp; purple"):  # fmt: skip
-            assert words in page
-    (of_event, *_) = sorted((tmp_path / "two" / "pages").glob("*.html"))
-    assert "the red agent helps the green agent" in of_event.read_text("utf-8")
-    assert main(["compare-models", str(tmp_path / "two")]) == 0
-    assert "relations right, by pair" in capsys.readouterr().out
-
-
-def test_the_terminal_shows_people_beside_models_of_another_world(
+@pytest.mark.usefixtures("unpainted")
+def test_the_terminal_evaluates_and_reports_models_and_people_of_another_world(
     events: list[ppl.Event], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ppl.save_events(events, tmp_path / "events.json")
     (tmp_path / "study.csv").write_text(STUDY)
     files = [str(tmp_path / "events.json"), "--judgments", str(tmp_path / "study.csv")]
-    models = ["--model", "last_frame", "--model", "predicate", "--out", str(tmp_path / "two")]
-    assert main(["evaluate", *files, *models]) == 0
+    models, out = ["--model", "last_frame", "--model", "predicate"], tmp_path / "out"
+    assert main(["evaluate", *files, *models, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    for words in ("people, majority", "people on goals", "people on relations"):
+    for words in ("relations right, by pair", "people, majority", "people on goals",
+                  "people on relations"):  # fmt: skip
         assert words in printed
     assert "equivalence by agent and pair too" in " ".join(printed.split())
-    drawn = {path.name for path in (tmp_path / "two" / "figures").iterdir()}
-    assert {"correlation.png", "scatter_goals.png", "scatter_relations.png"} <= drawn
+    assert "red & green" in str(ppl.Evaluation.load(out / "last_frame"))
+    for folder in (out, out / "last_frame"):
+        drawn = {path.name for path in (folder / "figures").iterdir()}
+        assert {"accuracy.png", "film_strips.png", "correlation.png"} <= drawn
+        assert {"scatter_goals.png", "scatter_relations.png"} <= drawn
+        assert "confusion.png" not in drawn  # there are no scenarios
+        page = ppl.report(folder).read_text("utf-8")
+        for words in ("Goal of the purple agent", "Relation of red &amp; green", "By agent",
+                      "By pair", "red &amp; purple"):  # fmt: skip
+            assert words in page
+    (of_event, *_) = sorted((out / "pages").glob("*.html"))
+    assert "the red agent helps the green agent" in of_event.read_text("utf-8")
+    assert main(["compare-models", str(out)]) == 0
+    assert "relations right, by pair" in capsys.readouterr().out

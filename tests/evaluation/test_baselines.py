@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation import registry
 from phase_ppl.evaluation.models.baselines import goal_shares, last_frame
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.world.errors import InvalidSettingError
@@ -102,17 +99,12 @@ def test_goals_are_as_frequent_as_their_types_in_the_original_events(agent: int)
 # --- models by name -------------------------------------------------------------------------------
 
 
-@pytest.fixture(autouse=True)
-def _registered_for_this_test_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    registry.available_models()
-    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
-
-
 def make(answer: str = "friendly") -> Any:
     """Say one thing."""
     return lambda scene, observation, seed: {"relation": answer}
 
 
+@pytest.mark.usefixtures("own_models")
 def test_a_registered_model_is_made_with_its_options_and_asked_by_name() -> None:
     ppl.register_model("one_thing")(make)
     found = ppl.evaluate(still(), "one_thing", workers=1, answer="adversarial")
@@ -126,6 +118,7 @@ def test_an_option_that_a_model_does_not_have_is_refused() -> None:
         ready("last_frame", {"planner": "fast"})
 
 
+@pytest.mark.usefixtures("own_models")
 def test_what_a_model_needs_is_said_with_the_extra_that_brings_it() -> None:
     needs = ("numpy", "no_such_module", "no_such_package.module")
     ppl.register_model("heavy", needs=needs, extra="neural")(make)
@@ -150,13 +143,3 @@ def two(scene: Any, observation: Any) -> Any:
 def test_what_is_no_model_is_refused(model: Any, options: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidSettingError, match=message):
         ready(model, options)
-
-
-def test_the_baseline_needs_no_jax() -> None:
-    code = (
-        "import sys, phase_ppl as ppl; "
-        "print(ppl.evaluate('collaborate', 'last_frame', progress=False)); "
-        "assert not {'jax', 'numpyro', 'arviz', 'matplotlib'} & set(sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr

@@ -12,7 +12,6 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation import registry
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
 from tests.evaluation.toys import FailsAt, guesses, raises, several
 from tests.simulator.clusters import local_cluster, note, the_third_killed
@@ -60,34 +59,30 @@ def test_a_killed_worker_changes_no_answer(tmp_path: Path) -> None:
     assert pids[::2] == pids[1::2]
 
 
-def test_a_cluster_that_is_closed_leaves_what_can_be_resumed(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("own_models")
+def test_the_command_works_on_a_cluster_and_one_that_is_closed_leaves_what_can_be_resumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+
+    ppl.register_model("guessing")(lambda: guesses)
+    ppl.save_events(EVENTS, tmp_path / "events.json")
+    given = ["evaluate", str(tmp_path / "events.json"), "--model", "guessing", "--no-figures"]
     model, out = Slow(tmp_path), tmp_path / "out"
-    with local_cluster() as (cluster, client):
+    with local_cluster(1) as (cluster, client):
+        at_work = ["--out", str(tmp_path / "command"), "--quiet"]
+        assert main([*given, *at_work, "--dask", cluster.scheduler_address]) == 0
         executor = client.get_executor()
         ppl.evaluate(EVENTS[:3], model, executor=executor, out=out, progress=False)
         cluster.close()
         with pytest.raises(SimulationError, match="the executor takes no more work") as caught:
             ppl.evaluate(EVENTS, model, executor=executor, out=out, resume=True, progress=False)
+    assert ppl.Evaluation.load(tmp_path / "command").finished
     assert set(caught.value.evaluation.predictions) == {"a", "b", "c"}
     resumed = ppl.evaluate(EVENTS, model, workers=1, out=out, resume=True, progress=False)
-    alone = ppl.evaluate(EVENTS, model, workers=1, progress=False)
+    alone = ppl.evaluate(EVENTS, guesses, workers=1, progress=False)
     for name, value in alone.metrics.items():
         if name not in ("cost", "settings"):
             assert resumed.metrics[name] == value, name
-
-
-def test_the_command_works_on_a_cluster(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "guessing" not in ppl.available_models()  # which looks for all of them
-    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
-    ppl.register_model("guessing")(lambda: guesses)
-    ppl.save_events(EVENTS, tmp_path / "events.json")
-    given = ["evaluate", str(tmp_path / "events.json"), "--model", "guessing", "--no-figures"]
-    with local_cluster() as (cluster, _):
-        out = ["--out", str(tmp_path / "out"), "--quiet"]
-        assert main([*given, *out, "--dask", cluster.scheduler_address]) == 0
-    assert ppl.Evaluation.load(tmp_path / "out").finished
     capsys.readouterr()
     assert main([*given, "--dask", "nonsense://1"]) == 2
     assert "--dask nonsense://1: no scheduler answers" in capsys.readouterr().err

@@ -12,19 +12,19 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.cli.evaluate import models_of, options_of
-from phase_ppl.evaluation import figures, registry
+from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.report import contents
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
 
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 
 @pytest.fixture(autouse=True)
-def _models(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def _models(own_models: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Give some models names, in a folder of its own for each test."""
     monkeypatch.chdir(tmp_path)
-    registry.available_models()
-    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
     def stops_once(scene: Any, observation: Any, seed: int) -> Any:
         if Path("stop").exists():

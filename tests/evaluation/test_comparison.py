@@ -271,6 +271,7 @@ def test_figures_say_of_how_many_events_who_predicts_fewer() -> None:
     assert "part predicts 10 of 12 events; its scores are about those" in str(results)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> None:
     silent = evaluation("silent", predictions={e.id: ppl.Prediction(e.id) for e in EVENTS})
     nothing = evaluation("nothing", predictions={})
@@ -283,15 +284,15 @@ def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> 
     assert c.differences == []
 
 
-@pytest.mark.parametrize("seconds", [0.0, -1.0])
-def test_a_cost_that_has_no_place_on_the_axis_is_left_out(seconds: float) -> None:
-    costed = {
-        i: dataclasses.replace(p, cost={"cpu_seconds": seconds})
-        for i, p in evaluation().predictions.items()
-    }
-    free = evaluation("free", predictions=costed)
-    with pytest.raises(NothingToDrawError, match="CPU seconds"):
-        DRAWINGS["costs"].draw(compare(free, resamples=50))
+def test_a_cost_that_has_no_place_on_the_axis_is_left_out() -> None:
+    for seconds in (0.0, -1.0):
+        costed = {
+            i: dataclasses.replace(p, cost={"cpu_seconds": seconds})
+            for i, p in evaluation().predictions.items()
+        }
+        free = evaluation("free", predictions=costed)
+        with pytest.raises(NothingToDrawError, match="CPU seconds"):
+            DRAWINGS["costs"].draw(compare(free, resamples=50))
     figure = DRAWINGS["costs"].draw(compare(free, evaluation(), resamples=50))
     assert "free" not in shown_in(figure)
 
@@ -501,6 +502,7 @@ def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:
     assert few["vlm"] == colours["vlm"]
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_figures_and_the_report_take_the_folder_of_a_comparison(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

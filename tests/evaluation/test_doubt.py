@@ -119,7 +119,10 @@ def test_models_are_shown_and_drawn_by_their_doubt(tmp_path: Any) -> None:
     other = lambda scene, observation, seed: {"relation": [0.2, 0.6, 0.2]}  # noqa: E731
     given = events()
     both = ppl.compare_models(
-        {n: ppl.evaluate(given, m, progress=False) for n, m in (("a", model), ("b", other))},
+        {
+            n: ppl.evaluate(given, m, workers=1, progress=False)
+            for n, m in (("a", model), ("b", other))
+        },
         resamples=50,
     )
     assert "doubt about relations" in str(both)

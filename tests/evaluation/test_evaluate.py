@@ -12,7 +12,6 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.evaluation import registry
 from phase_ppl.evaluation.evaluate import Progress
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.world.errors import (
@@ -99,13 +98,7 @@ def test_what_fails_at_one_event_is_reported_and_does_not_stop_the_rest(
     assert "failed: b: " in str(found)
 
 
-@pytest.fixture
-def _registered_for_this_test_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    registry.available_models()
-    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
-
-
-@pytest.mark.usefixtures("_registered_for_this_test_only")
+@pytest.mark.usefixtures("own_models")
 def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(tmp_path: Path) -> None:
     def fussy(scene: Any, observation: Any, seed: int) -> Any:
         raise InvalidSettingError("size=3 is too small")
@@ -119,7 +112,7 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(tmp_path:
     assert list(evaluate(model="odd").failures) == ["d"]
 
 
-@pytest.mark.usefixtures("_registered_for_this_test_only")
+@pytest.mark.usefixtures("own_models")
 def test_options_that_are_no_plain_data_are_kept_as_text(tmp_path: Path) -> None:
     ppl.register_model("any")(lambda **options: right)
     options = {"a": np.nan, "b": raises, "c": (1, np.float32(2))}

@@ -55,30 +55,33 @@ def test_all_figures_are_drawn_where_everything_is_known(
     assert left_out(folder, capsys) == set()
 
 
-def test_without_judgments_nothing_is_compared_with_people(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("unpainted")
+@pytest.mark.parametrize(
+    ("of", "predicted", "missing"),
+    [
+        (events(judgments=None), True, {"correlation", "scatter_goals", "scatter_relations",
+                                        "people"}),
+        (events(truth=None), True, {"accuracy", "confusion"}),
+        (events(), False, None),  # where nothing has begun nothing is compared
+    ],
+    ids=["no judgments", "no truth", "no predictions"],
+)  # fmt: skip
+def test_what_the_results_do_not_allow_is_not_drawn_and_what_was_is_taken_away(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    of: list[ppl.Event],
+    predicted: bool,
+    missing: set[str] | None,
 ) -> None:
-    folder = make_folder(tmp_path / "results", events(judgments=None))
-    left = {"correlation", "scatter_goals", "scatter_relations", "people"}
+    folder = make_folder(tmp_path / "results", of, predicted=lambda _: predicted)
+    left = missing or set(drawings_of(opened(folder.path))) - {"film_strips"}
+    (folder.path / "figures").mkdir()
+    for name in left:
+        (folder.path / "figures" / f"{name}.png").write_bytes(b"old")
     assert left_out(folder, capsys) == left
 
 
-def test_without_truth_nothing_is_right_or_wrong(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = make_folder(tmp_path / "results", events(truth=None))
-    assert left_out(folder, capsys) == {"accuracy", "confusion"}
-
-
-def test_a_folder_without_predictions_has_people_and_references_only(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = make_folder(tmp_path / "results", predicted=lambda _: False)
-    # of an evaluation that has not begun nothing is compared
-    every = set(drawings_of(opened(folder.path)))
-    assert left_out(folder, capsys) == every - {"film_strips"}
-
-
+@pytest.mark.usefixtures("unpainted")
 def test_one_event_of_one_scenario_is_enough(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -88,16 +91,6 @@ def test_one_event_of_one_scenario_is_enough(
     shown = shown_in(figures.accuracy(folder.path))
     assert "all" in shown
     assert "competing" not in shown  # it would be the same again
-
-
-def test_a_figure_that_the_results_no_longer_allow_is_taken_away(tmp_path: Path) -> None:
-    folder = make_folder(tmp_path / "results", events(judgments=None))
-    (folder.path / "figures").mkdir()
-    (folder.path / "figures" / "correlation.png").write_bytes(b"old")
-    assert "correlation" not in {
-        path.stem for path in draw_figures(folder.path, folder.path, progress=False)
-    }
-    assert not (folder.path / "figures" / "correlation.png").exists()
 
 
 def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import warnings
 from pathlib import Path
@@ -260,10 +261,10 @@ def test_commands_fit_and_ask_an_observer(
     ppl.save_events(events, tmp_path / "videos.json")
     out = tmp_path / "observer.json"
     videos = str(tmp_path / "videos.json")
-    assert (
-        main(["fit-people", videos, "--source", "cues", "--observer", "lapsing", "--out", str(out)])
-        == 0
-    )
+    brief = functools.partial(ppl.fit_people, draws=60, warmup=60, chains=1)
+    monkeypatch.setattr(ppl, "fit_people", brief)
+    given = ["--source", "cues", "--observer", "lapsing", "--out", str(out)]
+    assert main(["fit-people", videos, *given]) == 0
     assert "ELPD" in capsys.readouterr().out
     command = ["evaluate", videos, "--model", "chance", "--observer", str(out), "--no-figures"]
     assert main([*command, "--out", str(tmp_path / "results")]) == 0

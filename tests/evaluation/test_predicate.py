@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.evaluate import options_of
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
@@ -36,12 +35,6 @@ def test_its_options_are_thresholds_and_rationality_and_are_kept() -> None:
     made = ready("predicate", {"on_item": 2.0, "rationality": 0.4, "prior": "independent"})
     kept = made.record["model_settings"]
     assert (kept["on_item"], kept["rationality"], kept["prior"]) == (2.0, 0.4, "independent")
-
-
-def test_beside_other_models_it_gets_its_own_options_only() -> None:
-    models = {"predicate": "predicate", "simple": "simple"}
-    given = options_of(models, {}, [("on_item", 2.0), ("planner", "fast"), ("prior", "uniform")])
-    assert given["predicate"] == {"on_item": 2.0, "prior": "uniform"}
 
 
 @pytest.mark.parametrize("n_frames", [2, 3])

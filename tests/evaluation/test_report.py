@@ -161,6 +161,7 @@ def test_pictures_and_tables_say_what_they_are(which: str, request: pytest.Fixtu
     assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_an_unfinished_evaluation_compares_what_is_finished(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "results", predicted=lambda name: name == "one")
     text = Page(ppl.report(folder.path).read_text("utf-8")).text
@@ -168,6 +169,7 @@ def test_an_unfinished_evaluation_compares_what_is_finished(tmp_path: Path) -> N
     assert text.count("no prediction") == 3  # a choice of the menu, and two events
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_an_evaluation_without_truth_judgments_and_predictions_is_reported_too(
     tmp_path: Path,
 ) -> None:
@@ -179,12 +181,14 @@ def test_an_evaluation_without_truth_judgments_and_predictions_is_reported_too(
     assert len(page.all("img")) == 1 + 3
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_films_of_events_are_made_on_demand(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "results", events()[:1])
     page = Page(ppl.report(folder.path, tmp_path / "films.html", videos=True).read_text("utf-8"))
     assert str(page.all("video")[0]["src"]).startswith("data:video/mp4;base64,")
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_bad_folders_and_places_are_named(tmp_path: Path) -> None:
     with pytest.raises(InvalidEventError, match="no such folder"):
         ppl.report(tmp_path / "nowhere")

@@ -105,7 +105,7 @@ def test_profiles_ask_more_and_more() -> None:
 
 
 @pytest.fixture
-def models(monkeypatch: pytest.MonkeyPatch) -> None:
+def models(monkeypatch: pytest.MonkeyPatch, unpainted: None) -> None:
     """Have two models that take no time, and one that is not installed."""
     asked = {
         "simple": Asked("last_frame", 1, whose=SIMPLE),
