@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -156,13 +154,3 @@ def test_an_arena_of_another_size_fills_the_same_square() -> None:
 def test_poses_that_are_none_are_refused(poses: object) -> None:
     with pytest.raises(InvalidEventError, match="poses"):
         frame(poses)
-
-
-def test_drawing_and_reading_start_without_heavy_packages() -> None:
-    heavy = ["jax", "numpyro", "matplotlib", "arviz", "torch", "numba", "pandas", "xarray"]
-    code = (
-        "import sys, phase_ppl.render, phase_ppl.dataset; "
-        f"print([name for name in {heavy} if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import csv
 import dataclasses
 import functools
 import shutil
@@ -74,6 +75,12 @@ def change(study: Study, **given: Any) -> Study:
             lines[at] = f"{name} = {shown}"
     file.write_text("\n".join(lines), "utf-8")
     return Study(study.folder)
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file."""
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 class Person:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +16,12 @@ from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import OutputError, UnknownNameError
-from tests.study.studies import HOST, JUDGED, Person, edit, make_study
+from tests.study.studies import HOST, JUDGED, Person, edit, make_study, table
 
 
 @pytest.fixture(autouse=True)
 def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with open(path, encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def come(study: Study, *people: dict[str, Any]) -> list[str]:

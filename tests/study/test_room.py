@@ -20,6 +20,7 @@ from phase_ppl.study.exports import SLIPPED
 from phase_ppl.study.room import Controls, Outbox, Room, Seat, driving, outline, warnings
 from phase_ppl.study.settings import PlaySettings, Settings, template
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
+from tests.render.test_sight import inside
 from tests.study.players import near_goals
 
 
@@ -125,17 +126,8 @@ def test_the_outline_is_the_field_of_view_within_the_arena(agent: int) -> None:
         assert (corners >= [5.99, 1.99]).all()
         assert (corners <= [26.01, 22.01]).all()
         points = np.random.default_rng(0).uniform([6, 2], [26, 22], (400, 2))
-        whole = inside(points, field_of_view(where, where.start, agent))
-        assert (inside(points, corners) != whole).mean() < 0.01
-
-
-def inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Whether points lie in a polygon: by how many sides a ray to the right crosses."""
-    x, y = points.T[:, :, None]
-    (x1, y1), (x2, y2) = corners.T, np.roll(corners, -1, axis=0).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crosses = ((y1 > y) != (y2 > y)) & (x < (x2 - x1) * (y - y1) / (y2 - y1) + x1)
-    return np.asarray(crosses.sum(axis=1) % 2 == 1)
+        whole = inside(field_of_view(where, where.start, agent), points)
+        assert (inside(corners, points) != whole).mean() < 0.01
 
 
 def test_a_computer_sees_no_more_than_its_agent() -> None:

@@ -130,15 +130,6 @@ def test_without_the_extra_one_line_says_what_to_install(
     assert not (tmp_path / "s").exists()
 
 
-def test_nothing_of_the_extra_is_imported_by_the_base() -> None:
-    code = (
-        "import sys, phase_ppl.study, phase_ppl.cli.commands, phase_ppl.evaluation.experiments\n"
-        "print({'starlette', 'uvicorn', 'websockets', 'markdown_it'} & set(sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
-
-
 def test_commands_make_look_at_and_export_a_study(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import Roles
 from tests.browser import needs_browser, running_browser
-from tests.study.studies import HOST, Person, edit, empty_clips
+from tests.study.studies import HOST, Person, edit, empty_clips, table
 from tests.study.test_browser import Window
 
 NURSERY = ppl.World(
@@ -71,11 +70,6 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         return Study.new(tmp_path / "study", events, kind, workers=1, progress=False)
 
     return made
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with open(path, encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 # --- what is asked --------------------------------------------------------------------------------
