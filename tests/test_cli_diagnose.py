@@ -15,6 +15,8 @@ from tests.analysis.factory import random_tree
 from tests.analysis.test_over_time import tree_by_frame
 from tests.test_cli import Capture, fails
 
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:

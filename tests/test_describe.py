@@ -15,6 +15,8 @@ from tests.dataset.authors.pickles import processed
 from tests.test_cli import Capture, fails
 from tests.world.examples import make_event
 
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:

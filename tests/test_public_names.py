@@ -11,7 +11,6 @@ import pytest
 import phase_ppl as ppl
 
 ROOT = Path(__file__).parent.parent
-HEAVY = {"arviz", "jax", "matplotlib", "numba", "numpy", "numpyro", "pandas", "torch", "xarray"}
 
 
 @pytest.mark.parametrize("name", ppl.__all__)
@@ -62,13 +61,3 @@ def test_a_models_likelihood_says_what_infer_returns(tmp_path: Path) -> None:
     errors = [line for line in run.stdout.splitlines() if "user.py" in line]
     assert len(errors) == 1, run.stdout
     assert '"StepwisePosterior" has no attribute "replay"' in errors[0]
-
-
-def test_nothing_is_imported_before_it_is_used() -> None:
-    text = (
-        "import sys, phase_ppl\n"
-        f"print(sorted({HEAVY!r} & set(sys.modules)))\n"
-        "print([name for name in sys.modules if name.startswith('phase_ppl.')])\n"
-    )
-    run = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
-    assert run.stdout.split("\n")[:2] == ["[]", "[]"]

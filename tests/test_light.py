@@ -1,0 +1,35 @@
+"""Nothing heavy is loaded before it is needed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+STEPS = {
+    "import phase_ppl as ppl": "numpy pandas xarray numba jax numpyro arviz matplotlib torch",
+    "try: ppl.cli.main(['--help'])\nexcept SystemExit: pass": "pandas xarray numba jax matplotlib",
+    "import phase_ppl.render, phase_ppl.dataset": (
+        "pandas xarray numba jax numpyro arviz matplotlib torch"
+    ),
+    "import phase_ppl.study, phase_ppl.cli.commands, phase_ppl.evaluation.experiments": (
+        "starlette uvicorn websockets markdown_it"
+    ),
+    "print(ppl.evaluate('collaborate', 'last_frame', progress=False))": (
+        "jax numpyro arviz matplotlib"
+    ),
+}
+"""What is done, one after the other in a process, and what is not loaded then."""
+
+
+def test_each_step_loads_no_more_than_it_needs() -> None:
+    script = "import sys\n"
+    for done, heavy in STEPS.items():
+        script += f"{done}\nfound = set({heavy.split()}) & set(sys.modules)\n"
+        script += f"assert not found, ({done!r}, found)\n"
+        if heavy.startswith("numpy"):
+            script += "assert not [name for name in sys.modules if name.startswith('phase_ppl.')]\n"
+            script += "import phase_ppl.cli\n"
+    command = [sys.executable, "-c", script]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    assert "last_frame: 1 of 1 events" in run.stdout
