@@ -16,8 +16,6 @@ import pytest
 
 import phase_ppl as ppl
 
-pytestmark = pytest.mark.usefixtures("unpainted")
-
 README = Path(__file__).parent.parent / "README.md"
 DOCS = README.parent / "docs"
 EXAMPLES_FOLDER = README.parent / "examples"
