@@ -75,7 +75,7 @@ plain = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(value=plain, protocol=st.sampled_from(PROTOCOLS))
 def test_plain_data_are_read_as_they_were(value: Any, protocol: int) -> None:
     assert same(unpickled(pickle.dumps(value, protocol)), value)
@@ -491,7 +491,7 @@ WHOLE = [*(videos(protocol) for protocol in PROTOCOLS), OLD, OLD_BINARY]
 @pytest.mark.parametrize("content", WHOLE, ids=[*map(str, PROTOCOLS), "old", "old_binary"])
 def test_a_damaged_file_is_read_or_refused(content: bytes) -> None:
     rng = random.Random(len(content))
-    found = [complaint(damaged(content, rng)) for _ in range(400)]
+    found = [complaint(damaged(content, rng)) for _ in range(700)]
     assert not is_sprung()
     assert None in found
     assert len(set(found)) > 5
@@ -533,7 +533,7 @@ pieces = st.sampled_from(
 )  # fmt: skip
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=1000, deadline=None)
 @given(parts=st.lists(pieces, max_size=25))
 def test_any_bytes_are_read_or_refused(parts: list[bytes]) -> None:
     complaint(b"".join(parts) + b".")
