@@ -35,7 +35,7 @@ from phase_ppl.models.world_prior import drawn_stated, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.goals import goal_literal, neighbouring_goals
+from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import ALPHAS, RELATION_OF_SCENARIO, Hypothesis, Roles, scenario
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.scene import PHASE, Scene, World
@@ -114,13 +114,6 @@ def test_of_what_cannot_be_nothing_is_simulated() -> None:
 
 
 SPACE_TRIO = space_of(TRIO)
-
-
-@pytest.mark.parametrize("world", [PHASE, SOLO, TRIO])
-def test_of_two_neighbouring_goals_each_is_the_others(world: World) -> None:
-    near = [neighbouring_goals(goal, world) for goal in range(len(world.goals))]
-    assert all(near)
-    assert all(goal in near[other] for goal, others in enumerate(near) for other in others)
 
 
 # --- priors --------------------------------------------------------------------------------------

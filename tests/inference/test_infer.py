@@ -4,7 +4,6 @@ import _thread
 import dataclasses
 import json
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,7 +18,6 @@ from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.runs import run, sampler
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
-from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from tests.inference import runs
 from tests.inference.runs import EVENT, MODEL, Watched, assert_same_draws
@@ -78,27 +76,6 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
     found, weighed = post.over_time(), ppl.Posterior(post.tree, "importance")
     for name in ("goal_red", "goal_green", "relation", "scenario"):
         np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
-
-
-def test_nothing_that_is_asked_of_a_posterior_simulates_again(
-    post: ppl.Posterior, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delattr(Runner, "run")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import arviz
-        import matplotlib.pyplot as plt
-
-        data = post.arviz
-        arviz.summary(data)
-        arviz.ess(data)
-        for draw in (arviz.plot_trace, arviz.plot_rank, arviz.plot_forest):
-            draw(data, var_names=["log_joint"])
-        plt.close("all")
-    post.diagnostics()
-    post.over_time()
-    ppl.plot.diagnostics(post)
-    ppl.plot.over_time(post)
 
 
 def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:

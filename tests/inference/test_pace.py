@@ -19,10 +19,7 @@ from phase_ppl.inference.runs import length, sampler
 from phase_ppl.inference.runs.checkpoint import Checkpoint
 from phase_ppl.inference.runs.length import IDLE, Length, Pace
 from phase_ppl.inference.settings import Budget
-from phase_ppl.models.bridge import Record
-from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.hypothesis import Hypothesis
 from tests.inference.runs import EVENT, MODEL, OPTIONS, Watched, assert_same_draws, infer, stops_at
 from tests.inference.toy import few_goals, walkers
 
@@ -68,12 +65,6 @@ def after(pace: Pace, done: int) -> Pace:
     return pace
 
 
-def test_a_number_of_iterations_is_kept_whatever_the_time(clock: Clock) -> None:
-    fixed = paced(clock, None)
-    take(fixed, clock, 1e6, initial=True)
-    assert [after(fixed, done).goes_on for done in range(5)] == [True, True, True, False, False]
-
-
 def test_the_initial_particles_are_the_first_guess_and_then_forgotten(clock: Clock) -> None:
     timed = paced(clock, ppl.seconds(50), sims_per_step=2)
     take(timed, clock, 10, initial=True)  # so an iteration of two simulations takes 20
@@ -90,14 +81,6 @@ def test_uneven_iterations_count_by_the_mean_of_the_last_three(clock: Clock) -> 
     assert after(timed, 4).expected == 4 + 5  # 39 s are left, 7 each
     take(timed, clock, 36)
     assert not after(timed, 5).goes_on
-
-
-def test_what_was_spent_before_counts(clock: Clock) -> None:
-    timed = paced(clock, ppl.seconds(60), seconds=45.0, recent=[8.0, 7.0])
-    assert after(timed, 3).expected == 5
-    clock.now += 8
-    assert not after(timed, 4).goes_on
-    assert timed.seconds == 53
 
 
 # --- whole runs ------------------------------------------------------------------------------
@@ -141,37 +124,6 @@ def test_a_bare_number_is_no_budget() -> None:
 
 
 # --- simulations and frames --------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("unit", ["simulations", "frames"])
-def test_a_budget_is_spent_by_what_was_counted(clock: Clock, unit: str) -> None:
-    given = paced(clock, getattr(ppl, unit)(100), sims_per_step=34)
-    given.done, given.simulations, given.frames = 3, 10**6, 10**6
-    goes_on = []
-    for n in (0, 99, 100, 130):
-        setattr(given, unit, n)
-        goes_on.append(given.goes_on)
-    assert goes_on == [True, True, False, False]
-    given.simulations = given.frames = 1
-    assert after(given, IDLE - 1).goes_on
-    assert not after(given, IDLE).goes_on
-
-
-def test_a_count_taken_up_again_is_the_same(clock: Clock) -> None:
-    with Runner(walkers, EVENT.scene, EVENT.observation, workers=1) as runner:
-        (result,) = runner.run([Hypothesis(0, 3)], [1])
-    records: list[Record] = []
-    kept = paced(clock, None)
-    for iteration, n in enumerate((3, 0, 2, 0, 0)):
-        records += [Record(result, {}, 0.0, chain=0, iteration=iteration)] * n
-        anew = paced(clock, None)
-        for one in (kept, anew):
-            one.count(records, iteration)
-        assert (kept.simulations, kept.frames) == (anew.simulations, anew.frames)
-    assert (kept.simulations, kept.frames) == (5, 5 * 14)
-    before = paced(clock, None)
-    before.count(records, 1)
-    assert (before.simulations, before.frames) == (3, 3 * 14)
 
 
 @pytest.fixture(scope="module")
@@ -278,13 +230,6 @@ def test_a_kernel_knows_better_than_its_registration_what_it_costs() -> None:
     assert length == Length(10, 4, None, 3, 5)
     assert length.at_most(4) == 10 * (3 + 4 * 5)
     assert length_of(SimpleNamespace(), 10) == Length(10, 6, None, 1, 2)
-
-
-def test_a_declared_cost_does_not_decide_how_long_a_budget_lasts() -> None:
-    kernel = SimpleNamespace(sims_at_start=3, sims_per_step=500)
-    for budget in (ppl.simulations(40), ppl.frames(421)):
-        length = length_of(kernel, 10, budget=budget)
-        assert (length.iterations, length.budget) == (None, budget)
 
 
 def test_a_kernel_that_decides_its_own_length_does_so() -> None:

@@ -45,11 +45,15 @@ def density(name: str, codes: Any, strengths: Any) -> np.ndarray:
     """Return the density at (n, 3) codes and (n, 2) strengths; either may be a single row."""
     codes, strengths = np.atleast_2d(codes), np.atleast_2d(strengths)
     n = max(len(codes), len(strengths))
-    codes, strengths = np.broadcast_to(codes, (n, 3)), np.broadcast_to(strengths, (n, 2))
+    # as many rows in all calls, so that a prior is compiled once
+    codes, strengths = (
+        np.resize(np.broadcast_to(given, (n, width)), (len(CODES), width))
+        for given, width in ((codes, 3), (strengths, 2))
+    )
     z = {site: jnp.asarray(codes[:, i]) for i, site in enumerate((*sites.GOAL_SITES, "alpha"))}
     z |= {site: jnp.asarray(strengths[:, i], jnp.float32)
           for i, site in enumerate(sites.STRENGTH_SITES)}  # fmt: skip
-    return np.exp(np.asarray(compiled_density(name)(z), float))
+    return np.exp(np.asarray(compiled_density(name)(z), float))[:n]
 
 
 @ALL
@@ -79,7 +83,7 @@ def strength_mass(name: str) -> tuple[np.ndarray, np.ndarray]:
     if name == "strength_levels":
         return LEVELS, density(name, REFERENCE, LEVELS)
     low, high = STRENGTH_RANGE
-    n = 450
+    n = 80
     middle = low + (np.arange(n) + 0.5) * (high - low) / n
     grid = np.array(list(itertools.product(middle, repeat=2)))
     return grid, density(name, REFERENCE, grid) * ((high - low) / n) ** 2

@@ -13,7 +13,7 @@ import pytest
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation, State, Truth
 from phase_ppl.world.scene import LANDMARK_CENTRES, Scene
-from tests.world.examples import RADIUS, START, make_event, make_scene, make_trajectory, walls
+from tests.world.examples import RADIUS, START, make_event, make_scene, make_trajectory
 
 
 def with_value(array: object, where: tuple[int, ...], value: object) -> np.ndarray:
@@ -185,7 +185,3 @@ def test_truth_refuses_unknown_words_and_impossible_forces(
     fields = {"goal_red": "get to green agent", "goal_green": "get away from red agent"}
     with pytest.raises(error, match=re.escape(repr(value))):
         Truth(**{**fields, field: value})  # type: ignore[arg-type]
-
-
-def test_walls_of_the_example_make_the_doors_they_should() -> None:
-    assert make_scene(walls=walls(up=10, left=7.5)).rooms.door_width.tolist() == [0, 2.5, 10, 10]
