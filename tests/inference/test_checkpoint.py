@@ -95,6 +95,7 @@ def test_a_complete_run_gives_its_posterior_without_simulating(
     before = path.read_bytes()
     again = resume(path)
     assert again.tree["posterior"].sizes["draw"] == 2
+    assert resume(path, weights="count").weights == "count"
     assert path.read_bytes() == before
 
 
@@ -104,7 +105,7 @@ def test_event_and_parts_of_the_package_need_not_be_given_again(
     monkeypatch.setattr(ppl.Model, "build_simulator", lambda self: walkers)  # for speed
     path = tmp_path / "run.ckpt"
     settings = ppl.SimpleSettings(beta=0.05, eta=0.2)
-    options = {**OPTIONS, "planner": "paper", "settings": settings}
+    options = {**OPTIONS, "planner": "paper", "settings": settings, "weights": "count"}
     ppl.infer(EVENT, **{**options, "iterations": 2}, checkpoint=path)
     longer = ppl.resume(path, iterations=4, workers=1, progress=False)
     assert_same_draws(ppl.infer(EVENT, **options).tree, longer.tree)
@@ -206,7 +207,7 @@ def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
     from phase_ppl.inference.kernels.generic_mh import PriorMH
 
     path = tmp_path / "run.ckpt"
-    infer(kernel=PriorMH(), iterations=1, checkpoint=path)
+    infer(kernel=PriorMH(), iterations=1, weights="count", checkpoint=path)
     with pytest.raises(InvalidSettingError, match=r"kernel prior_mh was given as an object"):
         resume(path)
     with pytest.raises(InvalidSettingError, match=r"_early_reject is False, was True"):

@@ -194,7 +194,7 @@ def slipping(scene: Any, hypothesis: Any, rng: np.random.Generator) -> Iterator[
 def test_what_fails_counts_as_impossible_in_all_weights() -> None:
     # both goals fit alike where they do not fail: 1/4 against 1
     model = ppl.Model(prior=alike, simulator=slipping)
-    options = {**OPTIONS, "kernel": "prior_mh", "chains": 100, "iterations": 4}
+    options = {**OPTIONS, "chains": 100, "iterations": 4, "weights": "count"}
     post = ppl.infer(EVENT, model, **options)
     for weights in ("importance", "stratified", "visited"):
         found = ppl.Posterior(post.tree, weights).probability(goal_red=GOALS[GOALS_ALIKE[0]])

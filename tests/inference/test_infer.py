@@ -163,7 +163,7 @@ def infer_event(event: ppl.Event) -> ppl.Posterior:
 
 
 def test_a_kernel_goes_by_name_or_instance_and_room_for_more_frames_changes_no_draw() -> None:
-    named, given = (infer(kernel=kernel) for kernel in ("prior_mh", PriorMH()))
+    named, given = (infer(kernel=kernel, weights="count") for kernel in ("prior_mh", PriorMH()))
     for found in (named, given):
         assert found.tree.attrs["validity"] == "exact"
         assert (found.tree["sample_stats"]["window"] == -1).all()
@@ -172,6 +172,10 @@ def test_a_kernel_goes_by_name_or_instance_and_room_for_more_frames_changes_no_d
 
 def test_draws_find_their_simulations_though_their_numbers_are_rounded_in_two_ways() -> None:
     found = runs.infer(kernel="smc", move="prior_mh")
+    # what could have been stopped went by the likelihood at a temperature
+    with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
+        ppl.Posterior(found.tree, "importance")
+    assert found.over_time().attrs["weights"] == "visited"
     seeds = found.tree["sample_stats"]["sim_seed"].values
     assert set(seeds.ravel()) <= set(found.tree["simulations"]["seed"].values)
     drawn = found.tree["posterior"]["strength_red"].values
@@ -191,12 +195,12 @@ def moody() -> None:
 
 def test_sites_of_ones_own_are_inferred_and_stored() -> None:
     model = ppl.Model(prior=moody, simulator=walkers, noise="fixed")
-    options = {"chains": CHAINS, "iterations": ITERATIONS, "workers": 1, "progress": False}
-    found = ppl.infer(EVENT, model, kernel="prior_mh", **options)
+    options = {**runs.OPTIONS, "iterations": ITERATIONS, "weights": "count"}
+    found = ppl.infer(EVENT, model, **options)
     assert found.tree["posterior"]["mood"].shape == (CHAINS, ITERATIONS)
     assert found.tree["posterior"]["traits"].shape == (CHAINS, ITERATIONS, 2)
     n_simulations = found.cost["simulations"]
-    assert n_simulations >= CHAINS * (1 + ITERATIONS)
+    assert n_simulations == CHAINS * (1 + ITERATIONS)
     assert found.tree["simulations"]["traits"].shape == (n_simulations, 2)
     assert sum(found.marginal("mood").values) == pytest.approx(1)
     assert 0 < found.mean("social") < 1

@@ -126,14 +126,6 @@ def test_a_bare_number_is_no_budget() -> None:
 # --- simulations and frames --------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def budgeted() -> dict[str, ppl.Posterior]:
-    """Runs under a budget of 400 simulations, some of whose proposals have no prior mass."""
-    kernels = ("enumerated_gibbs", "gibbs", "prior_mh")
-    budget = ppl.simulations(400)
-    return {name: infer_few(kernel=name, iterations=None, budget=budget) for name in kernels}
-
-
 def steps_of(post: ppl.Posterior) -> list[int]:
     """Return the simulations of the initial particles and of each iteration."""
     return np.bincount(post.tree["simulations"]["iteration"].values).tolist()
@@ -142,10 +134,9 @@ def steps_of(post: ppl.Posterior) -> list[int]:
 @pytest.mark.parametrize(
     "name", [pytest.param("enumerated_gibbs", marks=pytest.mark.slow), "gibbs", "prior_mh"]
 )
-def test_no_kernel_is_starved_by_what_it_declares(
-    budgeted: dict[str, ppl.Posterior], name: str
-) -> None:
-    post = budgeted[name]
+def test_no_kernel_is_starved_by_what_it_declares(name: str) -> None:
+    # some proposals have no prior mass
+    post = infer_few(kernel=name, iterations=None, budget=ppl.simulations(400))
     spent, last = post.cost["simulations"], steps_of(post)[-1]
     assert 400 <= spent < 400 + last
     declared = 4 * kernel_info(name).sims_per_step
@@ -158,10 +149,8 @@ def test_no_kernel_is_starved_by_what_it_declares(
 
 def test_equal_frames_are_more_simulations_where_they_are_stopped_early() -> None:
     budget = ppl.frames(2000)
-    early, whole = (
-        infer_few(kernel="prior_mh", iterations=None, budget=budget, seed=1, early_reject=stop)
-        for stop in (True, False)
-    )
+    options: tuple[dict[str, Any], ...] = ({}, {"early_reject": False})
+    early, whole = (infer(iterations=None, budget=budget, seed=1, **given) for given in options)
     for post in (early, whole):
         frames = post.tree["simulations"]["frames_simulated"].values
         last = post.tree["simulations"]["iteration"].values == post.settings["iterations"]

@@ -243,14 +243,6 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(kernel: str, tmp_path: 
         assert np.isfinite(weight).sum() == 44
 
 
-def test_simulations_of_a_cooled_population_are_not_weighed_by_their_proposals() -> None:
-    # what could have been stopped went by the likelihood at a temperature
-    post = infer("smc")
-    with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
-        ppl.Posterior(post.tree, "importance")
-    assert post.over_time().attrs["weights"] == "visited"
-
-
 # --- what is refused ---------------------------------------------------------------------------
 
 

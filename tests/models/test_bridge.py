@@ -68,14 +68,18 @@ def ask(
     log_prior: Any = -1.0,
     ceiling: Any = np.inf,
 ) -> Any:
-    def one(z: Any, seed: Any, prior: Any, limit: Any) -> jax.Array:
-        return request_errors(bridge.handle, N_FRAMES, z, prior, seed, limit)
+    limits = [
+        jnp.broadcast_to(jnp.asarray(v, jnp.float32), seeds.shape) for v in (log_prior, ceiling)
+    ]
+    return np.asarray(requested(bridge.handle, sites, seeds, *limits))
 
-    n = len(seeds)
-    prior, limit = (
-        jnp.broadcast_to(jnp.asarray(v, jnp.float32), (n,)) for v in (log_prior, ceiling)
-    )
-    return np.asarray(jax.jit(jax.vmap(one))(sites, seeds, prior, limit))
+
+@jax.jit  # the handle is an argument, so that all tests share the compiled program
+def requested(handle: Any, sites: Any, seeds: Any, log_prior: Any, ceiling: Any) -> jax.Array:
+    def one(z: Any, seed: Any, prior: Any, limit: Any) -> jax.Array:
+        return request_errors(handle, N_FRAMES, z, prior, seed, limit)
+
+    return jax.vmap(one)(sites, seeds, log_prior, ceiling)
 
 
 def test_fifteen_particles_arrive_in_one_call() -> None:

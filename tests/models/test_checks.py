@@ -107,7 +107,10 @@ ANY_SITE: dict[str, tuple[Statement, str]] = {
     ),
     "nothing at all": (lambda name: 1 / 0, "cannot be run: ZeroDivisionError"),
 }
-CASES = list(itertools.product(("goal_green", "alpha", "strength_red"), ANY_SITE))
+HINTED = ("missing", "any real number")
+"""Kinds after which a way to sample the site is named."""
+SITES = ("goal_green", "alpha", "strength_red")
+CASES = sorted({*itertools.product(SITES, HINTED), *zip(itertools.cycle(SITES), ANY_SITE)})
 
 
 @pytest.mark.parametrize(("site", "kind"), CASES, ids=[f"{s}-{k}" for s, k in CASES])
