@@ -23,7 +23,7 @@ from tests.agents.oracle import OracleAgent
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, HALF_WALL_RIGHT, scene
 
 STRENGTHS = (450.0, 450.0)
-CONFIG = PlannerConfig(simulations=60, swivel=False, full_observation=True)
+CONFIG = PlannerConfig(simulations=40, swivel=False, full_observation=True)
 GOALS = (goal_index("Get blue item to red lm"), goal_index("Get green agent to blue lm"))
 WALLS = [FULL_WALL_UP, HALF_WALL_LEFT, HALF_WALL_RIGHT]
 

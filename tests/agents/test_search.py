@@ -39,16 +39,19 @@ def search(agent: Agent, subgoal: Literal) -> RootStatistics:
     return found
 
 
-def test_an_agent_that_faces_its_goal_drives_straight_at_it() -> None:
-    agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
-    found = search(agent, Literal(Predicate.ON, 0, 2))
-    assert found.best is Action.UP
-
-
-def test_an_agent_that_has_its_back_to_the_goal_turns() -> None:
-    agent = agent_in(scene(red=(23.5, 9.5, -math.pi / 2), green=(8, 20, 0), blue=(10, 20)))
-    found = search(agent, Literal(Predicate.ON, 0, 2))
-    assert found.best is Action.TURN_RIGHT
+@pytest.mark.parametrize(
+    ("where", "subgoal", "best"),
+    [
+        (scene(red=(23.5, 14.0, math.pi)), Literal(Predicate.ON, 0, 2), Action.UP),
+        (scene(red=(23.5, 9.5, -math.pi / 2), green=(8, 20, 0), blue=(10, 20)),
+         Literal(Predicate.ON, 0, 2), Action.TURN_RIGHT),
+        (scene(red=(12.0, 9.0, 0.0), blue=(12.0, 11.0)), Literal(Predicate.ATTACH, 0, 2),
+         Action.ATTACH),
+    ],
+    ids=["drives straight ahead", "turns to what is behind it", "grabs what is in reach"],
+)  # fmt: skip
+def test_an_agent_does_what_leads_to_its_goal(where: Scene, subgoal: Literal, best: Action) -> None:
+    assert search(agent_in(where), subgoal).best is best
 
 
 @pytest.mark.parametrize("paired", [False, True])
@@ -95,11 +98,6 @@ def test_stop_and_letting_go_need_no_search() -> None:
         found = search(agent, subgoal)
         assert found.best is action
         assert (found.actions.tolist(), found.visits.tolist()) == ([action], [1])
-
-
-def test_an_item_in_reach_is_grabbed() -> None:
-    agent = agent_in(scene(red=(12.0, 9.0, 0.0), blue=(12.0, 11.0)))
-    assert search(agent, Literal(Predicate.ATTACH, 0, 2)).best is Action.ATTACH
 
 
 def test_the_same_seed_gives_the_same_decision() -> None:

@@ -119,6 +119,9 @@ def reach(rooms: tuple[int, ...], who: tuple[bool, ...] = RED_REACHES) -> Symbol
 
 START = state().rooms
 LOW_LEFT = (BL, BL, BL, TL)
+TOGETHER = (TL, TL, TL, TR)
+IN_DOOR: dict[str, Any] = {"door_filled_by": (DOWN, NOWHERE)}
+"""The first item fills the lower door."""
 BESIDE_DOOR = (BL, BR, BL, TL)
 
 Rule = tuple[dict[str, Any], list[tuple[SymbolicState, tuple[bool, ...], Literal]]]
@@ -165,287 +168,191 @@ OWN: dict[str, Rule] = {
     "go to a landmark in the same room": (TO_BLUE, [(state(), UNSEEN, on(RED, TL))]),
     "stop at the landmark": (TO_BLUE, [(state(own_done=True), UNSEEN, STOP)]),
     "let go at the landmark": (
-        TO_BLUE,
-        [(holding(START, PINK, own_done=True), IN_VIEW, let_go(RED, PINK))],
-    ),
+        TO_BLUE, [(holding(START, PINK, own_done=True), IN_VIEW, let_go(RED, PINK))]),
     "let go of an item before going to a landmark": (
-        TO_BLUE,
-        [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))],
-    ),
+        TO_BLUE, [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
     "let go first without inner walls": (
-        of("Get red agent to red lm", walls=[]),
-        [(holding(ONE_ROOM), IN_VIEW, let_go(RED, BLUE))],
-    ),
+        of("Get red agent to red lm", walls=[]), [(holding(ONE_ROOM), IN_VIEW, let_go(RED, BLUE))]),
     "touch an item in the same room": (BRING, [(state(), UNSEEN, touch(RED, BLUE))]),
-    "go to the room of an item out of view, and head straight for one in view": (
-        FETCH,
-        [(state(), UNSEEN, close(RED, BL)), (state(), IN_VIEW, touch(RED, PINK))],
-    ),
-    "also through an open door": (
-        BRING,
-        [
-            (state((BL, TR, TL, TR)), UNSEEN, close(RED, TL)),
-            (state((BL, TR, TL, TR)), IN_VIEW, touch(RED, BLUE)),
-        ],
-    ),
-    "grab an item in reach and carry it through the next room": (
-        BRING,
-        [(reach(START), IN_VIEW, attach(RED, BLUE)), (holding(START), IN_VIEW, close(BLUE, BL))],
-    ),
+    "go to the room of an item out of view, and head straight for one in view": (FETCH, [
+        (state(), UNSEEN, close(RED, BL)),
+        (state(), IN_VIEW, touch(RED, PINK)),
+    ]),
+    "also through an open door": (BRING, [
+        (state((BL, TR, TL, TR)), UNSEEN, close(RED, TL)),
+        (state((BL, TR, TL, TR)), IN_VIEW, touch(RED, BLUE)),
+    ]),
+    "grab an item in reach and carry it through the next room": (BRING, [
+        (reach(START), IN_VIEW, attach(RED, BLUE)),
+        (holding(START), IN_VIEW, close(BLUE, BL)),
+    ]),
     "let go of the item that is not wanted": (
-        BRING,
-        [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))],
-    ),
-    "place an item in the room of its landmark, before its holder is there too": (
-        BRING,
-        [
-            (holding((BR, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),
-            (holding((BL, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),
-        ],
-    ),
+        BRING, [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
+    "place an item in the room of its landmark, before its holder is there too": (BRING, [
+        (holding((BR, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),
+        (holding((BL, TR, BR, TL)), IN_VIEW, on(BLUE, 2)),
+    ]),
     # in the recordings every holder lets go within this distance, and none before
-    "let go of the item at the goal and stop": (
-        of("Get blue item to blue lm"),
-        [
-            (holding(START, own_done=True), IN_VIEW, let_go(RED, BLUE)),
-            (state(own_done=True), IN_VIEW, STOP),
-        ],
-    ),
-    "approach the other agent": (
-        MEET,
-        [
-            (state(), UNSEEN, close(RED, BL)),
-            (state(), IN_VIEW, touch(RED, GREEN)),
-            (state((TL, TL, TR, TR)), UNSEEN, touch(RED, GREEN)),
-        ],
-    ),
-    "flee straight whatever the rooms, with free hands": (
-        FLEE,
-        [
-            (state(), IN_VIEW, touch(RED, GREEN, positive=False)),
-            (state(), UNSEEN, touch(RED, GREEN, positive=False)),
-            (holding(START), IN_VIEW, let_go(RED, BLUE)),
-        ],
-    ),
+    "let go of the item at the goal and stop": (of("Get blue item to blue lm"), [
+        (holding(START, own_done=True), IN_VIEW, let_go(RED, BLUE)),
+        (state(own_done=True), IN_VIEW, STOP),
+    ]),
+    "approach the other agent": (MEET, [
+        (state(), UNSEEN, close(RED, BL)),
+        (state(), IN_VIEW, touch(RED, GREEN)),
+        (state((TL, TL, TR, TR)), UNSEEN, touch(RED, GREEN)),
+    ]),
+    "flee straight whatever the rooms, with free hands": (FLEE, [
+        (state(), IN_VIEW, touch(RED, GREEN, positive=False)),
+        (state(), UNSEEN, touch(RED, GREEN, positive=False)),
+        (holding(START), IN_VIEW, let_go(RED, BLUE)),
+    ]),
     "keep away from a landmark": (
-        of("Get red agent away from red lm"),
-        [(state(), UNSEEN, off(RED, BR))],
-    ),
+        of("Get red agent away from red lm"), [(state(), UNSEEN, off(RED, BR))]),
     "without inner walls go to the landmark itself": (
-        {**TO_RED, "walls": []},
-        [(state(ONE_ROOM), UNSEEN, on(RED, BR))],
-    ),
+        {**TO_RED, "walls": []}, [(state(ONE_ROOM), UNSEEN, on(RED, BR))]),
     "without inner walls place the item at once": (
-        {**BRING, "walls": []},
-        [(holding(ONE_ROOM), IN_VIEW, on(BLUE, BR))],
-    ),
+        {**BRING, "walls": []}, [(holding(ONE_ROOM), IN_VIEW, on(BLUE, BR))]),
     "without inner walls touch the other at once": (
-        {**MEET, "walls": []},
-        [(state(ONE_ROOM), UNSEEN, touch(RED, GREEN))],
-    ),
-}
+        {**MEET, "walls": []}, [(state(ONE_ROOM), UNSEEN, touch(RED, GREEN))]),
+}  # fmt: skip
 
 HELPING: dict[str, Rule] = {
-    "at the goal a helper lets go of whatever it holds, and stops": (
-        sharing(),
-        [
-            (state(own_done=True), IN_VIEW, STOP),
-            (holding(START, BLUE, own_done=True), IN_VIEW, let_go(RED, BLUE)),
-            (holding(START, PINK, own_done=True), IN_VIEW, let_go(RED, PINK)),
-        ],
-    ),
-    "one that reaches item and goal acts as if the goal were its own": (
-        sharing(),
-        [
-            (state(), IN_VIEW, touch(RED, BLUE)),
-            (reach(START), IN_VIEW, attach(RED, BLUE)),
-            (holding(START), IN_VIEW, close(BLUE, BL)),
-        ],
-    ),
-    "a helper joins a holder of the same goal": (
-        sharing(),
-        [
-            (state((TL,) * 4, held=(NOWHERE, BLUE)), IN_VIEW, touch(RED, BLUE)),
-            (
-                state((TL,) * 4, held=(NOWHERE, BLUE), in_reach=BOTH_REACH),
-                IN_VIEW,
-                attach(RED, BLUE),
-            ),
-        ],
-    ),
+    "at the goal a helper lets go of whatever it holds, and stops": (sharing(), [
+        (state(own_done=True), IN_VIEW, STOP),
+        (holding(START, BLUE, own_done=True), IN_VIEW, let_go(RED, BLUE)),
+        (holding(START, PINK, own_done=True), IN_VIEW, let_go(RED, PINK)),
+    ]),
+    "one that reaches item and goal acts as if the goal were its own": (sharing(), [
+        (state(), IN_VIEW, touch(RED, BLUE)),
+        (reach(START), IN_VIEW, attach(RED, BLUE)),
+        (holding(START), IN_VIEW, close(BLUE, BL)),
+    ]),
+    "a helper joins a holder of the same goal": (sharing(), [
+        (state((TL,) * 4, held=(NOWHERE, BLUE)), IN_VIEW, touch(RED, BLUE)),
+        (state((TL,) * 4, held=(NOWHERE, BLUE), in_reach=BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
+    ]),
     "one too weak to carry waits holding until the other pulls too": (
-        sharing(strengths=(150.0, 450.0)),
-        [
-            (reach((TL,) * 4), IN_VIEW, attach(RED, BLUE)),
-            (holding((TL,) * 4), IN_VIEW, close(BLUE, BL)),
-            (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
-        ],
-    ),
-    "of two that are too weak alone red takes hold": (
-        sharing(strengths=(200.0, 200.0)),
-        [
-            (reach((TL,) * 4, BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
-            (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
-        ],
-    ),
-    "and so does green": (
-        sharing(strengths=(200.0, 200.0), agent=GREEN),
-        [
-            (reach((TL,) * 4, BOTH_REACH), IN_VIEW, attach(GREEN, BLUE)),
-            (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
-        ],
-    ),
-    "a helper that does not fit hands over, and leaves it to the other": (
-        sharing(**WIDE_RED),
-        [
-            (both(LOW_LEFT), IN_VIEW, let_go(RED, BLUE)),
-            (state(LOW_LEFT, held=(NOWHERE, BLUE)), IN_VIEW, STOP),
-        ],
-    ),
-    "a helper carries on what a helpee that does not fit cannot bring": (
-        sharing(**WIDE_GREEN),
-        [
-            (both(LOW_LEFT), IN_VIEW, close(BLUE, BR)),
-            (reach(LOW_LEFT, BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
-            (state(BESIDE_DOOR), IN_VIEW, touch(RED, BLUE)),
-            (reach(BESIDE_DOOR), IN_VIEW, attach(RED, BLUE)),
-            (holding(BESIDE_DOOR), IN_VIEW, close(BLUE, BR)),
-            (holding((BR, BL, BR, TL)), IN_VIEW, on(BLUE, BR)),
-        ],
-    ),
+        sharing(strengths=(150.0, 450.0)), [
+        (reach((TL,) * 4), IN_VIEW, attach(RED, BLUE)),
+        (holding((TL,) * 4), IN_VIEW, close(BLUE, BL)),
+        (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
+    ]),
+    "of two that are too weak alone red takes hold": (sharing(strengths=(200.0, 200.0)), [
+        (reach((TL,) * 4, BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
+        (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
+    ]),
+    "and so does green": (sharing(strengths=(200.0, 200.0), agent=GREEN), [
+        (reach((TL,) * 4, BOTH_REACH), IN_VIEW, attach(GREEN, BLUE)),
+        (both((TL,) * 4), IN_VIEW, close(BLUE, BL)),
+    ]),
+    "a helper that does not fit hands over, and leaves it to the other": (sharing(**WIDE_RED), [
+        (both(LOW_LEFT), IN_VIEW, let_go(RED, BLUE)),
+        (state(LOW_LEFT, held=(NOWHERE, BLUE)), IN_VIEW, STOP),
+    ]),
+    "a helper carries on what a helpee that does not fit cannot bring": (sharing(**WIDE_GREEN), [
+        (both(LOW_LEFT), IN_VIEW, close(BLUE, BR)),
+        (reach(LOW_LEFT, BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
+        (state(BESIDE_DOOR), IN_VIEW, touch(RED, BLUE)),
+        (reach(BESIDE_DOOR), IN_VIEW, attach(RED, BLUE)),
+        (holding(BESIDE_DOOR), IN_VIEW, close(BLUE, BR)),
+        (holding((BR, BL, BR, TL)), IN_VIEW, on(BLUE, BR)),
+    ]),
     "that helpee lets the helper have the item, and then waits": (
-        sharing(agent=GREEN, **WIDE_GREEN),
-        [(both(LOW_LEFT), IN_VIEW, let_go(GREEN, BLUE)), (holding(BESIDE_DOOR), IN_VIEW, STOP)],
-    ),
+        sharing(agent=GREEN, **WIDE_GREEN), [
+        (both(LOW_LEFT), IN_VIEW, let_go(GREEN, BLUE)),
+        (holding(BESIDE_DOOR), IN_VIEW, STOP),
+    ]),
     # neither fits through the lower door; the item does
     "bring the item through the door to a helpee that reaches the goal only": (
-        sharing(**WIDE_AGENTS),
-        [
-            (state(BESIDE_DOOR), IN_VIEW, touch(RED, BLUE)),
-            (holding(BESIDE_DOOR), IN_VIEW, close(BLUE, BR)),
-            (both(BESIDE_DOOR), IN_VIEW, let_go(RED, BLUE)),
-        ],
-    ),
+        sharing(**WIDE_AGENTS), [
+        (state(BESIDE_DOOR), IN_VIEW, touch(RED, BLUE)),
+        (holding(BESIDE_DOOR), IN_VIEW, close(BLUE, BR)),
+        (both(BESIDE_DOOR), IN_VIEW, let_go(RED, BLUE)),
+    ]),
     # once both hold it, it goes on pulling while the helper lets go
-    "the helpee takes over what has been brought": (
-        sharing(agent=GREEN, **WIDE_AGENTS),
-        [
-            (holding(BESIDE_DOOR, in_reach=BOTH_REACH), IN_VIEW, attach(GREEN, BLUE)),
-            (both(BESIDE_DOOR), IN_VIEW, close(BLUE, BR)),
-        ],
-    ),
-    "a holder that stands beyond the door already need not pass it": (
-        sharing(**WIDE_RED),
-        [
-            (reach((BR, BL, BL, TL), BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
-            (holding((BR, BL, BL, TL)), IN_VIEW, close(BLUE, BR)),
-        ],
-    ),
-    "without inner walls there is nothing to do for an agent but to let go": (
-        clearing(walls=[]),
-        [(state(ONE_ROOM), IN_VIEW, STOP), (holding(ONE_ROOM, PINK), IN_VIEW, let_go(RED, PINK))],
-    ),
-    "an item in a door of the helpee's way is carried to the corner of its room": (
-        clearing(),
-        [
-            (state(BLOCKED, door_filled_by=(DOWN, NOWHERE)), IN_VIEW, touch(RED, BLUE)),
-            (
-                state(BLOCKED, door_filled_by=(DOWN, NOWHERE), in_reach=RED_REACHES),
-                IN_VIEW,
-                attach(RED, BLUE),
-            ),
-            (holding(BLOCKED, door_filled_by=(DOWN, NOWHERE)), IN_VIEW, on(BLUE, BR)),
-        ],
-    ),
-    "with a free way, and at the goal, stop or let go first": (
-        clearing(),
-        [
-            (state(BLOCKED), IN_VIEW, STOP),
-            (holding(BLOCKED), IN_VIEW, let_go(RED, BLUE)),
-            (
-                state(BLOCKED, own_done=True, other_done=True, door_filled_by=(DOWN, NOWHERE)),
-                IN_VIEW,
-                STOP,
-            ),
-        ],
-    ),
+    "the helpee takes over what has been brought": (sharing(agent=GREEN, **WIDE_AGENTS), [
+        (holding(BESIDE_DOOR, in_reach=BOTH_REACH), IN_VIEW, attach(GREEN, BLUE)),
+        (both(BESIDE_DOOR), IN_VIEW, close(BLUE, BR)),
+    ]),
+    "a holder that stands beyond the door already need not pass it": (sharing(**WIDE_RED), [
+        (reach((BR, BL, BL, TL), BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
+        (holding((BR, BL, BL, TL)), IN_VIEW, close(BLUE, BR)),
+    ]),
+    "without inner walls there is nothing to do for an agent but to let go": (clearing(walls=[]), [
+        (state(ONE_ROOM), IN_VIEW, STOP),
+        (holding(ONE_ROOM, PINK), IN_VIEW, let_go(RED, PINK)),
+    ]),
+    "an item in a door of the helpee's way is carried to the corner of its room": (clearing(), [
+        (state(BLOCKED, **IN_DOOR), IN_VIEW, touch(RED, BLUE)),
+        (state(BLOCKED, **IN_DOOR, in_reach=RED_REACHES), IN_VIEW, attach(RED, BLUE)),
+        (holding(BLOCKED, **IN_DOOR), IN_VIEW, on(BLUE, BR)),
+    ]),
+    "with a free way, and at the goal, stop or let go first": (clearing(), [
+        (state(BLOCKED), IN_VIEW, STOP),
+        (holding(BLOCKED), IN_VIEW, let_go(RED, BLUE)),
+        (state(BLOCKED, own_done=True, other_done=True, **IN_DOOR), IN_VIEW, STOP),
+    ]),
     # the authors' helper looks at item 0 only, the one that their scenes put there
-    "the second item in the door is cleared as well": (
-        clearing(radius=[1.2, SMALL, SMALL, WIDE]),
-        [(state((BR, BL, TL, BR), door_filled_by=(NOWHERE, DOWN)), IN_VIEW, touch(RED, PINK))],
-    ),
+    "the second item in the door is cleared as well": (clearing(radius=[1.2, SMALL, SMALL, WIDE]), [
+        (state((BR, BL, TL, BR), door_filled_by=(NOWHERE, DOWN)), IN_VIEW, touch(RED, PINK)),
+    ]),
     "an item in a door off the way is left alone": (
-        clearing(walls=[FULL_WALL_UP, HALF_WALL_LEFT, NARROW_WALL_DOWN]),
-        [(state((BR, TR, BR, TL), door_filled_by=(DOWN, NOWHERE)), IN_VIEW, STOP)],
-    ),
+        clearing(walls=[FULL_WALL_UP, HALF_WALL_LEFT, NARROW_WALL_DOWN]), [
+        (state((BR, TR, BR, TL), **IN_DOOR), IN_VIEW, STOP),
+    ]),
     "a helper that cannot get at the item in the door stops": (
-        clearing(walls=[*WALLS, [[16.0, 12.0], [16.0, 2.0]]]),
-        [(state((TR, BL, TL, TR), door_filled_by=(LEFT, NOWHERE)), IN_VIEW, STOP)],
-    ),
+        clearing(walls=[*WALLS, [[16.0, 12.0], [16.0, 2.0]]]), [
+        (state((TR, BL, TL, TR), door_filled_by=(LEFT, NOWHERE)), IN_VIEW, STOP),
+    ]),
     "helping one that wants to get to the helper is to meet it": (
-        of("get to green agent", "get to red agent"),
-        [
-            (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
-            (state((TL, BL, TR, TR)), IN_VIEW, touch(RED, GREEN)),
-        ],
-    ),
-}
+        of("get to green agent", "get to red agent"), [
+        (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
+        (state((TL, BL, TR, TR)), IN_VIEW, touch(RED, GREEN)),
+    ]),
+}  # fmt: skip
 
 KEEPING_AN_AGENT_AWAY: dict[str, Rule] = {
     "without inner walls push it away": (
-        keeping_agent(walls=[]),
-        [(state(ONE_ROOM), IN_VIEW, off(GREEN, BR))],
-    ),
+        keeping_agent(walls=[]), [(state(ONE_ROOM), IN_VIEW, off(GREEN, BR))]),
     # the authors' hinderer goes to its room first also where it sees it; as a rule that made
     # readings of other videos worse, and those of hinderers no better
-    "follow it into the room of its landmark and push it out, with free hands": (
-        keeping_agent(),
-        [
-            (state(TOWARDS), UNSEEN, close(RED, BR)),
-            (state(TOWARDS), IN_VIEW, off(GREEN, BR)),
-            (state((BR, BR, TL, TR)), UNSEEN, off(GREEN, BR)),
-            (holding(TOWARDS, PINK), IN_VIEW, let_go(RED, PINK)),
-        ],
-    ),
-    "stop where its way is too narrow for it, and let go first": (
-        keeping_agent(**WIDE_GREEN),
-        [
-            (state(FAR_GREEN), UNSEEN, STOP),
-            (state(FAR_GREEN), IN_VIEW, STOP),
-            (holding(FAR_GREEN, PINK), IN_VIEW, let_go(RED, PINK)),
-        ],
-    ),
+    "follow it into the room of its landmark and push it out, with free hands": (keeping_agent(), [
+        (state(TOWARDS), UNSEEN, close(RED, BR)),
+        (state(TOWARDS), IN_VIEW, off(GREEN, BR)),
+        (state((BR, BR, TL, TR)), UNSEEN, off(GREEN, BR)),
+        (holding(TOWARDS, PINK), IN_VIEW, let_go(RED, PINK)),
+    ]),
+    "stop where its way is too narrow for it, and let go first": (keeping_agent(**WIDE_GREEN), [
+        (state(FAR_GREEN), UNSEEN, STOP),
+        (state(FAR_GREEN), IN_VIEW, STOP),
+        (holding(FAR_GREEN, PINK), IN_VIEW, let_go(RED, PINK)),
+    ]),
     "put an item that fills it into a door of its way, and keep hold of it there": (
-        keeping_agent(**WIDE_BLUE),
-        [
-            (state(FILLING), IN_VIEW, touch(RED, BLUE)),
-            (reach(FILLING), IN_VIEW, attach(RED, BLUE)),
-            (holding(FILLING), IN_VIEW, door(BLUE, DOWN)),
-            (reach(FILLING)._replace(door_filled_by=(DOWN, NOWHERE)), IN_VIEW, attach(RED, BLUE)),
-            (holding(FILLING, door_filled_by=(DOWN, NOWHERE)), IN_VIEW, door(BLUE, DOWN)),
-        ],
-    ),
+        keeping_agent(**WIDE_BLUE), [
+        (state(FILLING), IN_VIEW, touch(RED, BLUE)),
+        (reach(FILLING), IN_VIEW, attach(RED, BLUE)),
+        (holding(FILLING), IN_VIEW, door(BLUE, DOWN)),
+        (reach(FILLING)._replace(**IN_DOOR), IN_VIEW, attach(RED, BLUE)),
+        (holding(FILLING, **IN_DOOR), IN_VIEW, door(BLUE, DOWN)),
+    ]),
     "an item in another room is too far to fill a door with": (
-        keeping_agent(**WIDE_BLUE),
-        [(state(FAR_GREEN), UNSEEN, door(RED, LEFT))],
-    ),
+        keeping_agent(**WIDE_BLUE), [(state(FAR_GREEN), UNSEEN, door(RED, LEFT))]),
     "one too weak to carry the item leaves it": (
-        keeping_agent(strengths=(150.0, 450.0), **WIDE_BLUE),
-        [(state(FILLING), IN_VIEW, door(RED, LEFT)), (reach(FILLING), IN_VIEW, door(RED, LEFT))],
-    ),
+        keeping_agent(strengths=(150.0, 450.0), **WIDE_BLUE), [
+        (state(FILLING), IN_VIEW, door(RED, LEFT)),
+        (reach(FILLING), IN_VIEW, door(RED, LEFT)),
+    ]),
     # its own room is not waited in: a room with a door on its way is the next one
-    "go to the nearest room of its way and push it back there": (
-        keeping_agent(),
-        [
-            (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
-            (state((BR, TL, TR, TR)), UNSEEN, off(GREEN, BR)),
-        ],
-    ),
+    "go to the nearest room of its way and push it back there": (keeping_agent(), [
+        (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
+        (state((BR, TL, TR, TR)), UNSEEN, off(GREEN, BR)),
+    ]),
     # between the lower rooms there is no wall; between the left ones there is half of one
     "stand in a door beside a wall, not in an open side": (
-        of("Get green agent away from blue lm", "Get green agent to blue lm"),
-        [(state((BL, BR, TR, TR)), UNSEEN, door(RED, LEFT))],
-    ),
+        of("Get green agent away from blue lm", "Get green agent to blue lm"), [
+        (state((BL, BR, TR, TR)), UNSEEN, door(RED, LEFT)),
+    ]),
     "of the doors of its way stand in the one at hand": (
         keeping_agent(walls=NARROW_DOWN),
         [
@@ -454,123 +361,89 @@ KEEPING_AN_AGENT_AWAY: dict[str, Rule] = {
         ],
     ),
     "without a wall on its way meet it and push it back": (
-        keeping_agent(walls=[FULL_WALL_UP, HALF_WALL_LEFT]),
-        [
-            (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
-            (state((BR, BL, TR, TR)), UNSEEN, off(GREEN, BR)),
-        ],
-    ),
+        keeping_agent(walls=[FULL_WALL_UP, HALF_WALL_LEFT]), [
+        (state((TL, BL, TR, TR)), UNSEEN, close(RED, BL)),
+        (state((BR, BL, TR, TR)), UNSEEN, off(GREEN, BR)),
+    ]),
     "one that wants something else is pushed away from the landmark": (
-        of("Get green agent away from red lm", "Get blue item to blue lm"),
-        [(state(), UNSEEN, off(GREEN, BR)), (holding(START, PINK), IN_VIEW, let_go(RED, PINK))],
-    ),
+        of("Get green agent away from red lm", "Get blue item to blue lm"), [
+        (state(), UNSEEN, off(GREEN, BR)),
+        (holding(START, PINK), IN_VIEW, let_go(RED, PINK)),
+    ]),
     "let go before going to meet it": (
-        keeping_agent(),
-        [(holding((TL, TL, TR, TL), PINK), UNSEEN, let_go(RED, PINK))],
-    ),
-}
+        keeping_agent(), [(holding((TL, TL, TR, TL), PINK), UNSEEN, let_go(RED, PINK))]),
+}  # fmt: skip
 
 KEEPING_AN_ITEM_AWAY: dict[str, Rule] = {
-    "without inner walls move the item away, and hold on to it": (
-        keeping_item(walls=[]),
-        [(state(ONE_ROOM), IN_VIEW, off(BLUE, BR)), (holding(ONE_ROOM), IN_VIEW, off(BLUE, BR))],
-    ),
-    "where the other wants something else move it away": (
-        of("Get blue item away from red lm"),
-        [(state(), IN_VIEW, off(BLUE, BR)), (holding(START), IN_VIEW, off(BLUE, BR))],
-    ),
+    "without inner walls move the item away, and hold on to it": (keeping_item(walls=[]), [
+        (state(ONE_ROOM), IN_VIEW, off(BLUE, BR)),
+        (holding(ONE_ROOM), IN_VIEW, off(BLUE, BR)),
+    ]),
+    "where the other wants something else move it away": (of("Get blue item away from red lm"), [
+        (state(), IN_VIEW, off(BLUE, BR)),
+        (holding(START), IN_VIEW, off(BLUE, BR)),
+    ]),
     "let go of another item first": (
-        keeping_item(),
-        [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))],
-    ),
+        keeping_item(), [(holding(START, PINK), IN_VIEW, let_go(RED, PINK))]),
     "out of reach of the item, stop where the opponent is there or has it": (
-        keeping_item(**WIDE_RED),
-        [
-            (state((BL, BR, BR, TL)), IN_VIEW, STOP),
-            (state((BL, TR, BR, TL), held=(NOWHERE, BLUE)), IN_VIEW, STOP),
-            (state((BL, TR, BR, TL)), IN_VIEW, close(RED, BR)),
-        ],
-    ),
+        keeping_item(**WIDE_RED), [
+        (state((BL, BR, BR, TL)), IN_VIEW, STOP),
+        (state((BL, TR, BR, TL), held=(NOWHERE, BLUE)), IN_VIEW, STOP),
+        (state((BL, TR, BR, TL)), IN_VIEW, close(RED, BR)),
+    ]),
     "out of reach of the item, keep the opponent out of its room, from the door to it": (
-        keeping_item(walls=CLOSED_TO_WIDE, radius=[WIDE, SMALL, SMALL, SMALL]),
-        [
-            (state((BL, TL, BR, TR)), IN_VIEW, door(RED, DOWN)),
-            (state((TL, BL, BR, TR)), IN_VIEW, close(RED, BL)),
-        ],
-    ),
-    "take hold of what the opponent holds and pull it to the corner": (
-        keeping_item(),
-        [
-            (state((TL, BL, BL, TR), held=(NOWHERE, BLUE)), UNSEEN, close(RED, BL)),
-            (state((TL, BL, BL, TR), held=(NOWHERE, BLUE)), IN_VIEW, touch(RED, BLUE)),
-            (
-                state((TL,) * 3 + (TR,), held=(NOWHERE, BLUE), in_reach=BOTH_REACH),
-                IN_VIEW,
-                attach(RED, BLUE),
-            ),
-            (both((BL,) * 3 + (TR,)), IN_VIEW, on(BLUE, BL)),
-            (both((TL,) * 3 + (TR,)), IN_VIEW, on(BLUE, TL)),
-        ],
-    ),
+        keeping_item(walls=CLOSED_TO_WIDE, radius=[WIDE, SMALL, SMALL, SMALL]), [
+        (state((BL, TL, BR, TR)), IN_VIEW, door(RED, DOWN)),
+        (state((TL, BL, BR, TR)), IN_VIEW, close(RED, BL)),
+    ]),
+    "take hold of what the opponent holds and pull it to the corner": (keeping_item(), [
+        (state((TL, BL, BL, TR), held=(NOWHERE, BLUE)), UNSEEN, close(RED, BL)),
+        (state((TL, BL, BL, TR), held=(NOWHERE, BLUE)), IN_VIEW, touch(RED, BLUE)),
+        (state(TOGETHER, held=(NOWHERE, BLUE), in_reach=BOTH_REACH), IN_VIEW, attach(RED, BLUE)),
+        (both((BL,) * 3 + (TR,)), IN_VIEW, on(BLUE, BL)),
+        (both(TOGETHER), IN_VIEW, on(BLUE, TL)),
+    ]),
     "in the room of the goal pull it off the goal": (
-        keeping_item(),
-        [(both((BR,) * 3 + (TR,)), IN_VIEW, off(BLUE, BR))],
-    ),
+        keeping_item(), [(both((BR,) * 3 + (TR,)), IN_VIEW, off(BLUE, BR))]),
     "leave it to an opponent that cannot bring it to the goal, or not reach it": (
-        keeping_item(**WIDE_GREEN),
-        [
-            (state(LOW_LEFT, held=(NOWHERE, BLUE)), IN_VIEW, STOP),
-            (both(LOW_LEFT), IN_VIEW, let_go(RED, BLUE)),
-            (state((TL, BR, TL, TR)), IN_VIEW, STOP),
-            (holding((TL, BR, TL, TR)), IN_VIEW, let_go(RED, BLUE)),
-        ],
-    ),
+        keeping_item(**WIDE_GREEN), [
+        (state(LOW_LEFT, held=(NOWHERE, BLUE)), IN_VIEW, STOP),
+        (both(LOW_LEFT), IN_VIEW, let_go(RED, BLUE)),
+        (state((TL, BR, TL, TR)), IN_VIEW, STOP),
+        (holding((TL, BR, TL, TR)), IN_VIEW, let_go(RED, BLUE)),
+    ]),
     "take the item to a room that is closed to the opponent": (
-        keeping_item(**REFUGE, radius=[SMALL, WIDE, SMALL, SMALL]),
-        [
-            (state((TL, TR, TL, TR)), IN_VIEW, touch(RED, BLUE)),
-            (holding((BL, TR, BL, TR)), IN_VIEW, close(BLUE, BR)),
-        ],
-    ),
+        keeping_item(**REFUGE, radius=[SMALL, WIDE, SMALL, SMALL]), [
+        (state((TL, TR, TL, TR)), IN_VIEW, touch(RED, BLUE)),
+        (holding((BL, TR, BL, TR)), IN_VIEW, close(BLUE, BR)),
+    ]),
     "a room that the item does not fit into is no refuge": (
-        keeping_item(**REFUGE, radius=[SMALL, WIDE, WIDE, SMALL]),
-        [(holding((BL, TR, BL, TR)), IN_VIEW, on(BLUE, BL))],
-    ),
+        keeping_item(**REFUGE, radius=[SMALL, WIDE, WIDE, SMALL]), [
+        (holding((BL, TR, BL, TR)), IN_VIEW, on(BLUE, BL)),
+    ]),
     # the rooms of the goal and below it are nearer to the item than to the opponent
-    "an item is never taken into the room of its goal": (
-        keeping_item("green lm"),
-        [
-            (holding((TR, TL, TR, BL)), IN_VIEW, close(BLUE, BR)),
-            (holding((BR, TL, BR, BL)), IN_VIEW, on(BLUE, BR)),
-        ],
-    ),
-    "block the opponent's way to the item; beside the item take that away": (
-        keeping_item(),
-        [
-            (state((BL, TL, BR, TR)), IN_VIEW, door(RED, LEFT)),
-            (state((BR, TL, BR, TR)), IN_VIEW, touch(RED, BLUE)),
-        ],
-    ),
+    "an item is never taken into the room of its goal": (keeping_item("green lm"), [
+        (holding((TR, TL, TR, BL)), IN_VIEW, close(BLUE, BR)),
+        (holding((BR, TL, BR, BL)), IN_VIEW, on(BLUE, BR)),
+    ]),
+    "block the opponent's way to the item; beside the item take that away": (keeping_item(), [
+        (state((BL, TL, BR, TR)), IN_VIEW, door(RED, LEFT)),
+        (state((BR, TL, BR, TR)), IN_VIEW, touch(RED, BLUE)),
+    ]),
     "take it to the farthest room nearer to it than to the opponent, and hold it there": (
-        keeping_item(),
-        [
-            (state((TL, BR, BL, TR)), UNSEEN, close(RED, BL)),
-            (state((TL, BR, BL, TR)), IN_VIEW, touch(RED, BLUE)),
-            (state(NEAR_ITEM), UNSEEN, touch(RED, BLUE)),
-            (reach(NEAR_ITEM), IN_VIEW, attach(RED, BLUE)),
-            (holding(NEAR_ITEM), IN_VIEW, close(BLUE, TL)),
-            (holding((TL, BR, TL, TR)), IN_VIEW, on(BLUE, TL)),
-        ],
-    ),
+        keeping_item(), [
+        (state((TL, BR, BL, TR)), UNSEEN, close(RED, BL)),
+        (state((TL, BR, BL, TR)), IN_VIEW, touch(RED, BLUE)),
+        (state(NEAR_ITEM), UNSEEN, touch(RED, BLUE)),
+        (reach(NEAR_ITEM), IN_VIEW, attach(RED, BLUE)),
+        (holding(NEAR_ITEM), IN_VIEW, close(BLUE, TL)),
+        (holding((TL, BR, TL, TR)), IN_VIEW, on(BLUE, TL)),
+    ]),
     "grab it also where it lies in the room to be held in": (
-        keeping_item(),
-        [(state((TL, TR, TL, BR)), UNSEEN, touch(RED, BLUE))],
-    ),
+        keeping_item(), [(state((TL, TR, TL, BR)), UNSEEN, touch(RED, BLUE))]),
     "push the opponent off where it is as near to every room as the item": (
-        keeping_item(),
-        [(state((TL, BL, BL, TR)), IN_VIEW, off(GREEN, BL))],
-    ),
-}
+        keeping_item(), [(state((TL, BL, BL, TR)), IN_VIEW, off(GREEN, BL))]),
+}  # fmt: skip
 
 RULES = {
     f"{kind}: {claim}": rule

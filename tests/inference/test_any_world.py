@@ -392,23 +392,17 @@ STEPWISE = ppl.StepwiseLikelihood()
     [
         ({"kernel": "racing"}, "kernel 'racing' knows the world PHASE only, not 'trio'"),
         ({"kernel": "enumerate"}, "'trio' has .* more than max_simulations=50000"),
-        (
-            {"kernel": "prior_mh", "settings": ppl.SimpleSettings()},
-            "proposal='learned' was learned in PHASE and knows no other world, such as 'trio'",
-        ),
-        (
-            {"kernel": "local_mh", "settings": ppl.SimpleSettings(proposal="paper")},
-            "strength='network' was learned in PHASE",
-        ),
-        (
-            {"kernel": "local_mh", "model": ppl.Model(likelihood=STEPWISE)},
-            "kernel 'local_mh' on the closed loop's table knows the world PHASE only",
-        ),
+        ({"kernel": "prior_mh", "settings": ppl.SimpleSettings()},
+         "proposal='learned' was learned in PHASE and knows no other world, such as 'trio'"),
+        ({"kernel": "local_mh", "settings": ppl.SimpleSettings(proposal="paper")},
+         "strength='network' was learned in PHASE"),
+        ({"kernel": "local_mh", "model": ppl.Model(likelihood=STEPWISE)},
+         "kernel 'local_mh' on the closed loop's table knows the world PHASE only"),
         ({"model": ppl.Model("relation_first")}, "relation_first"),
         ({"model": ppl.Model(dependent)}, "'strength_green' depend on strength_red"),
         ({"model": ppl.Model(taken)}, "'alpha_red_green', a reserved name"),
     ],
-)
+)  # fmt: skip
 def test_what_does_not_know_a_world_says_so(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidSettingError, match=message) as found:
         ppl.infer(of_trio(), **{"kernel": "prior_mh", "progress": False, **options})

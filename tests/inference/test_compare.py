@@ -294,42 +294,27 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "unknown": ({"kernels": ["prior_hm"]}, UnknownNameError, "prior_mh"),
     "none": ({"kernels": []}, InvalidSettingError, "empty"),
     "twice": ({"kernels": ["prior_mh", "prior_mh"]}, InvalidSettingError, "called 'prior_mh'"),
-    "option": (
-        {"kernels": {"a": "prior_mh", "b": ("prior_mh", {"speed": 3})}},
-        InvalidSettingError,
-        "b: .*speed",
-    ),
-    "odd chains": (
-        {"kernels": {"pairs": even_only}, "chains": 5},
-        InvalidSettingError,
-        "pairs: .*5 chains.*must be even",
-    ),
+    "option": ({"kernels": {"a": "prior_mh", "b": ("prior_mh", {"speed": 3})}}, InvalidSettingError,
+     "b: .*speed"),
+    "odd chains": ({"kernels": {"pairs": even_only}, "chains": 5}, InvalidSettingError,
+     "pairs: .*5 chains.*must be even"),
     "budget": ({"budget": ppl.simulations(7)}, InvalidSettingError, "early: .*too small"),
     "no budget": ({"budget": 24}, InvalidSettingError, "budget=24"),
     "repeats": ({"repeats": 0}, InvalidSettingError, "repeats=0"),
     "seed": ({"seed": -1}, InvalidSettingError, "seed=-1"),
     "weights": ({"weights": "counts"}, UnknownNameError, "count"),
-    "seed as an option": (
-        {"kernels": {"a": ("prior_mh", {"seed": 3})}},
-        InvalidSettingError,
-        "same for all",
-    ),
+    "seed as an option": ({"kernels": {"a": ("prior_mh", {"seed": 3})}}, InvalidSettingError,
+     "same for all"),
     "options": ({"kernels": [("prior_mh", 3)]}, InvalidSettingError, "is no kernel"),
     "reference": ({"reference": "prior"}, UnknownNameError, "prior_mh"),
-    "pairs": (
-        {"reference": ("enumeration", {"per_pair": 5})},
-        InvalidSettingError,
-        "per_pair=5, expected an even",
-    ),
+    "pairs": ({"reference": ("enumeration", {"per_pair": 5})}, InvalidSettingError,
+     "per_pair=5, expected an even"),
     "other option": ({"reference": ("enumeration", {"pairs": 6})}, InvalidSettingError, "per_pair"),
-    "reference's options": (
-        {"reference": ("prior_mh", {"speed": 3})},
-        InvalidSettingError,
-        "reference: .*speed",
-    ),
+    "reference's options": ({"reference": ("prior_mh", {"speed": 3})}, InvalidSettingError,
+     "reference: .*speed"),
     "checkpoint": ({"checkpoint": "runs.nc"}, OSError, r"\.json"),
     "beta": ({"settings": ppl.SimpleSettings(beta=0.1)}, InvalidSettingError, "likelihood"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("wrong", "error", "message"), WRONG.values(), ids=WRONG)

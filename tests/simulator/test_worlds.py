@@ -228,27 +228,17 @@ def test_it_is_said_in_the_worlds_names(trio: ppl.Event, tmp_path: Path) -> None
 
 WRONG: dict[str, tuple[Any, str]] = {
     "no goal": ({"goals": {"red agent": "ball to home"}}, "unknown goal 'ball to home'"),
-    "somebody without": (
-        {"goals": {"red agent": "blue ball to home"}},
-        "the green agent has no goal, and helps or hinders nobody",
-    ),
-    "a goal of nobody": (
-        {"goals": {"blue ball": "blue ball to home"}},
-        "unknown agent 'blue ball'",
-    ),
-    "a goal of itself": (
-        {"goals": {"red agent": "touch red agent"}},
-        "the goal 'get to red agent' of the red agent names the red agent itself",
-    ),
+    "somebody without": ({"goals": {"red agent": "blue ball to home"}},
+     "the green agent has no goal, and helps or hinders nobody"),
+    "a goal of nobody": ({"goals": {"blue ball": "blue ball to home"}},
+     "unknown agent 'blue ball'"),
+    "a goal of itself": ({"goals": {"red agent": "touch red agent"}},
+     "the goal 'get to red agent' of the red agent names the red agent itself"),
     "a stranger": ({"relation": {("red agent", "blue ball"): "help"}}, "unknown agent 'blue ball'"),
-    "no such relation": (
-        {"relation": {("red agent", "green agent"): "love"}},
-        "unknown relation 'love'; allowed: 'help', 'hinder'",
-    ),
-    "itself": (
-        {"relation": {("red agent", "red agent"): "help"}},
-        "the red agent cannot help itself",
-    ),
+    "no such relation": ({"relation": {("red agent", "green agent"): "love"}},
+     "unknown relation 'love'; allowed: 'help', 'hinder'"),
+    "itself": ({"relation": {("red agent", "red agent"): "help"}},
+     "the red agent cannot help itself"),
     "two at once": (
         {"relation": {("red agent", "green agent"): "help", ("red agent", "purple agent"): "help"}},
         "the red agent can help or hinder one other only",
@@ -266,12 +256,10 @@ WRONG: dict[str, tuple[Any, str]] = {
     "no force": ({"strength": {"red agent": -1}}, "strength of the red agent=-1 is no positive"),
     "force of nobody": ({"strength": {"ball": 1}}, "unknown agent 'ball'"),
     "no roles": ({"goals": None}, "expected a phase_ppl.Hypothesis, or goals="),
-    "the papers": (
-        {"goals": None, "hypothesis": ppl.Hypothesis(0, 1)},
-        "the hypothesis is of the world PHASE, the scene of trio: give goals=",
-    ),
+    "the papers": ({"goals": None, "hypothesis": ppl.Hypothesis(0, 1)},
+     "the hypothesis is of the world PHASE, the scene of trio: give goals="),
     "both": ({"hypothesis": ppl.Hypothesis(0, 1)}, "both a hypothesis and goals are given"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", WRONG)

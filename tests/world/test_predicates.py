@@ -125,76 +125,43 @@ def _read(**fields: Any) -> World:
 
 WRONG: dict[str, tuple[Callable[[], object], str]] = {
     "no limit": (lambda: Predicate("x", "ball", "doll"), "predicate 'x' has no limit"),
-    "two limits": (
-        lambda: Predicate("x", "ball", "doll", within=3, beyond=4),
-        "has within and beyond, expected one of within, beyond and room",
-    ),
+    "two limits": (lambda: Predicate("x", "ball", "doll", within=3, beyond=4),
+     "has within and beyond, expected one of within, beyond and room"),
     "no distance": (lambda: Predicate("x", "ball", "doll", within=-1), "within=-1, expected a"),
     "no target": (lambda: Predicate("x", "ball", within=3), "target=None, expected the name"),
-    "a room and a target": (
-        lambda: Predicate("x", "ball", "doll", room="cot"),
-        "has a room and the target 'doll'",
-    ),
+    "a room and a target": (lambda: Predicate("x", "ball", "doll", room="cot"),
+     "has a room and the target 'doll'"),
     "no point": (lambda: Predicate("x", "ball", room=(3,)), "room=(3,), expected a point (x, y)"),
-    "a function": (
-        lambda: nursery(lambda state: True),  # type: ignore[arg-type]
-        "expected a list of ppl.Predicate",
-    ),
-    "nobody": (
-        lambda: nursery(Predicate("x", "bell", "doll", within=3)),
-        "unknown subject of predicate 'x' 'bell'; did you mean 'ball'",
-    ),
-    "to nobody": (
-        lambda: nursery(Predicate("x", "ball", "attic", within=3)),
-        "unknown target of predicate 'x' 'attic'",
-    ),
-    "to itself": (
-        lambda: nursery(Predicate("x", "ball", "ball", within=3)),
-        "has 'ball' as subject and target",
-    ),
-    "a room of nothing": (
-        lambda: nursery(Predicate("x", "ball", room="attic")),
-        "unknown room of predicate 'x' 'attic'",
-    ),
-    "a room outside": (
-        lambda: nursery(Predicate("x", "ball", room=(30, 3))),
-        "room=(30, 3) lies outside the arena",
-    ),
-    "farther than can be": (
-        lambda: nursery(Predicate("x", "ball", "doll", beyond=40)),
-        "beyond=40, expected less than the arena's diagonal, 31.24",
-    ),
+    "a function": (lambda: nursery(lambda state: True), "expected a list of ppl.Predicate"),
+    "nobody": (lambda: nursery(Predicate("x", "bell", "doll", within=3)),
+     "unknown subject of predicate 'x' 'bell'; did you mean 'ball'"),
+    "to nobody": (lambda: nursery(Predicate("x", "ball", "attic", within=3)),
+     "unknown target of predicate 'x' 'attic'"),
+    "to itself": (lambda: nursery(Predicate("x", "ball", "ball", within=3)),
+     "has 'ball' as subject and target"),
+    "a room of nothing": (lambda: nursery(Predicate("x", "ball", room="attic")),
+     "unknown room of predicate 'x' 'attic'"),
+    "a room outside": (lambda: nursery(Predicate("x", "ball", room=(30, 3))),
+     "room=(30, 3) lies outside the arena"),
+    "farther than can be": (lambda: nursery(Predicate("x", "ball", "doll", beyond=40)),
+     "beyond=40, expected less than the arena's diagonal, 31.24"),
     "twice": (lambda: nursery(OWN[0], OWN[0]), "two goals are called 'toys together'"),
-    "a goal there is": (
-        lambda: nursery(Predicate("touch ball", "red agent", "ball", within=3)),
-        "two goals are called 'touch ball'",
-    ),
-    "a negation": (
-        lambda: nursery(Predicate("not so", "ball", "doll", within=3)),
-        "begins with 'not'",
-    ),
-    "nine": (
-        lambda: nursery(*(Predicate(f"x{i}", "ball", "doll", within=4) for i in range(9))),
-        "9 predicates, expected 0 to 8",
-    ),
-    "one room": (
-        lambda: scene_of(OWN[1], walls=()),
-        "'ball in the playroom' is about a room, and the scene has one only",
-    ),
-    "nearer than touching": (
-        lambda: scene_of(Predicate("x", "ball", "doll", within=1.7)),
-        "1.7 units are too few for bodies that touch at 1.6; expected 2 or more",
-    ),
-    "code in a file": (
-        lambda: _read(name="x", subject="ball", holds="__import__('os').abort()"),
-        "unknown field of a predicate 'holds'",
-    ),
+    "a goal there is": (lambda: nursery(Predicate("touch ball", "red agent", "ball", within=3)),
+     "two goals are called 'touch ball'"),
+    "a negation": (lambda: nursery(Predicate("not so", "ball", "doll", within=3)),
+     "begins with 'not'"),
+    "nine": (lambda: nursery(*(Predicate(f"x{i}", "ball", "doll", within=4) for i in range(9))),
+     "9 predicates, expected 0 to 8"),
+    "one room": (lambda: scene_of(OWN[1], walls=()),
+     "'ball in the playroom' is about a room, and the scene has one only"),
+    "nearer than touching": (lambda: scene_of(Predicate("x", "ball", "doll", within=1.7)),
+     "1.7 units are too few for bodies that touch at 1.6; expected 2 or more"),
+    "code in a file": (lambda: _read(name="x", subject="ball", holds="__import__('os').abort()"),
+     "unknown field of a predicate 'holds'"),
     "no subject in a file": (lambda: _read(name="x"), "a predicate needs a subject"),
-    "no mapping in a file": (
-        lambda: World.from_dict({**nursery().to_dict(), "predicates": ["x"]}),
-        "a predicate is 'x', expected a mapping",
-    ),
-}
+    "no mapping in a file": (lambda: World.from_dict({**nursery().to_dict(), "predicates": ["x"]}),
+     "a predicate is 'x', expected a mapping"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -26,10 +26,8 @@ BAD_SCENES = {
     "start_nan": ({"start": np.where(np.eye(4, 3), math.nan, START)}, "scene.start[0, 0] is nan"),
     "start_infinite": ({"start": np.array(START) * [1, math.inf, 1]}, "scene.start[0, 1] is inf"),
     "start_three_entities": ({"start": START[:3]}, "scene.start has shape (3, 3), expected (4, 3)"),
-    "start_without_angle": (
-        {"start": [row[:2] for row in START]},
-        "scene.start has shape (4, 2), expected (4, 3)",
-    ),
+    "start_without_angle": ({"start": [row[:2] for row in START]},
+     "scene.start has shape (4, 2), expected (4, 3)"),
     "start_ragged": ({"start": [*START[:3], [1.0]]}, "scene.start is ragged"),
     "start_text": ({"start": with_value(START, (1, 1), "x")}, "scene.start holds 'x'"),
     "start_text_in_list": ({"start": [*START[:3], [20.0, "x", 0.0]]}, "scene.start holds 'x'"),
@@ -37,10 +35,8 @@ BAD_SCENES = {
     "start_none": ({"start": with_value(START, (1, 1), None)}, "scene.start holds None"),
     "start_missing": ({"start": None}, "scene.start holds None"),
     "start_huge_integer": ({"start": with_value(START, (0, 0), 10**400)}, "scene.start holds 1000"),
-    "start_outside": (
-        {"start": [*START[:2], [12.0, 1.0, 0.0], START[3]]},
-        "the blue item is at (12, 1) in frame 0, outside the arena x 6..26, y 2..22",
-    ),
+    "start_outside": ({"start": [*START[:2], [12.0, 1.0, 0.0], START[3]]},
+     "the blue item is at (12, 1) in frame 0, outside the arena x 6..26, y 2..22"),
     "radius_zero": ({"radius": [0, 1, 1, 1]}, "scene.radius [0.0, 1.0, 1.0, 1.0]"),
     "radius_large": ({"radius": [1, 1, 1, 6]}, "sizes must lie in [0.01, 5]"),
     "radius_count": ({"radius": RADIUS[:3]}, "scene.radius has shape (3,)"),
@@ -50,15 +46,13 @@ BAD_SCENES = {
     "arena_oblong": ({"arena": (0, 20, 0, 10)}, "is not a square"),
     "arena_empty": ({"arena": (26, 6, 22, 2)}, "is not a square"),
     "arena_short": ({"arena": (6, 26)}, "scene.arena has shape (2,)"),
-    "landmarks_permuted": (
-        {"landmark_centres": LANDMARK_CENTRES[::-1]},
-        "expected blue lm, green lm, red lm, yellow lm top left, top right",
-    ),
+    "landmarks_permuted": ({"landmark_centres": LANDMARK_CENTRES[::-1]},
+     "expected blue lm, green lm, red lm, yellow lm top left, top right"),
     "landmarks_three": ({"landmark_centres": LANDMARK_CENTRES[:3]}, "has shape (3, 2)"),
     "half_width_negative": ({"landmark_half_width": -1.0}, "scene.landmark_half_width is -1"),
     "half_width_nan": ({"landmark_half_width": math.nan}, "scene.landmark_half_width"),
     "half_width_text": ({"landmark_half_width": "wide"}, "holds 'wide'"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD_SCENES)

@@ -267,77 +267,51 @@ WRONG: dict[str, tuple[Any, str]] = {
     "seven items": (lambda: house(items=list("abcdefg")), "7 items, expected 0 to 6"),
     "no landmark": (lambda: house(landmarks={}), "0 landmarks, expected 1 to 8"),
     "a text of names": (lambda: house(agents="red agent"), "expected a list of names"),
-    "two pairs of names alike": (
-        lambda: house(agents=["a", "a b", "b a"]),
-        "'a_b_a' could mean two of them in questions",
-    ),
+    "two pairs of names alike": (lambda: house(agents=["a", "a b", "b a"]),
+     "'a_b_a' could mean two of them in questions"),
     "two names alike": (lambda: house(items=["Red agent"]), "are called 'red agent'"),
     "an empty name": (lambda: house(items=[" "]), "items has the name ' '"),
     "a name of two": (lambda: house(items=["way to go"]), "without 'to' and 'away from'"),
-    "a landmark outside": (
-        lambda: house(landmarks={"home": (40, 4)}),
-        "landmark 'home' is at (40, 4), outside the arena x 0..36, y 0..24",
-    ),
-    "a landmark nowhere": (
-        lambda: house(landmarks={"home": (4, math.nan)}),
-        "landmark 'home'[1] is nan",
-    ),
-    "a landmark too large": (
-        lambda: house(landmarks={"home": (4, 4, 7)}),
-        "half-width 7, expected one in (0, 6]",
-    ),
+    "a landmark outside": (lambda: house(landmarks={"home": (40, 4)}),
+     "landmark 'home' is at (40, 4), outside the arena x 0..36, y 0..24"),
+    "a landmark nowhere": (lambda: house(landmarks={"home": (4, math.nan)}),
+     "landmark 'home'[1] is nan"),
+    "a landmark too large": (lambda: house(landmarks={"home": (4, 4, 7)}),
+     "half-width 7, expected one in (0, 6]"),
     "an arena of no size": (lambda: house(arena=(0, 0, 0, 24)), "with sides of 4 to 60 units"),
     "a huge arena": (lambda: house(arena=(0, 100, 0, 24)), "with sides of 4 to 60 units"),
     "an arena of three": (lambda: house(arena=(0, 36, 0)), "arena has shape (3,), expected (4,)"),
-    "a wall outside": (
-        lambda: house(walls=[((12, 0), (12, 30))]),
-        "wall [[12.0, 0.0], [12.0, 30.0]] leaves the arena x 0..36, y 0..24",
-    ),
+    "a wall outside": (lambda: house(walls=[((12, 0), (12, 30))]),
+     "wall [[12.0, 0.0], [12.0, 30.0]] leaves the arena x 0..36, y 0..24"),
     "a slanted wall": (lambda: house(walls=[((12, 0), (14, 16))]), "is slanted"),
     "a wall of no length": (lambda: house(walls=[((12, 3), (12, 3))]), "has no length"),
     "too many rooms": (
         lambda: house(walls=[((x, 0), (x, 9)) for x in range(1, 36)] + [((0, 9), (1, 9))]),
         "the walls cut the arena into 72 rooms, at most 36",
     ),
-    "a colour of nobody": (
-        lambda: house(colours={"bal": (0, 0, 0)}),
-        "unknown name with a colour 'bal'; did you mean 'ball'?",
-    ),
+    "a colour of nobody": (lambda: house(colours={"bal": (0, 0, 0)}),
+     "unknown name with a colour 'bal'; did you mean 'ball'?"),
     "no colour": (lambda: house(colours={"ball": "green"}), "expected (red, green, blue)"),
     "too bright": (lambda: house(colours={"ball": (0, 300, 0)}), "expected at most 255"),
     "touching nobody": (lambda: house(touchable=["boll"]), "unknown agent or item 'boll'"),
-    "a goal about nobody": (
-        lambda: house().goal_index("bell to home"),
-        "unknown goal 'bell to home'; did you mean 'Get ball to home'",
-    ),
-    "nobody's start": (
-        lambda: house().scene(start={**PLACES, "box": (1, 1)}),
-        "unknown agent or item 'box'",
-    ),
-    "no start": (
-        lambda: house().scene(start={"red agent": (3, 3), "ball": (5, 5)}),
-        "start has no place for the green agent",
-    ),
-    "a start outside": (
-        lambda: house().scene(start={**PLACES, "ball": (37, 3)}),
-        "the ball is at (37, 3) in frame 0, outside the arena",
-    ),
-    "a start of one number": (
-        lambda: house().scene(start={**PLACES, "ball": (3,)}),
-        "start of the ball has shape (1,), expected (2,)",
-    ),
-    "somebody too large": (
-        lambda: house().scene(start=PLACES, size={"ball": 9}),
-        "sizes must lie in [0.01, 6]",
-    ),
+    "a goal about nobody": (lambda: house().goal_index("bell to home"),
+     "unknown goal 'bell to home'; did you mean 'Get ball to home'"),
+    "nobody's start": (lambda: house().scene(start={**PLACES, "box": (1, 1)}),
+     "unknown agent or item 'box'"),
+    "no start": (lambda: house().scene(start={"red agent": (3, 3), "ball": (5, 5)}),
+     "start has no place for the green agent"),
+    "a start outside": (lambda: house().scene(start={**PLACES, "ball": (37, 3)}),
+     "the ball is at (37, 3) in frame 0, outside the arena"),
+    "a start of one number": (lambda: house().scene(start={**PLACES, "ball": (3,)}),
+     "start of the ball has shape (1,), expected (2,)"),
+    "somebody too large": (lambda: house().scene(start=PLACES, size={"ball": 9}),
+     "sizes must lie in [0.01, 6]"),
     "an item in a closed room": (
         lambda: house(walls=[((12, 0), (12, 24))]).scene(start={**PLACES, "green agent": (4, 20)}),
         "the ball is in a room that walls close to every agent",
     ),
-    "a scene of nothing": (
-        lambda: Scene(np.zeros((4, 3)), np.ones(4), world="solo"),  # type: ignore[arg-type]
-        "world='solo', expected a phase_ppl.World",
-    ),
+    "a scene of nothing": (lambda: Scene(np.zeros((4, 3)), np.ones(4), world="solo"),
+     "world='solo', expected a phase_ppl.World"),
     "no such world": (lambda: worlds.named("duo"), "unknown world 'duo'"),
     "no room for anybody": (
         lambda: World(list("abcd"), list("efghij"), {"home": (2, 2, 1)}, (0, 4, 0, 4)).random_scene(
@@ -345,7 +319,7 @@ WRONG: dict[str, tuple[Any, str]] = {
         ),
         "no place was found for everybody",
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", WRONG)
