@@ -130,7 +130,7 @@ def distance(trajectory: xr.DataArray, other: xr.DataArray) -> xr.DataArray:
     return np.sqrt((off**2).sum(["entity", "coord"]))  # type: ignore[no-any-return]
 
 
-def of_model(seed: int, beta: float, n_draws: int = 200) -> Posterior:
+def of_model(seed: int, beta: float, n_draws: int = 100) -> Posterior:
     """Equal draws of one simulation, and an observation with the likelihood's noise around it."""
     tree = make_tree([Simulation(hypothesis(), 0)], [[0] * n_draws])
     simulated = tree["simulated"]["trajectory"].values[0, 0].astype(float)

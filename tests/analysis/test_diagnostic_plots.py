@@ -28,7 +28,7 @@ def many_goals(n_chains: int, n_draws: int, n_goals: int = 20) -> Posterior:
     return Posterior(make_tree(simulations, draws.tolist()))
 
 
-@pytest.mark.parametrize("shape", [(15, 6), (4, 500), (1, 1), (2, 3)])
+@pytest.mark.parametrize("shape", [(15, 6), (4, 500), (1, 1)])
 @pytest.mark.parametrize(
     "draw",
     [plots.diagnostics, plots.goal_map, plots.chains, plots.errors],

@@ -282,7 +282,7 @@ def test_own_sites_are_weighted_with_the_rest() -> None:
         ppl.sites.strengths()
 
     model = ppl.Model(prior=lambda: friendlier(0.0), simulator=runs.MODEL.simulator)
-    options = {**runs.OPTIONS, "iterations": 25}
+    options = {**runs.OPTIONS, "iterations": 25, "weights": "count"}
     post = ppl.infer(runs.EVENT, model, **options)
     changed = post.with_prior(lambda: friendlier(0.5))
     kept = post.table.values["kindness"] >= 0.5
@@ -300,7 +300,7 @@ def test_what_was_not_simulated_is_refused() -> None:
         numpyro.sample("alpha", dist.Categorical(probs=jnp.eye(5)[0]))
         ppl.sites.strengths()
 
-    post = runs.infer()
+    post = runs.infer(weights="count")
     with pytest.raises(InvalidSettingError):
         post.with_prior(only_away)
     with pytest.raises(UnknownNameError, match="sparse_social"):

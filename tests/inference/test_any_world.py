@@ -427,7 +427,7 @@ def test_kernels_are_compared_with_the_truth_and_with_a_reference() -> None:
     found = ppl.compare(
         dataclasses.replace(walking(), truth=truth),
         ppl.Model(simulator=walkers),
-        kernels={"early": "prior_mh", "whole": ("prior_mh", {"early_reject": False})},
+        kernels={"one": "prior_mh", "again": "prior_mh"},  # one program
         budget=ppl.simulations(160),
         reference=enumerated(),
         repeats=2,
