@@ -1,10 +1,12 @@
-"""What both kinds of posterior of an event offer: another prior, interventions, prediction."""
+"""What both kinds of posterior of an event offer: files, another prior, what if, what next."""
 
 from __future__ import annotations
 
 import functools
 import json
+import os
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -12,15 +14,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import Estimate
-from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name
+from phase_ppl.world.picture import plain
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
@@ -78,7 +82,12 @@ class EventPosterior(Hypotheses):
         return self.scene.world
 
     def map(self) -> Any:
-        """Return the most probable hypothesis; its goals are the stated ones."""
+        """Return the most probable hypothesis; its goals are the stated ones.
+
+        Returns:
+            A :class:`phase_ppl.Hypothesis`; in other worlds than PHASE
+            :class:`phase_ppl.world.hypothesis.Roles`.
+        """
         raise NotImplementedError
 
     def map_record(self) -> dict[str, Any]:
@@ -98,6 +107,49 @@ class EventPosterior(Hypotheses):
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
+        raise NotImplementedError
+
+    def diagnostics(self) -> dict[str, Any]:
+        """Return whether this can be trusted: numbers, and a ``verdict`` in words."""
+        raise NotImplementedError
+
+    def summary(self) -> dict[str, Any]:
+        """Return the posterior in JSON's types; numbers that do not exist are None.
+
+        Keys: ``goals`` (agent -> all goals), ``relation``, ``scenario``, ``strengths`` (agent
+        -> mean, sd, hdi_low, hdi_high in newtons), ``errors`` (of each of these, in the same
+        form), ``map``, ``diagnostics``, ``settings``, ``cost``; read step by step ``log_evidence``
+        (nats) and ``frame`` too.
+        """
+        record = {**self._answers(), "map": self.map_record(), **self._judged()}
+        return dict(plain({**record, "settings": self.settings, "cost": self.cost}))
+
+    def _judged(self) -> dict[str, Any]:
+        """Return what a summary has of the posterior as a whole."""
+        return {"diagnostics": self.diagnostics()}
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write everything to ``path`` as NetCDF, whole or not at all.
+
+        The weighting and the burn-in in use become the file's defaults; what was defined in words
+        is kept.
+
+        Raises:
+            OutputError: the file cannot be written there, or its name does not end in .nc.
+        """
+        check_output(path, (".nc",))
+        from phase_ppl.dataset.hdf5 import netcdf_bytes
+
+        groups, packing = self._to_keep()
+        attrs = {k: v for k, v in groups["/"].attrs.items() if k != KEPT_DEFINITIONS}
+        groups["/"].attrs = attrs | self._definitions_to_keep()
+        # every array carries a checksum, so that a damaged file is noticed when it is read
+        how = {"fletcher32": True, **packing}
+        write_bytes(path, (".nc",), netcdf_bytes(groups, how, sealed=True))
+        return Path(path)
+
+    def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
+        """Return the groups of a file by path, the root's own to change, and how to pack them."""
         raise NotImplementedError
 
     def with_prior(self, prior: Callable[..., object] | str) -> Self:
@@ -248,12 +300,11 @@ class EventPosterior(Hypotheses):
             InvalidSettingError: a value that cannot be used, or a run with a simulator of its own.
             UnknownNameError: there is no such entity, goal or quantity.
         """
-        from phase_ppl.analysis.what_if import Change, length, simulated
+        from phase_ppl.analysis.what_if import Change, simulated
 
-        change = Change.of(self.scene.world, changed, alpha, relation, remove, walls)
-        begin, frames = length(self._source(), at, seconds)
+        change = Change.of(self.world, changed, alpha, relation, remove, walls)
         return simulated(
-            self._source(), change if change.words else None, at=begin, frames=frames, n=n,
+            self._source(), change if change.words else None, at=at, seconds=seconds, n=n,
             seed=seed, workers=workers, simulator=simulator,
         )  # fmt: skip
 
@@ -269,9 +320,9 @@ class EventPosterior(Hypotheses):
         Example:
             ``post.at(40).predict(2).tracks.mean("simulation")``, for a posterior read step by step
         """
-        from phase_ppl.analysis.what_if import length, simulated
+        from phase_ppl.analysis.what_if import simulated
 
-        begin, frames = length(self._source(), len(self.observed()) - 1, seconds)
+        last = len(self.observed()) - 1
         return simulated(
-            self._source(), None, at=begin, frames=frames, n=n, seed=seed, workers=workers
+            self._source(), None, at=last, seconds=seconds, n=n, seed=seed, workers=workers
         )

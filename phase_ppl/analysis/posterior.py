@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,7 +14,6 @@ from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.tree import (
     SIMULATED,
@@ -34,8 +32,8 @@ from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
-from phase_ppl.world.files import check_output, existing_file, write_bytes
-from phase_ppl.world.picture import plain, wrapped
+from phase_ppl.world.files import existing_file
+from phase_ppl.world.picture import wrapped
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -169,12 +167,8 @@ class Posterior(EventPosterior):
         """
         row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
         space = self._words.space
-        return space.hypothesis(
-            {
-                site: row[name].item()
-                for site, name in zip(space.sites, space.kept_columns, strict=True)
-            }
-        )
+        sites = zip(space.sites, space.kept_columns, strict=True)
+        return space.hypothesis({site: row[name].item() for site, name in sites})
 
     def map_record(self) -> dict[str, Any]:
         """Return :meth:`map` as plain data.
@@ -218,7 +212,6 @@ class Posterior(EventPosterior):
         return np.asarray(array(self._tree, SIMULATED, "trajectory")[chain, draw], np.float64)
 
     def observed(self) -> FloatArray:
-        """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
         return np.asarray(array(self._tree, "observed_data", "trajectory"), np.float64)
 
     def diagnostics(self) -> dict[str, Any]:
@@ -266,26 +259,10 @@ class Posterior(EventPosterior):
         """
         return arviz_data(self._kept, self._words.scenario)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write draws and simulations to ``path`` as NetCDF, whole or not at all.
-
-        The weighting and the burn-in in use become the file's defaults; what was defined in words
-        is kept.
-
-        Raises:
-            OutputError: the file cannot be written there, or its name does not end in .nc.
-        """
+    def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
         tree = self._tree.copy()
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
-        tree.attrs.pop(KEPT_DEFINITIONS, None)
-        tree.attrs |= self._definitions_to_keep()
-        groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
-        check_output(path, (".nc",))
-        # every array carries a checksum, so that a damaged file is noticed when it is read
-        from phase_ppl.dataset.hdf5 import netcdf_bytes
-
-        write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
-        return Path(path)
+        return {node.path: node.to_dataset(inherit=False) for node in tree.subtree}, {}
 
     @classmethod
     def load(
@@ -314,22 +291,6 @@ class Posterior(EventPosterior):
             return cls(tree, weights, burn_in=burn_in, scenario=scenario)
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
-
-    def summary(self) -> dict[str, Any]:
-        """Return the posterior in JSON's types; numbers that do not exist are None.
-
-        Keys: ``goals`` (agent -> all goals), ``relation``, ``scenario``, ``strengths`` (agent
-        -> mean, sd, hdi_low, hdi_high in newtons), ``errors`` (of each of these, in the same
-        form), ``map``, ``diagnostics``, ``settings``, ``cost``.
-        """
-        record = {
-            **self._answers(),
-            "map": self.map_record(),
-            "diagnostics": self.diagnostics(),
-            "settings": self.settings,
-            "cost": self.cost,
-        }
-        return {name: plain(value) for name, value in record.items()}
 
     def __str__(self) -> str:
         found = self.diagnostics()

@@ -9,7 +9,6 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
@@ -20,7 +19,7 @@ from phase_ppl.analysis.definitions import Definition, defined
 from phase_ppl.analysis.diagnostics import overlapping_frames
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
+from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.query import conditions
@@ -35,7 +34,7 @@ from phase_ppl.analysis.stepwise_table import (
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
-from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
+from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
@@ -45,8 +44,8 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
-from phase_ppl.world.files import check_output, existing_file, write_bytes
-from phase_ppl.world.picture import plain, wrapped
+from phase_ppl.world.files import existing_file
+from phase_ppl.world.picture import wrapped
 from phase_ppl.world.scene import PHASE
 
 FILTERING: Final = (
@@ -249,7 +248,6 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def definitions(self) -> dict[str, Definition]:
-        """What was defined: name -> conditions in words, or a function."""
         return {**self._own, **self._of_sites}
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
@@ -335,16 +333,9 @@ class StepwisePosterior(EventPosterior):
         return {**result, "verdict": _verdict(result)}
 
     def map(self) -> Any:
-        """Return the most probable hypothesis; its goals are the stated ones.
-
-        Returns:
-            A :class:`phase_ppl.Hypothesis`; in other worlds than PHASE
-            :class:`phase_ppl.world.hypothesis.Roles`.
-        """
         space, best = self._table.space, self._table.most_probable(self._frame)
-        return space.hypothesis(
-            {site: best[name] for site, name in zip(space.sites, space.kept_columns, strict=True)}
-        )
+        sites = zip(space.sites, space.kept_columns, strict=True)
+        return space.hypothesis({site: best[name] for site, name in sites})
 
     def over_time(self) -> xr.Dataset:
         """Return the marginals at every frame, given the frames until then.
@@ -467,24 +458,10 @@ class StepwisePosterior(EventPosterior):
         return wanted, ~wanted if over is None else conditions(known, over).holds(columns)
 
     def observed(self) -> FloatArray:
-        """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
         return np.asarray(self._found["trajectory"].values, np.float64)[: self._frame + 1]
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write everything to ``path`` as NetCDF, whole or not at all.
-
-        What was defined in words is kept.
-
-        Raises:
-            OutputError: the file cannot be written there, or its name does not end in .nc.
-        """
-        check_output(path, (".nc",))
-        how = {"fletcher32": True, "zlib": True, "complevel": 4}
-        attributes = {k: v for k, v in self._found.attrs.items() if k != KEPT_DEFINITIONS}
-        kept = self._found.copy()
-        kept.attrs = {**attributes, **self._definitions_to_keep()}
-        write_bytes(path, (".nc",), netcdf_bytes({"/": kept}, how, sealed=True))
-        return Path(path)
+    def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
+        return {"/": self._found.copy()}, {"zlib": True, "complevel": 4}
 
     @classmethod
     def load(
@@ -505,22 +482,8 @@ class StepwisePosterior(EventPosterior):
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
-    def summary(self) -> dict[str, Any]:
-        """Return the posterior in JSON's types.
-
-        Keys: ``goals``, ``relation``, ``scenario``, ``strengths``, ``errors`` as of sampled ones;
-        ``map``, ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
-        """
-        record = {
-            **self._answers(),
-            "map": self.map_record(),
-            "log_evidence": self.log_evidence,
-            "diagnostics": self.diagnostics(),
-            "frame": self.frame,
-            "settings": self.settings,
-            "cost": self.cost,
-        }
-        return {name: plain(value) for name, value in record.items()}
+    def _judged(self) -> dict[str, Any]:
+        return {"log_evidence": self.log_evidence, **super()._judged(), "frame": self.frame}
 
     def __str__(self) -> str:
         found, cost = self.diagnostics(), self.cost

@@ -338,8 +338,8 @@ def simulated(
     post: Source,
     change: Change | None,
     *,
-    at: int,
-    frames: int,
+    at: int | None,
+    seconds: float | None,
     n: int,
     seed: int,
     workers: int | None,
@@ -347,23 +347,26 @@ def simulated(
 ) -> WhatIf:
     """Return hypotheses drawn from a posterior, simulated from a frame on.
 
-    Args:
-        post: where they are drawn from.
-        change: what is changed in a second world; None: there is only one.
-        at: frame to go on from; 0: the start.
-        frames: to simulate, that one included.
-        n, seed, workers, simulator: as of ``do``.
+    In a second world with a change, if there is one; all else as of ``do``.
     """
+    at, frames = _length(post, at, seconds)
     whole_number("n", n, _FEWEST)
     removed = () if change is None else change.removed
-    of_run = post.settings.get("model", {}).get("simulator", "joint")
+    model = post.settings.get("model", {})
+    of_run = model.get("simulator", "joint")
     joint = of_run == "joint" if simulator is None else isinstance(simulator, JointSimulator)
     if not joint and (at or removed):
         raise InvalidSettingError(
             f"a frame to go on from and entities to remove need the joint simulator, not {of_run}: "
             "another one always begins at the start, with all entities"
         )
-    run = _simulator(post, simulator)
+    if simulator is None:
+        if not joint:
+            raise InvalidSettingError(
+                f"the run had a simulator of its own, {of_run}: give it, simulator=..."
+            )
+        stored = model.get("planner")
+        simulator = JointSimulator("fast" if stored is None else PlannerConfig.from_dict(stored))
     scene = post.scene
     worlds: list[tuple[Scene, tuple[int, ...]]] = [(scene, ())]
     drawn = _drawn(post, n, seed)
@@ -375,7 +378,7 @@ def simulated(
     past = reconstructed(scene, post.observed[: at + 1]) if at else None
     seeds = np.random.SeedSequence([seed, n]).generate_state(n).tolist()
     tasks = [
-        (run, where, h, int(one), frames, past, gone)
+        (simulator, where, h, int(one), frames, past, gone)
         for (where, gone), rows in zip(worlds, hypotheses, strict=True)
         for h, one in zip(rows, seeds, strict=True)
     ]
@@ -392,18 +395,6 @@ def simulated(
         poses.reshape(len(worlds), n, *poses.shape[1:]),
         removed,
     )
-
-
-def _simulator(post: Source, simulator: Simulator | None) -> Simulator:
-    if simulator is not None:
-        return simulator
-    model = post.settings.get("model", {})
-    if model.get("simulator", "joint") != "joint":
-        raise InvalidSettingError(
-            f"the run had a simulator of its own, {model['simulator']}: give it, simulator=..."
-        )
-    stored = model.get("planner")
-    return JointSimulator("fast" if stored is None else PlannerConfig.from_dict(stored))
 
 
 def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
@@ -453,7 +444,7 @@ def _simulate(
     return np.array([frame for frame, _ in (next(steps) for _ in range(frames))])
 
 
-def length(post: Source, at: int | None, seconds: float | None) -> tuple[int, int]:
+def _length(post: Source, at: int | None, seconds: float | None) -> tuple[int, int]:
     """Return the frame to go on from, and how many frames to simulate from there, it included."""
     last = len(post.observed) - 1
     begin = 0 if at is None else at
