@@ -219,7 +219,7 @@ class Hypotheses:
         error = np.full(shape, np.nan if without is None else 0.0)
         if without is not None:
             error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
-            error = self._error_of_share(table, error, rows)
+            error = with_unseen(table, error, self._size_of(rows))
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
             table, {**coords, "error": (names, error)}, dims=names, name="probability"
@@ -267,8 +267,7 @@ class Hypotheses:
         if without is None:
             return Mode(label)
         without_each = estimate.shares(codes, without.weights, size)
-        worth = self._size_of(rows)
-        return Mode(label, doubt(mass, without, without_each, worth))
+        return Mode(label, doubt(mass, without, without_each, self._size_of(rows)))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
         """Return the leading goals and relation, and whether it is sure that they lead.
@@ -403,24 +402,14 @@ class Hypotheses:
             raise QueryError(reason, question, query.given_at)
         if event is not None:
             return self._number(estimate.share, event.holds(self._rows.values), given)
-        names, number = [name.text for name in query.names], query.number
+        ask: Mapping[str, Callable[..., Any]] = {
+            **{"P": self.joint, "H": self.entropy, "I": self.mutual_information},
+            **{"E": self.mean, "sd": self.sd, "median": self.median},
+            **{"mode": self.mode, "top": self.top, "hdi": self.hdi},
+        }
+        number = () if query.number is None else (query.number,)
         try:
-            match query.question:
-                case "P":
-                    return self.joint(*names, given=given)
-                case "H":
-                    return self.entropy(*names, given=given)
-                case "I":
-                    return self.mutual_information(*names, given=given)
-                case "top":
-                    return self.top(names[0], N_TOP if number is None else int(number), given=given)
-                case "hdi":
-                    return self.hdi(names[0], number or HDI_PROBABILITY, given=given)
-                case _:
-                    ask = {"E": self.mean, "sd": self.sd, "median": self.median, "mode": self.mode}[
-                        query.question
-                    ]
-                    return ask(names[0], given=given)
+            return ask[query.question](*(name.text for name in query.names), *number, given=given)
         except InvalidSettingError as error:  # too large a table
             raise QueryError(str(error), question, query.names[0].at) from None
 
@@ -536,13 +525,11 @@ class Hypotheses:
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Return one that leaves out random sets with a share of the chains, or single ones."""
-        if share not in self._jackknives:
-            self._jackknives[share] = (
-                None
-                if self._groups is None
-                else leaving_out(self._rows.weights, self._groups, self._halves, share)
+        if self._groups is not None and share not in self._jackknives:
+            self._jackknives[share] = leaving_out(
+                self._rows.weights, self._groups, self._halves, share
             )
-        return self._jackknives[share]
+        return self._jackknives.get(share)
 
     @functools.cached_property
     def _effective_size(self) -> float:
@@ -569,12 +556,6 @@ class Hypotheses:
     def _size_of(self, rows: NDArray[np.bool_]) -> float:
         """Return how many independent draws those of ``rows`` would be as sure as; or NaN."""
         return self._effective_size * float(self._rows.weights[rows].sum())
-
-    def _error_of_share(
-        self, mass: FloatArray | float, error: FloatArray, rows: NDArray[np.bool_]
-    ) -> FloatArray:
-        """Return errors of probabilities given ``rows``, with what few draws need not show."""
-        return with_unseen(mass, error, self._size_of(rows))
 
     def _weighed(
         self, given: Given, *asked: NDArray[Any], share: float = 0.0
@@ -613,7 +594,7 @@ class Hypotheses:
             return Estimate(number)
         error = without.error(statistic(values, without.weights), number)
         if statistic is estimate.share:
-            error = self._error_of_share(number, error, rows)
+            error = with_unseen(number, error, self._size_of(rows))
         elif statistic is estimate.mean:
             # a few draws that agree by chance do not make it sure
             size = self._size_of(rows)

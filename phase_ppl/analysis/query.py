@@ -51,7 +51,6 @@ QUESTIONS: Final = ("P", "E", "sd", "median", "H", "I", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
 
 LONGEST: Final = 10_000  # characters of a question, at most
-_QUANTITY: Final = "the name of a quantity, such as goal_red"
 _WORD: Final = re.compile(r"[^\W\d]\w*")
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _OPERATOR: Final = re.compile(r"!=|<=|>=|=|<|>|in(?!\w)")
@@ -63,12 +62,8 @@ _CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
 _DEEPEST: Final = 50  # brackets and "not" within each other
 
 _COMPARED: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "=": operator.eq,
-    "!=": operator.ne,
+    **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
+    **{"=": operator.eq, "!=": operator.ne},
 }
 
 
@@ -181,23 +176,19 @@ class _Parser:
         question = self._question()
         number = self._share_or_count(question)
         closing = next((_CLOSING[sign] for sign in _CLOSING if self._take(sign)), None)
-        names: tuple[Word, ...] = ()
         event: tuple[Event, ...] = ()
-        given: tuple[Event, ...] = ()
         if question == "P":
             names, event = self._names_or_event()
         elif question == "H":
             names = self._listed(self._name)
-        elif question == "I":
-            first = self._name()
-            self._expect(";", "';' and another quantity, as in I(goal_red; goal_green)")
-            names = (first, self._name())
         else:
             names = (self._name(),)
+        if question == "I":
+            self._expect(";", "';' and another quantity, as in I(goal_red; goal_green)")
+            names = (*names, self._name())
         bar = self._take("|")
         given_at = self._skip()
-        if bar:
-            given = self._listed(self._either)
+        given = self._listed(self._either) if bar else ()
         self._end(closing, bar, lists=bool(given) or question in ("P", "H"))
         return Query(question, number, names, event, given, given_at)
 
@@ -218,7 +209,7 @@ class _Parser:
         if question == "top":
             if not (number.is_integer() and number >= 1):
                 self._fail("a whole number from 1, as in top 3 goal_red", start)
-            return number
+            return int(number)
         if self._take("%"):
             number /= 100
         if not 0 < number <= 1:
@@ -233,19 +224,16 @@ class _Parser:
 
     def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Event, ...]]:
         start = self._skip()
-        negated = self._word("not")
+        is_event = self._word("not") or self._take("(")
+        if not is_event:
+            self._name()
+            is_event = _OPERATOR.match(self._text, self._skip()) is not None
         self._at = start
-        if negated or self._text.startswith("(", start):
+        if is_event:
             return (), self._listed(self._either)
-        name = self._name()
-        self._skip()
-        if _OPERATOR.match(self._text, self._at):
-            self._at = start
-            return (), self._listed(self._either)
-        names = self._listed(self._name, name)
-        place = self._skip()
-        if _OPERATOR.match(self._text, place):
-            self._fail("names only or conditions only; what is given comes after '|'", place)
+        names = self._listed(self._name)
+        if _OPERATOR.match(self._text, self._skip()):
+            self._fail("names only or conditions only; what is given comes after '|'")
         return names, ()
 
     def _either(self) -> Event:
@@ -274,8 +262,8 @@ class _Parser:
         self._depth -= 1
         return found
 
-    def _listed(self, one: Callable[[], T], first: T | None = None) -> tuple[T, ...]:
-        found = [one() if first is None else first]
+    def _listed(self, one: Callable[[], T]) -> tuple[T, ...]:
+        found = [one()]
         while self._take(","):
             found.append(one())
         return tuple(found)
@@ -327,13 +315,11 @@ class _Parser:
 
     def _name(self) -> Word:
         start = self._skip()
-        quoted = self._quoted()
-        if quoted is not None:
+        if (quoted := self._quoted()) is not None:
             return quoted
-        word = self._match(_WORD)
-        if not word:
-            self._fail(_QUANTITY)
-        return Word(word, start)
+        if word := self._match(_WORD):
+            return Word(word, start)
+        self._fail("the name of a quantity, such as goal_red")
 
     def _label(self, name: str, joined: bool = False) -> Word:
         """Read a label: quoted, a pair such as (1, 0), or words up to the next sign.
@@ -341,8 +327,7 @@ class _Parser:
         Where it may be ``joined`` to other conditions, up to the next "and" or "or" too.
         """
         start = self._skip()
-        quoted = self._quoted()
-        if quoted is not None:
+        if (quoted := self._quoted()) is not None:
             return quoted
         if self._take("("):
             self._match(_BARE)
