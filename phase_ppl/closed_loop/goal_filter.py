@@ -82,7 +82,6 @@ class SearchSets:
             them.
 
     Attributes:
-        scene: where everything starts.
         hidden: velocities, holds and strengths; whoever reads frames takes them there.
     """
 
@@ -131,6 +130,10 @@ class SearchSets:
             policies, expected, asked = task
             policies.observe(expected.bodies, expected.held, expected.weld, asked)
 
+        def search(task: tuple[Policies, list[int]]) -> list[RootStatistics]:
+            policies, group = task
+            return policies.root_statistics([policies.intents[place] for place in group])
+
         observing = []
         for place, expected in enumerate(self.hidden.spread(len(self._policies))):
             for agent, policies in enumerate(self._policies[place]):
@@ -141,7 +144,7 @@ class SearchSets:
         searches = [(one, group) for one, _, _ in observing for group in one.searches()]
         found = {
             (one, place): root
-            for (one, group), roots in zip(searches, self.map(_search, searches), strict=True)
+            for (one, group), roots in zip(searches, self.map(search, searches), strict=True)
             for place, root in zip(group, roots, strict=True)
         }
         return [
@@ -162,11 +165,6 @@ class SearchSets:
         if strengths not in self._models:
             self._models[strengths] = WorldModel.of(self.scene, strengths, self._planner)
         return self._models[strengths]
-
-
-def _search(task: tuple[Policies, list[int]]) -> list[RootStatistics]:
-    policies, group = task
-    return policies.root_statistics([policies.intents[place] for place in group])
 
 
 def _seed(seed: int, place: int) -> int:
@@ -208,8 +206,6 @@ class GoalFilter:
         weight: what a frame counts as evidence.
         log_prior: log prior masses of goals. With the weight it only says which goals are probable
             by now.
-
-    Call ``close()`` to end its threads.
 
     Attributes:
         combinations: (combination, agent) strengths that are followed, newtons.
@@ -269,8 +265,7 @@ class GoalFilter:
     def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
         """Return what a frame says, from plans at the moment before and densities of the frame.
 
-        The latter are (action of the first agent, of the second, ...): logarithms, and over the
-        highest.
+        These are (action of the first agent, of the second, ...): logarithms, and over the highest.
         """
         raise NotImplementedError
 
@@ -423,7 +418,7 @@ class PolicyFilter(GoalFilter):
 
     def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
         policies, policy_of = self._policies(looked)
-        self._learn(relative, policies, policy_of)
+        self._update_marginals(relative, policies, policy_of)
         return {
             "density": density.ravel(),
             # searches are coarser than single precision
@@ -454,10 +449,9 @@ class PolicyFilter(GoalFilter):
             policy_of.append(number.reshape(-1))
         return policies, policy_of
 
-    def _learn(
+    def _update_marginals(
         self, relative: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]
     ) -> None:
-        """Bring the marginals up to date."""
         of_goals, believed = [], []
         for table, numbers, usual, log_mass in zip(
             policies, policy_of, self._usual, self._log_mass, strict=True

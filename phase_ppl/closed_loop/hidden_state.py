@@ -334,20 +334,9 @@ class HiddenState:
         done = np.column_stack(np.unravel_index(joint, (N_ACTIONS,) * self._n_agents))
         params, scratch, trial = self._spaces[0]
         inverse.follow(
-            beam.bodies,
-            beam.held,
-            beam.weld,
-            self.combinations[beam.combination],
-            parents.astype(np.int64),
-            done.astype(np.int64),
-            observed,
-            gains,
-            params,
-            scratch,
-            trial,
-            bodies,
-            held,
-            weld,
+            *(beam.bodies, beam.held, beam.weld, self.combinations[beam.combination]),
+            *(parents.astype(np.int64), done.astype(np.int64), observed, gains),
+            *(params, scratch, trial, bodies, held, weld),
         )
         combination = beam.combination[parents]
         rows, mass = self._merged(bodies, held, combination, flat.ravel()[chosen])

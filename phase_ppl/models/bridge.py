@@ -94,26 +94,18 @@ class SimulatorBridge:
         self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
         _open[self.handle] = self
 
-    def answer(
-        self,
-        columns: _Columns,
-        log_prior: NDArray[np.float32],
-        seed: NDArray[np.int32],
-        error_ceiling: NDArray[np.float32],
-        log_proposal: NDArray[np.float32],
-        log_bound: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
+    def answer(self, columns: _Columns, *numbers: NDArray[Any]) -> NDArray[np.float32]:
         """Return the errors (..., time) that a batch (...) of requests asks for.
 
-        ``log_proposal`` and ``log_bound`` are kept with each, see :class:`Record`.
+        The numbers are log_prior, seed, error_ceiling, log_proposal and log_bound of each, as of
+        :func:`request_errors`.
         """
         if self.failure is None:
             try:
-                kept = log_proposal, log_bound
-                return self._simulate(columns, log_prior, seed, error_ceiling, *kept)
+                return self._simulate(columns, *numbers)
             except BaseException as error:
                 self.failure = error
-        return np.full((*seed.shape, self._n_frames), np.inf, np.float32)
+        return np.full((*numbers[1].shape, self._n_frames), np.inf, np.float32)
 
     def remember(self, record: Record) -> None:
         """Keep a simulation; the same request is answered by it from now on, if it completed."""
@@ -213,8 +205,7 @@ def request_errors(
     names = tuple(sorted(sites))
     numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
     arguments = (handle, log_prior, seed, *numbers, *(sites[name] for name in names))
-    errors: jax.Array = request_p.bind(*map(jnp.asarray, arguments), names=names, n_frames=n_frames)
-    return errors
+    return request_p.bind(*map(jnp.asarray, arguments), names=names, n_frames=n_frames)
 
 
 request_p: Final = core.Primitive("phase_ppl_request")
@@ -236,8 +227,7 @@ def answered(*arguments: Any, names: tuple[str, ...], n_frames: int) -> NDArray[
 def _from_within(*arguments: Any, names: tuple[str, ...], n_frames: int) -> jax.Array:
     shape = jax.ShapeDtypeStruct((*jnp.shape(arguments[2]), n_frames), jnp.float32)
     host = functools.partial(answered, names=names, n_frames=n_frames)
-    errors: jax.Array = jax.pure_callback(host, shape, *arguments)
-    return errors
+    return jax.pure_callback(host, shape, *arguments)
 
 
 def _as_one(

@@ -21,11 +21,7 @@ from numpy.typing import NDArray
 from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
-from phase_ppl.models.density import (
-    NO_DENSITY,
-    remembered,
-    trace_log_density,
-)
+from phase_ppl.models.density import NO_DENSITY, remembered, trace_log_density
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
@@ -92,15 +88,15 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
     def given(key: jax.Array, z: dict[str, jax.Array]) -> jax.Array:
         # own sites are drawn given the hypothesis sites before them and weighted by those after
         # them, which averages to the marginal density wherever they stand in a hierarchy
-        trace = _trace(prior, key, z)
+        program = handlers.seed(handlers.substitute(prior, z), key)
+        trace = handlers.trace(program).get_trace()
         return trace_log_density({name: trace[name] for name in names})
 
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
         keys = jax.random.split(jax.random.key(0), n_draws)
         return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(n_draws)
 
-    density: Callable[[dict[str, jax.Array]], jax.Array] = Hosted(jax.vmap(marginal))
-    return density
+    return Hosted(jax.vmap(marginal))
 
 
 def log_prior_of_effective(
@@ -109,21 +105,24 @@ def log_prior_of_effective(
     """Return (n,) the log prior of effective goals (n, 2) with strengths, each (n,) newtons."""
     if len(goals) == 0:
         return np.empty(0)
-    stated = [stated_hypotheses()[int(red), int(green)] for red, green in goals]
-    row = np.repeat(np.arange(len(goals)), [len(s) for s in stated])
-    sites = np.concatenate(stated)
-    log_densities = log_prior_of_hypotheses(
-        prior,
-        {
-            "goal_red": sites[:, 0],
-            "goal_green": sites[:, 1],
-            "alpha": sites[:, 2],
-            **{name: np.asarray(values)[row] for name, values in strengths.items()},
-        },
-    )
+    _, row, log_densities = _all_stated(prior, goals, strengths)
     total = np.full(len(goals), -np.inf)
     np.logaddexp.at(total, row, log_densities)
     return total
+
+
+def _all_stated(
+    prior: Prior, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Return all stated goals and alphas (n, 3) that lead to effective goals (row, 2).
+
+    Also (n,) the row that each is of, ascending, and (n,) its log density with the row's strengths.
+    """
+    options = [stated_hypotheses()[int(red), int(green)] for red, green in goals]
+    stated, row = np.concatenate(options), np.repeat(np.arange(len(goals)), list(map(len, options)))
+    columns: dict[str, NDArray[Any]] = dict(zip(_STATED_SITES, stated.T, strict=True))
+    columns |= {name: np.asarray(values)[row] for name, values in strengths.items()}
+    return stated, row, log_prior_of_hypotheses(prior, columns)
 
 
 def drawn_stated(
@@ -133,16 +132,12 @@ def drawn_stated(
 
     Effective goals are (n, 2), strengths (n, 2) newtons.
     """
-    options = [stated_hypotheses()[int(red), int(green)] for red, green in goals]
-    lengths = np.array([len(rows) for rows in options], np.int64)
-    stated, row = np.concatenate(options), np.repeat(np.arange(len(goals)), lengths)
-    columns: dict[str, NDArray[Any]] = dict(zip(_STATED_SITES, stated.T, strict=True))
-    columns |= dict(zip(STRENGTH_SITES, strengths[row].T.astype(np.float64), strict=True))
+    by_site = dict(zip(STRENGTH_SITES, strengths.T.astype(np.float64), strict=True))
+    stated, row, log_weight = _all_stated(prior, goals, by_site)
     # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
-    log_weight = log_prior_of_hypotheses(prior, columns)
     log_weight += np.random.default_rng(0).gumbel(size=len(log_weight))
-    order = np.lexsort((log_weight, row))
-    return np.asarray(stated[order[np.cumsum(lengths) - 1]])
+    order, last = np.lexsort((log_weight, row)), np.flatnonzero(np.diff(row, append=-1))
+    return np.asarray(stated[order[last]])
 
 
 @remembered(_PRIORS_KEPT)
@@ -152,22 +147,13 @@ def prior_of_pairs(prior: Prior) -> FloatArray:
     Exact where goals and alpha depend on nothing else, as on strengths or sites of a user's own;
     these are averaged out over draws.
     """
-    pairs = list(stated_hypotheses())
-    stated = np.concatenate(list(stated_hypotheses().values()))
-    columns = dict(zip(_STATED_SITES, stated.T, strict=True))
-    row = np.repeat(np.arange(len(pairs)), [len(rows) for rows in stated_hypotheses().values()])
-    log_mass = log_prior_of_hypotheses(prior, columns)
+    pairs = np.array(list(stated_hypotheses()))
+    _, row, log_mass = _all_stated(prior, pairs, {})
     mass = np.zeros((N_GOALS, N_GOALS))
-    mass[tuple(np.array(pairs).T)] = np.bincount(row, np.exp(log_mass - log_mass.max()))
+    mass[tuple(pairs.T)] = np.bincount(row, np.exp(log_mass - log_mass.max()))
     mass /= mass.sum()
     mass.setflags(write=False)
     return mass
-
-
-def _trace(prior: Prior, key: jax.Array, given: Mapping[str, Any]) -> dict[str, Any]:
-    program = handlers.seed(handlers.substitute(prior, dict(given)), key)
-    trace: dict[str, Any] = handlers.trace(program).get_trace()
-    return trace
 
 
 def cells(levels: FloatArray) -> FloatArray:
