@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from phase_ppl.analysis.estimate import ess
+from phase_ppl.analysis.estimate import ess, total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
@@ -182,13 +182,8 @@ class Comparison:
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
         named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
-        cells = pd.DataFrame(
-            {
-                MEASURES[name]: [_cell(*row) for row in table[name].to_numpy(float)]
-                for name in named
-            },
-            index=list(table.index),
-        )
+        columns = {MEASURES[n]: [_cell(*row) for row in table[n].to_numpy(float)] for n in named}
+        cells = pd.DataFrame(columns, index=list(table.index))
         starts = range(0, len(named), _PRINTED_COLUMNS)
         blocks = [words, *(cells.iloc[:, i : i + _PRINTED_COLUMNS].to_string() for i in starts)]
         known = [name for name in DISTANCES if self.runs[name].notna().any()]
@@ -237,10 +232,8 @@ def _frame(columns: Mapping[str, Any], expected: tuple[str, ...]) -> pd.DataFram
     if missing:
         raise ValueError(f"it lacks {missing}")
     frame = pd.DataFrame({name: columns[name] for name in expected})
-    text = ("kernel", "validity")
-    return frame.astype({n: int for n in ("repeat", "seed") if n in frame}).astype(
-        {n: float for n in frame if n not in (*text, "repeat", "seed")}
-    )
+    numbers = [name for name in expected if name not in ("kernel", "validity")]
+    return frame.astype({n: int if n in ("repeat", "seed") else float for n in numbers})
 
 
 def _cell(mean: float, error: float) -> str:
@@ -271,11 +264,6 @@ def _means(measure: str, values: Mapping[str, float]) -> dict[str, float]:
         f"{measure}_goals": float(np.mean(goals)),
         f"{measure}_relation": float(np.mean(relations)) if relations else np.nan,
     }
-
-
-def total_variation(one: FloatArray, other: FloatArray) -> float:
-    """Return half the summed absolute difference of two distributions."""
-    return 0.5 * float(np.abs(one - other).sum())
 
 
 def distances(found: Marginals, reference: Marginals) -> dict[str, float]:
@@ -341,35 +329,29 @@ def efficiency(post: Posterior) -> dict[str, float]:
     * ``simulations``, their ``frames``, and ``seconds`` of wall time.
     """
     found = post.diagnostics()
-    simulations = found["simulations"]["total"]
-    moves = found["move_rate"]
+    simulations, moves = found["simulations"]["total"], found["move_rate"]
+    weight = post.to_dataframe()["weight"].to_numpy()
+    if np.allclose(weight, weight[0]):
+        size = ess(array(post.tree, "sample_stats", "log_joint").astype(float), "mean")
+    else:
+        size = float(found["effective_rows"])
     return {
         "acceptance": found["acceptance_rate"],
         "moves": np.nan if moves is None else moves,
         "distinct": float(found["distinct_hypotheses"]),
-        "ess_per_simulation": _effective_sample_size(post, found) / simulations,
+        "ess_per_simulation": size / simulations,
         "simulations": float(simulations),
         "frames": float(array(post.tree, "simulations", "frames_simulated").sum()),
         "seconds": float(post.cost["seconds"]),
     }
 
 
-def _effective_sample_size(post: Posterior, found: Mapping[str, Any]) -> float:
-    weight = post.to_dataframe()["weight"].to_numpy()
-    if not np.allclose(weight, weight[0]):
-        return float(found["effective_rows"])
-    return ess(array(post.tree, "sample_stats", "log_joint").astype(float), "mean")
-
-
 def curve(post: Posterior, reference: Marginals, truth: Truth | Roles | None) -> pd.DataFrame:
     """Return :func:`accuracy` of what a run had after ever more simulations.
 
     Of the first draws of all chains, with the simulations made until then; nothing is simulated.
-    A run that keeps its last population only has one row.
-
-    Returns:
-        Columns ``simulations``, ``frames`` and those of :func:`accuracy`, a row per prefix, at most
-        :data:`CURVE_POINTS`.
+    Columns are ``simulations``, ``frames`` and those of :func:`accuracy`, rows :data:`CURVE_POINTS`
+    at most. A run that keeps its last population only has one.
     """
     tree = post.tree
     n_draws = tree["posterior"].sizes["draw"]

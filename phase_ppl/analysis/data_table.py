@@ -13,8 +13,7 @@ from phase_ppl.dataset.statistics import LEVELS, PHASE
 Statistics = Mapping[str, Any]
 WIDTH: Final = 88  # columns of the text at most
 Z: Final = 1.96
-FEWEST: Final = 10
-"""Events from which on a bootstrap's error is believed."""
+FEWEST: Final = 10  # events from which on a bootstrap's error is believed
 
 TABLES: Final[Mapping[str, str]] = {
     "relation": "relation",
@@ -136,12 +135,8 @@ def _value_row(
 
 def data_table(here: Statistics, beside: Statistics = PHASE) -> str:
     """Return the statistics of a set beside those of another as text of at most 88 columns."""
-    lines = [
-        *textwrap.wrap(about(here), WIDTH),
-        "",
-        _line("", clipped(here["name"], 21), clipped(beside["name"], 16)),
-    ]
-    heading = ""
+    head = _line("", clipped(here["name"], 21), clipped(beside["name"], 16))
+    lines, heading = [*textwrap.wrap(about(here), WIDTH), "", head], ""
     shown = rows(here, beside)
     for row in shown:
         if row.heading != heading:
@@ -219,13 +214,10 @@ def goal_grid(here: Statistics) -> GoalGrid:
     counts = here["tables"].get("goal", {}).get("counts", {})
     found = GoalGrid(list(here["landmarks"]), {}, {})
     for goal, count in counts.items():
-        row, landmark = next(
-            ((goal.removesuffix(f" {name}"), name) for name in found.landmarks
-             if goal.startswith("Get ") and goal.endswith(f" {name}")), ("", "")
-        )  # fmt: skip
-        if row:
-            found.rows.setdefault(row, [0] * len(found.landmarks))
-            found.rows[row][found.landmarks.index(landmark)] = int(count)
+        about_it = [n for n, name in enumerate(found.landmarks) if goal.endswith(f" {name}")]
+        if about_it and goal.startswith("Get "):
+            row = goal.removesuffix(f" {found.landmarks[about_it[0]]}")
+            found.rows.setdefault(row, [0] * len(found.landmarks))[about_it[0]] = int(count)
         else:
             found.others[goal] = int(count)
     return found

@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import ess, mcse, r_hat, worth
+from phase_ppl.analysis.estimate import ess, mcse, r_hat, total_variation, worth
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import (
     array,
@@ -43,7 +44,7 @@ def diagnostics(
     effective_size: float,
     scenario: ScenarioFunction | None = None,
 ) -> dict[str, Any]:
-    """Return the diagnostics of a tree of draws as plain numbers, lists and text.
+    """Return the diagnostics of a tree of draws as plain data.
 
     Keys, beside ``weights``, ``kernel`` and ``validity``:
 
@@ -112,6 +113,7 @@ def diagnostics(
     pair = np.zeros(accepted.shape, np.int64)  # of all agents' goals
     for codes in goals.values():
         pair = pair * len(labels) + codes
+    hypotheses = pd.DataFrame({name: posterior[name].values.ravel() for name in space.kept_columns})
     n_frames = tree["observed_data"].sizes["time"]
     result: dict[str, Any] = {
         "weights": weights,
@@ -122,14 +124,7 @@ def diagnostics(
         "acceptance_by_iteration": [float(rate) for rate in accepted.mean(axis=0)],
         "acceptance_rate": float(accepted.mean()),
         "move_rate": float((pair[:, 1:] != pair[:, :-1]).mean()) if n_draws > 1 else None,
-        "distinct_hypotheses": len(
-            set(
-                zip(
-                    *(posterior[name].values.ravel().tolist() for name in space.kept_columns),
-                    strict=True,
-                )
-            )
-        ),
+        "distinct_hypotheses": len(hypotheses.drop_duplicates()),
         "distinct_goal_pairs": len(np.unique(pair)),
         "effective_rows": worth(rows.weights),
         "weighted_draws_ess": (worth(draw_weights) / draw_weights.size if weighted else None),
@@ -196,9 +191,8 @@ def untried_rivals(
 ) -> NDArray[np.int64]:
     """Return (rival, agent) the rivals of the leading goals that were never simulated.
 
-    No rows where the file keeps no prior, which says what is possible.
-
     A rival differs in the landmark of one agent's goal, about the same entity and of the same sign.
+    No rows where the file keeps no prior, which says what is possible.
     """
     space = space_of_tree(tree)
     tried = effective_goals(tree, "simulations")[~array(tree, "simulations", "failed")]
@@ -320,13 +314,9 @@ def _leading_goals(
 
 
 def _between_chain_tv(by_chain: FloatArray, shares: FloatArray) -> dict[str, float] | None:
-    distances = [
-        0.5 * float(np.abs(one - other).sum())
-        for one, other in itertools.combinations(by_chain[shares > 0], 2)
-    ]
-    if not distances:
-        return None
-    return {"mean": float(np.mean(distances)), "max": max(distances)}
+    pairs = itertools.combinations(by_chain[shares > 0], 2)
+    distances = [total_variation(one, other) for one, other in pairs]
+    return {"mean": float(np.mean(distances)), "max": max(distances)} if distances else None
 
 
 def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:

@@ -107,6 +107,11 @@ def worth(weights: FloatArray) -> float:
     return float(1 / (weights**2).sum())
 
 
+def total_variation(one: FloatArray, other: FloatArray) -> float:
+    """Return half the summed absolute difference of two distributions."""
+    return 0.5 * float(np.abs(one - other).sum())
+
+
 N_SETS: Final = 30  # random sets of chains that are left out
 _MOST_DECIMALS: Final = 4
 
@@ -189,9 +194,7 @@ class Jackknife:
     def error(self, results: ArrayLike, value: ArrayLike) -> FloatArray:
         """Return the standard error of a statistic, with what the halves differ beyond chance.
 
-        Args:
-            results: (set, ...) the statistic under each set's weights, and those that follow.
-            value: (...) the statistic of all.
+        Results (set, ...) are those under each of the weights, the value (...) is that of all.
         """
         found = np.asarray(results, np.float64)
         n = self.n_sets
@@ -222,14 +225,11 @@ def leaving_out(
     halves: Sequence[NDArray[np.bool_]] = (),
     share: float = 0.0,
 ) -> Jackknife | None:
-    """Return the weights of rows without sets of groups of chains.
+    """Return the weights of rows without sets of groups of chains (:func:`sets_to_leave_out`).
 
-    None of a single group, or where without one of the sets nothing would be left.
-
-    Args:
-        weights: (row,) non-negative; ``groups``: (row,) of which group of chains each row is.
-        halves: masks (row,) of the first and the last half of the draws, if they are compared.
-        share: of the groups, see :func:`sets_to_leave_out`.
+    None of a single group, or where without one of the sets nothing would be left. Arguments are
+    (row,) weights, the number of each row's group, and masks of the first and the last half of the
+    draws if these are compared.
     """
     n_groups = int(groups.max()) + 1
     if n_groups < 2:
@@ -262,11 +262,8 @@ def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:
 
     Jeffreys' posterior of a probability p after n draws has the mean p' = (n p + 1/2) / (n + 1)
     and the variance p' (1 - p') / (n + 2); the error is at least its root mean squared distance
-    from p. It vanishes as n grows.
-
-    Args:
-        mass: probabilities p; ``error``: as far as the chains show it.
-        size: n, the number of independent draws that they are worth; NaN: not known.
+    from p. It vanishes as n grows. ``error`` is what the chains show of it, ``size`` the number n
+    of independent draws that they are worth, NaN where it is not known.
     """
     p = np.asarray(mass, np.float64)
     expected = (size * p + 0.5) / (size + 1)

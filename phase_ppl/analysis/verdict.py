@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from phase_ppl.analysis.estimate import MIN_CHAINS_BETWEEN, MIN_DRAWS, MIN_DRAWS_WITHIN, with_error
@@ -29,9 +29,7 @@ UNTRIED: Final = 0.05
 _CONSISTENT: Final = ("stratified", "importance")
 """Weightings that do not depend on the law that a kernel's draws follow."""
 
-_NAMED: Final = 2
-"""Goals that are named where particles disagree."""
-
+_NAMED: Final = 2  # goals that are named where particles disagree
 _FRAMES_NAMED: Final = 3  # frames that are named
 
 
@@ -42,7 +40,7 @@ def verdict(found: Mapping[str, Any]) -> str:
     """
     weighted, n_agents = found["weighted_draws_ess"] is not None, len(found["agreement"])
     signs = [overlap_sign(found["overlapping_frames"])] if found["overlapping_frames"] else []
-    signs += _biased(found) + undecided(found["leaders"]) + _by_prior(found)
+    signs += [*_biased(found), *undecided(found["leaders"]), *_by_prior(found)]
     signs += _untried_rivals(found["untried_rivals"])
     if not weighted:
         signs += _acceptance(found["acceptance_rate"])
@@ -55,7 +53,7 @@ def verdict(found: Mapping[str, Any]) -> str:
     if weighted:
         signs += _weighted(found)
     else:
-        signs += _disagreement(found) + _mixing(found) + _other_leaders(found["categories"])
+        signs += [*_disagreement(found), *_mixing(found), *_other_leaders(found["categories"])]
     untried = found["untried"]
     if untried is not None and untried >= UNTRIED:
         signs.append(
@@ -76,23 +74,21 @@ def verdict(found: Mapping[str, Any]) -> str:
     return " ".join(sentences)
 
 
-def _biased(found: Mapping[str, Any]) -> list[str]:
-    """Return what makes the probabilities wrong however long the run is."""
-    sentences = []
+def _biased(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what makes the probabilities wrong however long the run is."""
     if found["weights"] == "visited":
-        sentences.append(
+        yield (
             "The weights 'visited' are not the posterior: what is proposed often counts more. "
             f"Simulations stopped early hide at most {found['aborted_mass_bound']:.1%} of their "
             "mass."
         )
     elif found["weights"] == "likelihood":
-        sentences.append("The weights 'likelihood' make every probability too extreme.")
+        yield "The weights 'likelihood' make every probability too extreme."
     if found["validity"] == "approximate" and found["weights"] not in _CONSISTENT:
-        sentences.append(
+        yield (
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
             "long it runs."
         )
-    return sentences
 
 
 def _margin(found: Mapping[str, Any]) -> str:
@@ -143,59 +139,54 @@ def _camps(leading: Mapping[str, int]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def _acceptance(rate: float) -> list[str]:
+def _acceptance(rate: float) -> Iterator[str]:
     if rate == 0:
-        return ["No proposal was accepted: this is still the bottom-up guess, not a posterior."]
-    if rate < STUCK:
-        return [
+        yield "No proposal was accepted: this is still the bottom-up guess, not a posterior."
+    elif rate < STUCK:
+        yield (
             f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
             "the bottom-up guess."
-        ]
-    return []
+        )
 
 
-def _mixing(found: Mapping[str, Any]) -> list[str]:
-    """Return which quantities have chains that differ more than draws of one law do."""
+def _mixing(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield which quantities have chains that differ more than draws of one law do."""
     worst = {"the log joint": found["scalars"]["log_joint"]["r_hat"]}
     for name, labels in found["categories"].items():
         known = [entry["r_hat"] for entry in labels.values() if entry["r_hat"] is not None]
         worst[_titled(name)] = max(known, default=None)
-    apart = {name: r for name, r in worst.items() if r is not None and r > MIXED}
-    if not apart:
-        return []
-    listed = ", ".join(f"{name} {r:.2f}" for name, r in apart.items())
-    return [
-        f"The chains still depend on where they began: R-hat (1 where they have mixed) is {listed}."
-    ]
+    apart = [f"{name} {r:.2f}" for name, r in worst.items() if r is not None and r > MIXED]
+    if apart:
+        yield (
+            "The chains still depend on where they began: R-hat (1 where they have mixed) is "
+            f"{', '.join(apart)}."
+        )
 
 
-def _notes(found: Mapping[str, Any]) -> list[str]:
-    """Return what could not be looked at."""
+def _notes(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what could not be looked at."""
     draws = found["iterations"]
     if draws < MIN_DRAWS:
-        return [
+        yield (
             f"R-hat and effective sample sizes need {MIN_DRAWS} draws per particle; "
             f"there {'is' if draws == 1 else 'are'} {draws}."
-        ]
-    if draws < MIN_DRAWS_WITHIN and found["particles"] < MIN_CHAINS_BETWEEN:
-        return [
+        )
+    elif draws < MIN_DRAWS_WITHIN and found["particles"] < MIN_CHAINS_BETWEEN:
+        yield (
             f"Effective sample sizes need {MIN_DRAWS_WITHIN} draws per particle, or "
             f"{MIN_CHAINS_BETWEEN} particles."
-        ]
-    return []
+        )
 
 
-def _other_leaders(categories: Mapping[str, Any]) -> list[str]:
-    """Return for which agent the weighting puts another goal first than the draws do."""
-    sentences = []
+def _other_leaders(categories: Mapping[str, Any]) -> Iterator[str]:
+    """Yield for which agent the weighting puts another goal first than the draws do."""
     for name, goals in categories.items():
         if not name.startswith(_GOAL):
             continue
         agent = _agent(name)
         first = max(goals, key=lambda goal: goals[goal]["probability"])
         if goals[first]["share"] < max(entry["share"] for entry in goals.values()):
-            sentences.append(f"The weights put another goal of {agent} first, '{first}'.")
-    return sentences
+            yield f"The weights put another goal of {agent} first, '{first}'."
 
 
 _GOAL: Final = "goal_"  # begins the names of goals
@@ -240,9 +231,9 @@ def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [f"Not decided: {'; '.join(open_ones)}."] if open_ones else []
 
 
-def _by_prior(found: Mapping[str, Any]) -> list[str]:
-    """Return what is sure by the prior only, or less sure without it."""
-    signs, below = [], 0.0
+def _by_prior(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what is sure by the prior only, or less sure without it."""
+    below = 0.0
     for most, says in (
         (0.5, "The prior decides, not the video"),
         (ALONE, f"The video alone does not decide, which takes {ALONE}"),
@@ -258,32 +249,29 @@ def _by_prior(found: Mapping[str, Any]) -> list[str]:
         ]
         below = math.nextafter(most, 1)
         if names:
-            signs.append(
+            yield (
                 f"{says}: with all {_combined(found)} alike beforehand there would be "
                 f"{' and '.join(names)}."
             )
-    return signs
 
 
-def _untried_rivals(n: int) -> list[str]:
-    if not n:
-        return []
+def _untried_rivals(n: int) -> Iterator[str]:
     rivals, were = ("rival", "was") if n == 1 else ("rivals", "were")
-    return [
-        f"Not ruled out: {n} {rivals} of the leading goals, with which one agent wants the same "
-        f"thing at another landmark, {were} never simulated."
-    ]
+    if n:
+        yield (
+            f"Not ruled out: {n} {rivals} of the leading goals, with which one agent wants the "
+            f"same thing at another landmark, {were} never simulated."
+        )
 
 
-def _weighted(found: Mapping[str, Any]) -> list[str]:
+def _weighted(found: Mapping[str, Any]) -> Iterator[str]:
     if found["weights"] != "count":  # all simulations count, not the draws alone
-        return []
+        return
     ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
     text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
     margin = _margin(found)
     text += f" {margin}" if margin else ""
-    few = ": so few decide that another run may well differ." if ess < FEW else "."
-    return [text + few]
+    yield text + (": so few decide that another run may well differ." if ess < FEW else ".")
 
 
 def overlap_sign(frames: list[int]) -> str:
