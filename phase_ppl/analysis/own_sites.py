@@ -57,13 +57,7 @@ class Jackknives:
 
 
 class WithSites(Hypotheses):
-    """A table of hypotheses and values of the prior's further sites.
-
-    Args:
-        space, quantities, rows: as of :class:`Hypotheses`.
-        summed: whether it has all values, or draws of them.
-        errors: None where they are not known.
-    """
+    """A table of hypotheses and values of the prior's further sites: all (``summed``), or draws."""
 
     def __init__(
         self,
@@ -93,14 +87,7 @@ class WithSites(Hypotheses):
 def with_sites(
     prior: Callable[..., object], table: PairTable, frame: int, words: Vocabulary
 ) -> WithSites:
-    """Return the table of hypotheses at a frame with the further sites of the prior.
-
-    Args:
-        prior: of the posterior, with further sites.
-        table: of all hypotheses.
-        frame: the last that counts.
-        words: what one can ask of a hypothesis.
-    """
+    """Return the table of hypotheses with the further sites of the prior, given frames so far."""
     from phase_ppl.models import own_sites
 
     values = own_sites.enumerable(prior)
@@ -153,7 +140,7 @@ def _summed(
     quantities = dict(words.quantities)
     codes = np.unravel_index(value, [len(options) for _, options in values])
     for (name, options), chosen in zip(values, codes, strict=True):
-        quantities[name] = Quantity(name, tuple(map(_label, options)), tuple(options))
+        quantities[name] = Quantity(name, tuple(map("{:g}".format, options)), tuple(options))
         columns[name] = chosen
     of_hypotheses, *without = table.all_log_masses(frame)
     errors = _reweighted(weights, of_hypotheses, without, flat)
@@ -166,11 +153,7 @@ def _column(name: str, drawn: NDArray[Any], discrete: bool) -> tuple[Quantity, N
         return Quantity(name), drawn.astype(np.float64)
     occurring, codes = np.unique(drawn, return_inverse=True)
     options = tuple(occurring.tolist())
-    return Quantity(name, tuple(map(_label, options)), options), codes
-
-
-def _label(value: float) -> str:
-    return f"{value:g}"
+    return Quantity(name, tuple(map("{:g}".format, options)), options), codes
 
 
 def _reweighted(

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import json
+import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.definitions import Definition, defined
 from phase_ppl.analysis.diagnostics import overlapping_frames
-from phase_ppl.analysis.estimate import Jackknife
+from phase_ppl.analysis.estimate import Jackknife, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
@@ -232,19 +233,11 @@ class StepwisePosterior(EventPosterior):
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        at = self._like(self._found, frame, self._prior, self._table)
-        return at._defining(self.definitions)
-
-    def _like(
-        self,
-        found: xr.Dataset,
-        frame: int,
-        prior: Callable[..., object] | None,
-        table: Table | None = None,
-    ) -> StepwisePosterior:
-        return StepwisePosterior(
-            found, frame, prior=prior, scenario=self._words.scenario, table=table
+        found, scenario = self._found, self._words.scenario
+        at = StepwisePosterior(
+            found, frame, prior=self._prior, scenario=scenario, table=self._table
         )
+        return at._defining(self.definitions)
 
     @property
     def definitions(self) -> dict[str, Definition]:
@@ -266,7 +259,9 @@ class StepwisePosterior(EventPosterior):
             {name: (table.dimensions[name], values) for name, values in masses.items()}
         )
         found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}
-        return self._like(found, self._frame, prior)._defining(self.definitions)
+        scenario = self._words.scenario
+        changed = StepwisePosterior(found, self._frame, prior=prior, scenario=scenario)
+        return changed._defining(self.definitions)
 
     @property
     def tempering(self) -> str:
@@ -409,20 +404,14 @@ class StepwisePosterior(EventPosterior):
         except (QueryError, UnknownNameError):  # it may be about strengths, in a larger table
             wanted, other = self._sides(self._table.all_columns(), event, over)
             masses_at = self._table.all_log_masses
-        odds = np.empty(self._frame + 1)
-        without = np.full((self.planner_seeds, len(odds)), np.nan)
-
-        possible = False
+        log_odds, possible = np.empty((self._table.n_tables, self._frame + 1)), False
         for t in range(self._frame + 1):
             for place, mass in enumerate(masses_at(t)):
                 for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
-                possible |= bool(np.isfinite(for_it))
+                possible |= math.isfinite(for_it)
                 with np.errstate(invalid="ignore"):
-                    found = float(for_it - against)
-                if place:
-                    without[place - 1, t] = found
-                else:
-                    odds[t] = found
+                    log_odds[place, t] = for_it - against
+        odds, without = log_odds[0], log_odds[1:]
         if not np.isfinite(odds[0]):
             raise InvalidSettingError(
                 f"{over or f'not {event}' if possible else event} is impossible under the prior: "
@@ -519,7 +508,7 @@ class StepwisePosterior(EventPosterior):
         table = self._table
         if not isinstance(table, PolicyTable) or not table.sampled:
             return []
-        n = table.n_effective(self._frame)
+        n = worth(table.weights(self._frame)[0])
         words = (
             f"of {table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "
             f"{n:.0f} of equal weight: probabilities are Monte-Carlo means with standard errors of "

@@ -34,9 +34,7 @@ from phase_ppl.world.space import space_of
 STATED: Final = ("stated_goal_red", "stated_goal_green", "alpha")
 STRENGTHS: Final = ("strength_red", "strength_green")
 
-MOST_HYPOTHESES: Final = 500_000
-"""Hypotheses that are summed over; of more, so many are drawn."""
-
+MOST_HYPOTHESES: Final = 500_000  # hypotheses that are summed over; of more, so many are drawn
 _FROM_PRIOR: Final = 0.1  # share of goals that are drawn from the prior
 _GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
 
@@ -415,11 +413,6 @@ class PolicyTable(Table):
                 with np.errstate(divide="ignore", invalid="ignore"):
                     mass = mass * np.nan_to_num(prior[agent] / now)[place[:, agent]]
         return np.asarray(mass / mass.sum())[None]
-
-    def n_effective(self, frame: int) -> float:
-        """Return of how many independent draws the masses at a frame are worth."""
-        weights = self.weights(frame)[0]
-        return float(1 / (weights**2).sum())
 
     def _so_far(self, frame: int) -> FloatArray:
         if self._at > frame or self._at < 0:

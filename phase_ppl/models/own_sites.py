@@ -26,14 +26,11 @@ from phase_ppl.world.arrays import FloatArray
 
 _PRIORS_KEPT: Final = 8
 
-MOST_VALUES: Final = 64
-"""Combinations of values of further sites up to which all are summed over."""
-
+MOST_VALUES: Final = 64  # combinations of values of further sites up to which all are summed over
 _MOST_TOGETHER: Final = 8
 """Likewise where strengths depend on other sites, so that tables are large."""
 
-Values = tuple[tuple[str, tuple[float, ...]], ...]
-"""Sites with all the values that each can take."""
+Values = tuple[tuple[str, tuple[float, ...]], ...]  # sites with all the values that each can take
 
 
 class Site(NamedTuple):
@@ -92,7 +89,7 @@ def drawn_beside(
     levels: FloatArray,
     seed: int,
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
-    """Return draws of the further sites beside hypotheses, and the log weights of the pairs.
+    """Return (row,) draws of the further sites beside hypotheses, and log weights of the pairs.
 
     A further site is drawn given the sites before it in the program; a pair weighs by how probable
     the sites after it are, over what they are without it. So weighted, pairs follow the prior's
@@ -105,9 +102,6 @@ def drawn_beside(
         places: of the rows in that table.
         levels: (n,) of strength, each of which stands for its cell.
         seed: the same seed gives the same draws.
-
-    Returns:
-        site -> (row,) values, and (row,) log weights.
     """
     n = len(places[0])
     given: dict[str, NDArray[Any]] = {
