@@ -48,9 +48,7 @@ _TIME_NAMES: Final = {
 }
 
 _SPEED_MARKS: Final = {"mean": ("mean", "o"), "p99": ("99 %", "|"), "max": ("most", "o")}
-_SPEED_TEXT: Final = SPEED_EDGES[-1] + 7.0
-"""Where the columns of numbers begin, units/s."""
-
+_SPEED_TEXT: Final = SPEED_EDGES[-1] + 7.0  # where the columns of numbers begin, units/s
 _FEW: Final = 6  # goals that are about no landmark; of more, those that occur are drawn
 
 _ROW: Final = 3.2  # height of a row of panels, inches

@@ -42,9 +42,7 @@ NAMES: Final = {
 _BEST: Final = "#d55e00"
 _PALE: Final = "#7d93ad"
 _MOST_BINS: Final = 20
-_FEW: Final = len(COLOURS)
-"""Chains that have a colour each."""
-
+_FEW: Final = len(COLOURS)  # chains that have a colour each
 _MOST_LINES: Final = 60  # rows of a map, at most, that lines keep apart
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 import os
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -40,8 +39,7 @@ if TYPE_CHECKING:
 _LINES: Final = 5  # lines of a panel; what else there is, is one more
 _SEEN: Final = 0.1  # probability that a goal must reach at some time to have a line
 _RELATION_COLOURS: Final = dict(zip(RELATIONS, ("#009e73", GREY, "#d55e00"), strict=True))
-_LINE_HEIGHT: Final = 0.095
-"""Of a label, as a share of a panel's height."""
+_LINE_HEIGHT: Final = 0.095  # of a label, as a share of a panel's height
 
 _NOTES: Final = {
     "hindsight": "Hindsight, not belief at the time: hypotheses proposed from the whole video, "
@@ -50,8 +48,7 @@ _NOTES: Final = {
 }
 
 _STILLS: Final = 5
-_APART: Final = 4
-"""Frames between two stills, at least."""
+_APART: Final = 4  # frames between two stills, at least
 
 
 @figure_of(Posterior, StepwisePosterior)
@@ -73,7 +70,7 @@ def over_time(
     n_panels = len(post.goals_of) + len(post.relations_of)
     note = next(words for kind, words in _NOTES.items() if kind in found.attrs)
     figure = new_figure(7.5, 2.2 * max(n_panels, 2), post.event_id, note)
-    shown = {name: _leading(found[name]) for name in post.goals_of.values()}
+    shown = {name: _leading(found[name], _LINES, _SEEN) for name in post.goals_of.values()}
     goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
     # of more goals than colours some share theirs: labels stand beside the lines
     colours = dict(zip(goals, itertools.cycle(MANY_COLOURS), strict=False)) | _RELATION_COLOURS
@@ -87,12 +84,12 @@ def over_time(
     return written(figure, path)
 
 
-def _leading(marginal: xr.DataArray) -> list[str]:
-    """Return the labels that are ever probable, the highest at any time first, at most five."""
+def _leading(marginal: xr.DataArray, n: int, least: float = 0.0) -> list[str]:
+    """Return the ``n`` labels that are the most probable at any time, the highest first."""
     peak = marginal.max("time").values
-    order = np.argsort(-peak, kind="stable")[:_LINES]
+    order = np.argsort(-peak, kind="stable")[:n]
     labels = marginal[f"{marginal.name}_is"].values
-    return [str(labels[i]) for i in order if peak[i] >= _SEEN]
+    return [str(labels[i]) for i in order if peak[i] >= least]
 
 
 def _panel(
@@ -201,7 +198,11 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
 
     found, named = post.over_time(), titles(post)
     n = _GOALS // max(2, len(post.goals_of))
-    shown = {name: _ever_leading(found[name], n) for name in post.goals_of.values()}
+    shown: dict[str, list[str]] = {}
+    for name in post.goals_of.values():
+        last = found[name][-1]
+        goals = _leading(found[name], n)
+        shown[name] = sorted(goals, key=lambda goal: -float(last.sel({f"{name}_is": goal})))
     shown |= {key: list(RELATIONS) for key in post.relations_of.values()}
     colours = {
         name: line_colour(post.scene.world, i) for i, name in enumerate(post.goals_of.values())
@@ -234,11 +235,3 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
         return side_by_side([panel(painter.draw(poses[index])), beside])
 
     return film(draw, len(poses), path)
-
-
-def _ever_leading(marginal: xr.DataArray, n: int) -> Sequence[str]:
-    """Return the labels that are the most probable at any time, the first in the end first."""
-    labels = marginal[f"{marginal.name}_is"].values
-    peak, last = marginal.max("time").values, marginal.values[-1]
-    order = np.argsort(-peak, kind="stable")[:n]
-    return [str(labels[i]) for i in sorted(order, key=lambda i: -last[i])]

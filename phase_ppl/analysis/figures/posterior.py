@@ -45,9 +45,7 @@ _ALONE: Final = ("relation", "scenario")  # need not be named beside their label
 _DASHED: Final = (0, (3.2, 1.8))
 _N_GOALS_SHOWN: Final = 6
 _SIDE_BY_SIDE: Final = 3
-_MOVED: Final = 0.05
-"""Extent of a track, units, from which on it is drawn."""
-
+_MOVED: Final = 0.05  # extent of a track, units, from which on it is drawn
 _ROOM_FOR_NAMES: Final = 1.3
 """Strip above and below the arena that holds the landmarks' names, units."""
 
