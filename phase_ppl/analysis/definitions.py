@@ -18,11 +18,8 @@ from phase_ppl.analysis.query import conditions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.files import existing_file
 
-Function = Callable[["Named"], bool | int | float | str]
-"""(hypothesis in plain names) -> its value."""
-
-Definition = Function | str
-"""A function, or conditions in words, which hold or do not."""
+Function = Callable[["Named"], bool | int | float | str]  # (hypothesis in plain names) -> its value
+Definition = Function | str  # a function, or conditions in words, which hold or do not
 
 RESERVED_QUANTITIES: Final = frozenset(
     ("given", "self", "weight", "chain", "draw", "simulation", "error", "bound", "probability")

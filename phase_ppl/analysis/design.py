@@ -32,9 +32,7 @@ from phase_ppl.world.picture import preformatted
 
 SCHEMA: Final = "phase-ppl-design-1"
 
-LAPSE: Final = 0.05
-"""Probability of an answer at random, so that no answer is impossible."""
-
+LAPSE: Final = 0.05  # probability of an answer at random, so that no answer is impossible
 DRAWS: Final = 4000  # of a model and its answers about all events, for information of several
 _CHOOSING, _ESTIMATING = slice(0, None, 2), slice(1, None, 2)
 _OUTCOMES: Final = 2000  # counts of answers up to which all are summed over
@@ -182,9 +180,7 @@ class Design:
     def _expected(self, logs: FloatArray, which: slice = slice(None)) -> FloatArray:
         """Return information (...), its error, and how often the right model leads.
 
-        Args:
-            logs: (draw, ..., model) log likelihoods.
-            which: of the draws to take.
+        Of log likelihoods (draw, ..., model) in some of the draws.
         """
         log_joint = logs[which] + np.log(self.prior)
         best = log_joint.max(axis=-1, keepdims=True)

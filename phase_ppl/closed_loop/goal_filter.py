@@ -329,9 +329,11 @@ def frame_log_likelihood(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the log likelihoods of the next frame given those before it.
 
-    Policies are means over the sets of searches. Where there is only the first set, its result is
-    moved by as much as the others moved that of the wanted pairs: a log of fewer searches is lower
-    in the mean, which would speak against whoever is improbable already.
+    (goal_red, goal_green) with all sets of searches, and (set, goal_red, goal_green) without each.
+
+    Policies are means over the sets. Where there is only the first, its result is moved by as much
+    as the others moved that of the wanted pairs: a log of fewer searches is lower in the mean,
+    which would speak against whoever is improbable already.
 
     Args:
         looked: (set, agent) what the planners make of the moment.
@@ -339,9 +341,6 @@ def frame_log_likelihood(
         relative: (A, A) density of the frame after every pair of actions.
         log_mass: (goal_red, goal_green) before the frame.
         conduct: how agents act on their plans.
-
-    Returns:
-        (goal_red, goal_green) with all sets, and (set, goal_red, goal_green) without each.
     """
     n = len(looked)
     # (set, agent, goal_red, goal_green, action), 0 where there is no intent

@@ -104,8 +104,7 @@ _WANTED: Final[dict[str, Any]] = {
 
 def compiled_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return ``jax.jit(function)``, compiled as fast as possible."""
-    compiled: Callable[..., Any] = jax.jit(function, compiler_options=_known_options())
-    return compiled
+    return jax.jit(function, compiler_options=_known_options())
 
 
 @functools.cache

@@ -178,13 +178,9 @@ def prior_table(
     continuous prior is integrated over them (:func:`nodes_of`): roughly, at ``_NODES`` strengths a
     cell, only where goals, alpha or further sites decide how strengths are distributed.
 
-    Args:
-        prior: NumPyro program over the hypothesis sites.
-        levels: (n,) of strength, newtons, ascending.
-        own: further sites of the prior, with all the values that each can take.
-
-    Returns:
-        (stated_goal_red, stated_goal_green, alpha, *own, strength_red, strength_green).
+    Dimensions are (stated_goal_red, stated_goal_green, alpha, *own, strength_red, strength_green).
+    Levels of strength are in newtons, ascending; ``own`` are further sites of the prior, with all
+    the values that each can take.
     """
     strengths = np.array(levels)
     trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
@@ -238,7 +234,7 @@ def nodes_of(
         found: the distribution of a strength.
         ends: (cell + 1,) the bounds of cells, newtons, ascending.
         of_example: nodes in a cell where ``found`` is but an example of a distribution that depends
-            on other sites, whose support and density may be others; None: it depends on none.
+            on other sites; None: it depends on none.
     """
     if found.support.is_discrete:
         values = np.asarray(found.enumerate_support(expand=False), np.float64).ravel()

@@ -60,8 +60,7 @@ class InNats:
 
     def log_prob(self, errors: _Array) -> _Array:
         """Return the log density of each frame, up to a constant."""
-        result: _Array = -errors  # type: ignore[operator]
-        return result
+        return -errors  # type: ignore[operator]
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
         """Return the summed error at which the log density is ``log_floor``."""
@@ -99,14 +98,12 @@ class RadialLikelihood:
 
     def log_prob(self, errors: _Array) -> _Array:
         """Return the log density of each frame from its error, units; -inf for an infinite one."""
-        result: _Array = -self.beta * errors - _log_normaliser(self.beta, self.n_coordinates)  # type: ignore[operator,assignment]
-        return result
+        return -self.beta * errors - _log_normaliser(self.beta, self.n_coordinates)  # type: ignore[operator,return-value]
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
         """Return the summed error at which the log density of all frames is ``log_floor``."""
         spent = n_frames * _log_normaliser(self.beta, self.n_coordinates)
-        result: _Array = -(log_floor + spent) / self.beta  # type: ignore[operator,assignment]
-        return result
+        return -(log_floor + spent) / self.beta  # type: ignore[operator,return-value]
 
     def replicate(
         self, positions: NDArray[np.floating[Any]], rng: np.random.Generator
@@ -123,5 +120,4 @@ class RadialLikelihood:
         direction = rng.standard_normal(positions.shape)
         direction /= np.linalg.norm(direction, axis=(-2, -1), keepdims=True)
         length = rng.gamma(self.n_coordinates, 1 / self.beta, positions.shape[:-2])
-        noise: NDArray[np.float64] = positions + direction * length[..., None, None]
-        return noise
+        return positions + direction * length[..., None, None]

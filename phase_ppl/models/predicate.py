@@ -26,7 +26,7 @@ from phase_ppl.agents.operators import TOUCH_COST, Node, Step, moves, plan
 from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.dataset.motion import HELD_WITHIN, items_held
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Observation
@@ -35,8 +35,6 @@ from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, poss
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, STRENGTH
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.scene import Scene
-
-Flags = NDArray[np.bool_]
 
 FACTOR: Final = 3.0
 """By how much wider ON, and TOUCH of items, are here than where SIMPLE's planner is done with them:
@@ -99,7 +97,7 @@ def symbolic_trajectory(
     ]
 
 
-def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
+def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> BoolArray:
     """Return (time, agent, entity)."""
     n, place, angle = len(scene.world.agents), trajectory[..., :2], trajectory[:, :, 2]
     agents, items = place[:, :n], place[:, n:]
@@ -535,7 +533,7 @@ def _log_prior_of_pairs(name: str) -> FloatArray:
     prior = np.where(red[:, None] & green, weights, 0.0)
     prior /= prior.sum()
     with np.errstate(divide="ignore"):
-        log_prior: FloatArray = np.log(prior)
+        log_prior = np.log(prior)
     log_prior.flags.writeable = False
     return log_prior
 
@@ -547,5 +545,4 @@ def _of_simple(name: str) -> FloatArray:
     pairs = np.argwhere(np.ones((N_GOALS, N_GOALS)))
     strengths = dict.fromkeys(("strength_red", "strength_green"), np.full(len(pairs), STRENGTH))
     log_prior = log_prior_of_effective(priors.named(name), pairs, strengths)
-    prior: FloatArray = np.exp(log_prior - log_prior.max()).reshape(N_GOALS, N_GOALS)
-    return prior
+    return np.exp(log_prior - log_prior.max()).reshape(N_GOALS, N_GOALS)

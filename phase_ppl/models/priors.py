@@ -69,9 +69,6 @@ PRIORS: Final = Registry[Program]("prior", entry_points="phase_ppl.priors")
 def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     """Return a decorator that makes a prior known under ``name``, as in ``Model(prior=name)``.
 
-    Args:
-        name: under which it is asked for, in a terminal too.
-
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
@@ -202,11 +199,9 @@ def correlated_strengths() -> None:
 
 
 class _UniformAlong(dist.Distribution):
-    """Strength of one agent given the other's: the conditional of a Gaussian copula.
+    """Strength of one agent given the other's, newtons: the conditional of a Gaussian copula.
 
-    Args:
-        other: the other's strength, newtons.
-        correlation: of the normal scores of both.
+    The correlation is of the normal scores of both.
     """
 
     support = constraints.interval(*STRENGTH_RANGE)
@@ -222,7 +217,6 @@ class _UniformAlong(dist.Distribution):
         return dist.Normal(self.correlation * _normal_score(self.other), spread)
 
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Draw strengths."""
         scores = self._scores()
         shape = sample_shape + self.batch_shape
         drawn = scores.loc + scores.scale * random.normal(key, shape)
@@ -234,10 +228,7 @@ class _UniformAlong(dist.Distribution):
         """Return the log density of a strength inside the interval, per newton."""
         score = _normal_score(value)
         low, high = STRENGTH_RANGE
-        result: jax.Array = (
-            self._scores().log_prob(score) - dist.Normal().log_prob(score) - np.log(high - low)
-        )
-        return result
+        return self._scores().log_prob(score) - dist.Normal().log_prob(score) - np.log(high - low)
 
 
 def _normal_score(strength: jax.Array) -> jax.Array:

@@ -13,13 +13,7 @@ from jax import random
 from numpyro import handlers
 
 from phase_ppl.models.bridge import request_errors
-from phase_ppl.models.density import (
-    Sites,
-    draw,
-    latent_sites,
-    log_density,
-    trace_log_density,
-)
+from phase_ppl.models.density import Sites, draw, latent_sites, log_density, trace_log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.world_prior import space_of_prior
 from phase_ppl.world.event import Observation
@@ -41,9 +35,8 @@ class EventProgram:
         bridge: handle of the :class:`~phase_ppl.models.bridge.SimulatorBridge` that simulates.
         n_frames: length of the arrays (time,).
         salt: stands for the event where ``noise="fixed"``; see :func:`event_salt`.
-        observed: length T of the observation, where the arrays are longer, so that one compiled
-            program serves all lengths; perhaps known only inside compiled code. Errors and log
-            likelihoods of frames beyond it are 0.
+        observed: length T of the observation, perhaps known only inside compiled code, where the
+            arrays are longer; errors and log likelihoods of frames beyond it are 0.
     """
 
     def __init__(

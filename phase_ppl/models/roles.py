@@ -55,12 +55,7 @@ def goals(world: World) -> None:
 
 
 def company(world: World, social: float = SOCIAL) -> None:
-    """Sample who helps or hinders whom.
-
-    Args:
-        world: whose agents.
-        social: probability that any does; all ways are alike then.
-    """
+    """Sample who helps or hinders whom: anybody with probability ``social``, all ways alike."""
     n = len(hypothesis.all_ways(len(world.agents)))
     probs = [1.0 - social, *[social / (n - 1)] * (n - 1)] if n > 1 else [1.0]
     numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.array(probs)))
@@ -85,8 +80,8 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
     Args:
         world: whose agents and goals.
         seed: the same seed gives the same roles.
-        prior: NumPyro program of a world, or a ready-made one. Drawn is from what it says of roles
-            in which whoever helps or hinders has something to do.
+        prior: NumPyro program of a world, or a ready-made one. Roles in which somebody helps or
+            hinders and has nothing to do are not drawn.
 
     Raises:
         InvalidSettingError: it gives (nearly) all mass to others.
@@ -157,11 +152,7 @@ class Masses(NamedTuple):
 
 
 def masses(prior: Callable[..., object], world: World) -> Masses:
-    """Return the masses that a prior gives to goals and to ways to help or hinder.
-
-    Args:
-        prior: NumPyro program of a world, or a ready-made one.
-        world: whose agents and goals.
+    """Return the masses that a prior gives to goals and to ways to help or hinder in a world.
 
     Raises:
         InvalidSettingError: it is of PHASE only, cannot be run, lacks a site, or has some that are
@@ -224,12 +215,7 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
 
 
 def log_strengths(prior: Masses, world: World, levels: tuple[float, ...]) -> FloatArray:
-    """Return (agent, level) log prior masses of strengths.
-
-    Args:
-        prior: its masses.
-        world: whose agents.
-        levels: newtons, ascending; each stands for those nearest to it.
+    """Return (agent, level) log prior masses of strengths, each level [N] for those nearest to it.
 
     Raises:
         InvalidSettingError: strengths are all beyond the levels.

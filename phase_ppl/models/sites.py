@@ -138,19 +138,14 @@ class OneOf(dist.Distribution):
         return _OneOf(self.values, self.logits > _MASSLESS)
 
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Draw values."""
         return self.values[random.categorical(key, self.logits, shape=sample_shape)]
 
     def log_prob(self, value: Any) -> jax.Array:
         """Return the log probability of a value; -inf where it is none of them."""
         same = jnp.asarray(value)[..., None] == self.values
-        result: jax.Array = logsumexp(
-            jnp.where(same, jax.nn.log_softmax(self.logits), -jnp.inf), axis=-1
-        )
-        return result
+        return logsumexp(jnp.where(same, jax.nn.log_softmax(self.logits), -jnp.inf), axis=-1)
 
     def enumerate_support(self, expand: bool = True) -> jax.Array:
-        """Return (k,) the values."""
         return self.values
 
 

@@ -29,16 +29,10 @@ _PRIORS_KEPT: Final = 8
 
 @dataclasses.dataclass(frozen=True)
 class WorldPrior:
-    """A NumPyro program of a world (:mod:`phase_ppl.models.roles`), bound to one.
+    """A NumPyro program of a world (:mod:`phase_ppl.models.roles`), bound to one."""
 
-    Attributes:
-        given: what the user gave: a program of a world, or a ready-made prior of PHASE.
-        program: the program of a world that it stands for.
-        world: whose agents and goals.
-    """
-
-    given: Callable[..., Any]
-    program: Callable[[World], Any]
+    given: Callable[..., Any]  # by the user: a program of a world, or a ready-made prior of PHASE
+    program: Callable[[World], Any]  # that it stands for
     world: World
 
     def __call__(self) -> None:
