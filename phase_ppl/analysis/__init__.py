@@ -6,11 +6,11 @@ Numbers, each built on those before it:
 * ``weights``: from draws to a weighted table of hypotheses, on the video or ever more of it.
 * ``estimate``: statistics of such a table with their errors; ``query``: questions in words;
   ``definitions``: quantities of one's own.
-* ``hypotheses``: what one can ask a table; ``posterior`` and ``stepwise_posterior`` (with
-  ``stepwise_table``) are such tables, which print themselves by means of ``summary``.
+* ``hypotheses``: what one can ask a table; ``event_posterior``: what is asked of an event, and
+  ``what_if``; ``posterior`` and ``stepwise_posterior`` (with ``stepwise_table``) are such tables.
 * ``comparison``: posteriors against a reference and each other; ``data_table``: statistics of a set
   of events beside another's.
 
-``diagnostics`` says how chains went, ``convergence`` if they mixed, ``verdict`` whether they can be
-trusted; ``_arviz`` hands draws to ArviZ. ``plots`` lists the figures, which are in ``figures/``.
+``diagnostics`` says how chains went, ``verdict`` whether they can be trusted; ``_arviz`` has draws
+for ArviZ. ``plots`` lists the figures, which are in ``figures/``.
 """

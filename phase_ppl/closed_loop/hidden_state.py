@@ -332,12 +332,11 @@ class HiddenState:
         held = np.empty((n, self._n_agents), np.int64)
         weld = np.empty((n, self._n_agents, 3))
         done = np.column_stack(np.unravel_index(joint, (N_ACTIONS,) * self._n_agents))
-        params, scratch, trial = self._spaces[0]
         inverse.follow(
-            *(beam.bodies, beam.held, beam.weld, self.combinations[beam.combination]),
-            *(parents.astype(np.int64), done.astype(np.int64), observed, gains),
-            *(params, scratch, trial, bodies, held, weld),
-        )
+            beam.bodies, beam.held, beam.weld, self.combinations[beam.combination],
+            parents.astype(np.int64), done.astype(np.int64), observed, gains,
+            *self._spaces[0], bodies, held, weld,
+        )  # fmt: skip
         combination = beam.combination[parents]
         rows, mass = self._merged(bodies, held, combination, flat.ravel()[chosen])
         combination = combination[rows]
