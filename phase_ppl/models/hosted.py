@@ -50,11 +50,6 @@ def folder() -> Path | None:
     return None if config.jax_compilation_cache_dir else cache_folder()
 
 
-def code_name(lowered: jax.stages.Lowered) -> str:
-    """Return what identifies a compiled program: what it computes, and for what machine."""
-    return _hash(lowered.as_text())
-
-
 def outline_name(identity: str) -> str | None:
     """Return what identifies the making of a program: what is said of it, and all code.
 
@@ -87,12 +82,6 @@ def read_code(name: str, n_inputs: int, n_outputs: int) -> Callable[..., Any] | 
             execution_devices=jax.local_devices(backend="cpu")[:1],
         ),
     )
-
-
-def write_code(name: str, compiled: jax.stages.Compiled) -> None:
-    """Keep a compiled program, where it can be serialised and written."""
-    with contextlib.suppress(NotImplementedError, ValueError):
-        _write(name, serialize_executable.serialize(compiled)[0])
 
 
 def read_outline(name: str) -> Any:
@@ -230,11 +219,12 @@ class Hosted:
             if request is not None:
                 (errors,) = numbered(request.outvars)
                 after = errors, tuple(map(one, request.invars)), request.params
-            code = code_name(lowered)
+            code = _hash(lowered.as_text())  # what it computes, and for what machine
             pieces.append(_Piece(code, numbered(inputs), numbered(outputs), after))
             if (compiled := read_code(code, len(inputs), len(outputs))) is None:
                 compiled = lowered.compile()
-                write_code(code, compiled)
+                with contextlib.suppress(NotImplementedError, ValueError):  # not to be serialised
+                    _write(code, serialize_executable.serialize(compiled)[0])
             codes.append(compiled)
         variables = program.jaxpr.constvars
         constants = map(_plain, program.consts, variables)

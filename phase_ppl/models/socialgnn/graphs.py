@@ -144,15 +144,13 @@ def contacts(scene: Scene, observation: Observation) -> NDArray[np.bool_]:
     n = len(ENTITIES)
     found = np.zeros((observation.n_frames, n, n), np.bool_)
     places, radius = observation.positions, scene.radius
-    for one in range(n):
-        for other in range(one + 1, n):
-            apart = np.linalg.norm(places[:, one] - places[:, other], axis=1)
-            reach = TOUCH_ENLARGEMENT * _LONGEST_REACH * (radius[one] + radius[other])
-            for frame in np.flatnonzero(apart < reach):
-                poses = observation.trajectory[frame]
-                found[frame, one, other] = found[frame, other, one] = touches(
-                    one, other, poses, radius
-                ) or touches(other, one, poses, radius)
+    for one, other in itertools.combinations(range(n), 2):
+        apart = np.linalg.norm(places[:, one] - places[:, other], axis=1)
+        reach = TOUCH_ENLARGEMENT * _LONGEST_REACH * (radius[one] + radius[other])
+        for frame in np.flatnonzero(apart < reach):
+            poses = observation.trajectory[frame]
+            touch = touches(one, other, poses, radius) or touches(other, one, poses, radius)
+            found[frame, [one, other], [other, one]] = touch
     return found
 
 
@@ -263,10 +261,9 @@ class Examples:
 
     def __call__(self, event: int, look: int = AS_IT_IS) -> Example:
         """Return an event in one of :data:`LOOKS`."""
-        key = event, look
-        if key not in self._made:
-            self._made[key] = self._make(event, LOOKS[look])
-        return self._made[key]
+        if (event, look) not in self._made:
+            self._made[event, look] = self._make(event, LOOKS[look])
+        return self._made[event, look]
 
     def _make(self, event: int, look: Look) -> Example:
         seen = self._recordings[event]

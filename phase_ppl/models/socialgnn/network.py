@@ -56,8 +56,8 @@ class SocialGNN(nn.Module):
         made = shapes(variant)
         self.nodes = n_nodes(variant)
         self.register_buffer("slots", torch.from_numpy(edge_slots(variant)), persistent=False)
-        self.edge = _linear(made["edge.weight"])
-        self.node = _linear(made["node.weight"]) if "node.weight" in made else None
+        self.edge = nn.Linear(*made["edge.weight"][::-1])
+        self.node = nn.Linear(*made["node.weight"][::-1]) if "node.weight" in made else None
         units, wide = made["lstm.weight_ih_l0"]
         self.lstm = nn.LSTM(wide, units // 4, batch_first=True)
         self.heads = nn.ModuleDict(
@@ -97,10 +97,6 @@ class SocialGNN(nn.Module):
         edges = self.edge(torch.cat(parts, dim=1)).relu()
         arrived = flat.new_zeros(len(flat), edges.shape[1]).index_add(0, receiver, edges)
         return self.node(torch.cat([flat, arrived], dim=1)).relu().view(len(nodes), -1)
-
-
-def _linear(shape: tuple[int, ...]) -> nn.Linear:
-    return nn.Linear(shape[1], shape[0])
 
 
 # --- what trained networks say of an event. Importing this module needs PyTorch -------------------
@@ -235,16 +231,14 @@ class _Fit:
             examples = [self.training(int(event), int(looks[event])) for event in chosen]
             said = self.network(batch([example.graphs for example in examples]))
             found = loss(said, examples, self.weights)
+            squared_norm = sum((values**2).sum() for values in self.network.parameters())
             self.optimizer.zero_grad()
-            (found + self.settings.decay * self._squared_norm()).backward()
+            (found + self.settings.decay * squared_norm).backward()
             if self.settings.patience:
                 torch.nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_STEP)
             self.optimizer.step()
             losses.append(found.item() * len(chosen))
         return sum(losses) / n
-
-    def _squared_norm(self) -> Any:
-        return sum((values**2).sum() for values in self.network.parameters())
 
     def _validate(self) -> dict[str, float]:
         self.network.eval()
