@@ -35,11 +35,8 @@ if TYPE_CHECKING:
 class EventPosterior(Hypotheses):
     """What posteriors that were sampled and those read step by step have in common.
 
-    Args:
-        words: what one can ask for, in the event's world.
-        attrs: of the file.
-        constant: its variables that tell of the scene.
-        quantities, rows, groups, halves: as of :class:`Hypotheses`.
+    Beside what :class:`Hypotheses` takes it is told what one can ask for in the event's world
+    (``words``), the attributes of the file, and its variables that tell of the scene.
     """
 
     def __init__(

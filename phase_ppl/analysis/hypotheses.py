@@ -38,9 +38,7 @@ if TYPE_CHECKING:
 Given: TypeAlias = Mapping[str, Any] | str | Conditions | None
 """What to condition on: quantity -> value, or conditions in words; None: nothing."""
 
-KEPT_DEFINITIONS: Final = "definitions"
-"""Attribute of a file that holds definitions in words, JSON."""
-
+KEPT_DEFINITIONS: Final = "definitions"  # attribute of a file that holds definitions in words, JSON
 HDI_PROBABILITY: Final = 0.94  # mass of the intervals that summaries report
 N_TOP: Final = 3  # number of labels that ``top`` returns where nothing else is asked for
 
@@ -247,10 +245,8 @@ class Hypotheses:
     def top(self, name: str, n: int = N_TOP, *, given: Given = None) -> list[tuple[str, Estimate]]:
         """Return the ``n`` (from 1) most probable labels of a quantity, ties in label order."""
         n = whole_number("n", n)
-        marginal = self.marginal(name, given=given)
-        order = np.argsort(-marginal.values, kind="stable")[:n]
-        labels, errors = marginal[name].values, marginal["error"].values
-        return [(str(labels[i]), Estimate(marginal.values[i], errors[i])) for i in order]
+        found = _estimates(self.marginal(name, given=given))
+        return sorted(found, key=lambda entry: -entry[1])[:n]
 
     def mode(self, name: str, *, given: Given = None) -> Mode:
         """Return the most probable label of a quantity, the first in label order of equals.
@@ -435,33 +431,18 @@ class Hypotheses:
     def _answers(self) -> dict[str, Any]:
         """Return what summaries have of goals, relation, scenario and strengths, with errors."""
         others = (*self.relations_of.values(), *self.scenarios_of.values())
-        names = (*self.goals_of.values(), *others)
-        tables = {name: self.marginal(name) for name in names}
-        numbers = {
-            agent: {"mean": self.mean(name), "sd": self.sd(name), "hdi": self.hdi(name)}
-            for agent, name in self.strengths_of.items()
+        strengths = {}
+        for agent, name in self.strengths_of.items():
+            (_, low), (_, high) = _estimates(self.hdi(name))
+            numbers = {"mean": self.mean(name), "sd": self.sd(name)}
+            strengths[agent] = {**numbers, "hdi_low": low, "hdi_high": high}
+        goals = {a: dict(_estimates(self.marginal(name))) for a, name in self.goals_of.items()}
+        found: dict[str, Any] = {
+            "goals": goals,
+            **{name: dict(_estimates(self.marginal(name))) for name in others},
+            "strengths": strengths,
         }
-
-        def told(part: Callable[[Any], Any]) -> dict[str, Any]:
-            """Return a part of all results: their values, or their errors."""
-            found = {
-                name: dict(
-                    zip(table[name].values.tolist(), part(table).values.tolist(), strict=True)
-                )
-                for name, table in tables.items()
-            }
-            strengths = {}
-            for agent, results in numbers.items():
-                low, high = part(results["hdi"]).values.tolist()
-                mean, sd = (float(part(results[name])) for name in ("mean", "sd"))
-                strengths[agent] = {"mean": mean, "sd": sd, "hdi_low": low, "hdi_high": high}
-            return {
-                "goals": {agent: found[name] for agent, name in self.goals_of.items()},
-                **{name: found[name] for name in others},
-                "strengths": strengths,
-            }
-
-        return {**told(lambda result: result), "errors": told(lambda result: result.error)}
+        return {**_of_each(found, float), "errors": _of_each(found, lambda one: one.error)}
 
     def _answer_lines(self) -> list[str]:
         """Return the lines of a table about goals, relation, scenario and strengths."""
@@ -612,6 +593,21 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
         if name in names[:place]:
             raise InvalidSettingError(f"{name!r} is named twice: expected different quantities")
     return names
+
+
+def _estimates(found: xr.DataArray) -> list[tuple[str, Estimate]]:
+    """Return labels and values with their errors, of an array with one dimension."""
+    columns = (found[found.dims[0]].values, found.values, found["error"].values)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return [(label, Estimate(value, error)) for label, value, error in rows]
+
+
+def _of_each(found: Mapping[str, Any], part: Callable[[Estimate], float]) -> dict[str, Any]:
+    """Return a part of every estimate in nested dictionaries."""
+    return {
+        name: _of_each(one, part) if isinstance(one, dict) else part(one)
+        for name, one in found.items()
+    }
 
 
 def _clause(quantity: Quantity, wanted: object) -> Clause:

@@ -113,8 +113,7 @@ class Query(NamedTuple):
     given_at: int
 
 
-Columns: TypeAlias = Mapping[str, NDArray[Any]]
-"""Quantity -> (row,) codes or numbers."""
+Columns: TypeAlias = Mapping[str, NDArray[Any]]  # quantity -> (row,) codes or numbers
 
 
 class Clause(NamedTuple):
