@@ -54,6 +54,9 @@ VALUES: Final[Mapping[str, Mapping[str, str]]] = {
 }
 """Heading -> name of a value -> label."""
 
+# heading -> digits after the point; of others 2
+_DIGITS: Final = {"duration [frames]": 0, "speed of agents [units/s], by strength": 1}
+
 
 class Row(NamedTuple):
     """One figure of two sets.
@@ -194,11 +197,8 @@ def other_text(row: Row) -> str:
 
 def number(value: float, row: Row) -> str:
     """Return a figure of a row as it is printed."""
-    if row.n is not None or row.heading == "share of time" or row.key == "untrimmed":
-        return f"{value:.2f}"
-    if row.heading.startswith("duration"):
-        return f"{value:.0f}"
-    return f"{value:.2f}" if row.heading.startswith("step") else f"{value:.1f}"
+    digits = 2 if row.key == "untrimmed" else _DIGITS.get(row.heading, 2)
+    return f"{value:.{digits}f}"
 
 
 class GoalGrid(NamedTuple):

@@ -20,6 +20,7 @@ from phase_ppl.analysis.tree import (
     effective_goals,
     kept_scene,
     log_weight_of_draws,
+    own_sites,
     prior_of_goals,
     space_of_tree,
     untried,
@@ -226,15 +227,11 @@ def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> boo
 def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:
     """Return the real quantities of the draws, (chain, draw), a user's own sites last."""
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
-    space = space_of_tree(tree)
-    own = [
-        str(name)
-        for name, variable in posterior.data_vars.items()
-        if name not in space.columns and variable.ndim == 2 and variable.dtype.kind == "f"
-    ]
+    own = [name for name in own_sites(tree) if posterior[name].dtype.kind == "f"]
+    names = (*space_of_tree(tree).strength_sites, *own)
     return {
         **{name: stats[name].values.astype(float) for name in ("log_joint", "total_error")},
-        **{n: posterior[n].values.astype(float) for n in (*space.strength_sites, *own)},
+        **{name: posterior[name].values.astype(float) for name in names},
     }
 
 

@@ -122,6 +122,12 @@ def shape_of_draws(tree: xr.DataTree) -> tuple[int, ...]:
     return array(tree, "posterior", space_of_tree(tree).goal_sites[0]).shape
 
 
+def own_sites(tree: xr.DataTree) -> list[str]:
+    """Return a user's own sites that are single numbers."""
+    draws, columns = tree["posterior"].dataset, space_of_tree(tree).columns
+    return [str(n) for n, one in draws.data_vars.items() if n not in columns and one.ndim == 2]
+
+
 def effective_goals(tree: xr.DataTree, group: str) -> NDArray[np.int64]:
     """Return (..., agent) the effective goals of the draws or the simulations."""
     names = space_of_tree(tree).goal_sites

@@ -56,6 +56,7 @@ from phase_ppl.analysis.tree import (
     array,
     effective_goals,
     log_weight_of_draws,
+    own_sites,
     prior_of_goals,
     shape_of_draws,
     simulation_of_draw,
@@ -380,9 +381,7 @@ def _proposals_so_far(
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Return the rows of simulations and their weights (row, time).
 
-    Args:
-        tree: of draws.
-        log_base: (simulation,) log weight beside the likelihood and the proposal's density.
+    ``log_base`` is their log weight beside the likelihood and the proposal's density.
     """
     simulations = tree["simulations"].dataset
     known, so_far = _likelihood_so_far(tree)
@@ -427,14 +426,8 @@ def _likelihood_so_far(tree: xr.DataTree) -> tuple[NDArray[np.bool_], FloatArray
 
 def _sites(tree: xr.DataTree) -> list[str]:
     """Return the sites that both draws and simulations give: ours, then a user's own."""
-    posterior, simulations = tree["posterior"].dataset, tree["simulations"].dataset
-    columns = space_of_tree(tree).columns
-    own = [
-        str(name)
-        for name, variable in posterior.data_vars.items()
-        if name not in columns and variable.ndim == 2 and name in simulations
-    ]
-    return [*columns, *own]
+    own = [name for name in own_sites(tree) if name in tree["simulations"].dataset]
+    return [*space_of_tree(tree).columns, *own]
 
 
 def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[np.int64]]]:

@@ -28,7 +28,7 @@ from phase_ppl.world.checks import number_of_workers, positive_number, whole_num
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true
-from phase_ppl.world.hypothesis import STANCES, Hypothesis, Roles, checked_strength
+from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, Roles, checked_strength
 from phase_ppl.world.picture import preformatted
 from phase_ppl.world.scene import Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of
@@ -209,23 +209,15 @@ def _entity(name: object, among: Sequence[str]) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """What is done to a world; see ``do`` of a posterior.
-
-    Attributes:
-        sites: site -> value, of stated goals, strengths and the way in which agents stand to each
-            other; helpers follow.
-        goals: site of a goal -> effective goal, of that agent alone.
-        removed: entities that are there no more.
-        walls: others; None: as they are.
-        words: all of this.
-    """
+    """What is done to a world; see ``do`` of a posterior."""
 
     world: World
+    # site -> value, of stated goals, strengths and how agents stand to each other; helpers follow
     sites: Mapping[str, Any]
-    goals: Mapping[str, int]
-    removed: tuple[int, ...]
-    walls: Any
-    words: str
+    goals: Mapping[str, int]  # site of a goal -> effective goal, of that agent alone
+    removed: tuple[int, ...]  # entities that are there no more
+    walls: Any  # others; None: as they are
+    words: str  # all of this
 
     @classmethod
     def of(
@@ -262,11 +254,10 @@ class Change:
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
             words.append(" and ".join(said) or "nobody helping or hindering")
         if alpha is not None:
-            ways = [tuple(0 if one is None else one[1] for one in way) for way in space.ways]
-            if not space.is_phase or tuple(alpha) not in ways:
-                where = ways if space.is_phase else f"relation= in the world {world.name}"
+            if not space.is_phase or tuple(alpha) not in ALPHAS:
+                where = list(ALPHAS) if space.is_phase else f"relation= in the world {world.name}"
                 raise InvalidSettingError(f"alpha={shown(alpha)}, expected {where}")
-            sites[space.company_site] = ways.index(tuple(alpha))
+            sites[space.company_site] = ALPHAS.index(tuple(alpha))
             words.append(f"alpha = {alpha}")
         names = [remove] if isinstance(remove, str) else remove
         removed = tuple(_entity(name, world.entities) for name in names)
@@ -283,10 +274,7 @@ class Change:
         space, sites = space_of(self.world), {**sites, **self.sites}
         own = dict(zip(space.goal_sites, _effective(space, sites), strict=True))
         nobody = space.ways.index((None,) * space.n_agents)
-        found: Hypothesis | Roles = space.hypothesis(
-            {**sites, **own, **self.goals, space.company_site: nobody}
-        )
-        return found
+        return space.hypothesis({**sites, **own, **self.goals, space.company_site: nobody})
 
     def scene(self, scene: Scene) -> Scene:
         """Return a scene with the other walls."""

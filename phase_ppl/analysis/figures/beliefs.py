@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import os
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,12 @@ from phase_ppl.analysis.figures.style import NORMAL, figure_of, in_style, new_fi
 from phase_ppl.dataset.motion import items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, State
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
-from phase_ppl.world.rooms import RAY_DIRECTIONS
-from phase_ppl.world.scene import ARENA, Scene
+from phase_ppl.world.scene import PHASE, Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +30,7 @@ PAPERS_PARTICLES: Final = 10  # K in the figure of the paper
 _DARK: Final = 0.35
 _FAINT: Final = 0.55
 _MOST_PARTICLES: Final = 1000
-_APART: Final = 4.0
-"""Units between particles from which on a place is not known."""
+_APART: Final = 4.0  # units between particles from which on a place is not known
 
 
 class Belief(NamedTuple):
@@ -106,11 +104,9 @@ def beliefs(
         UnknownNameError: there is no such agent.
         InvalidSettingError: there is no such frame, or nothing new is ever seen.
     """
-    if agent not in AGENTS:
-        raise unknown_name("agent", agent, AGENTS)
+    who = PHASE.agent(agent)
     whole_number("particles", particles, maximum=_MOST_PARTICLES)
     whole_number("seed", seed, 0)
-    who = AGENTS.index(agent)
     found = list(beliefs_of(event, who, particles, seed))
     if frame is None:
         frame = discovery(found)
@@ -166,7 +162,7 @@ def _darken(axes: Axes, event: Event, visible: BoolArray) -> None:
 
 # --- searching for what is not seen ---------------------------------------------------------------
 
-_SEARCH: Final = {
+_SEARCH: Final[dict[str, Any]] = {
     "walls": (10.0, 5.0, 0.0, 7.5),
     "start": [[8.5, 19.5, 0.0], [20.0, 10.0, 2.8], [12.0, 20.0, 0.0], [24.0, 4.0, 0.0]],
     "goals": ("Get red agent to blue lm", "Get blue item to red lm"),
@@ -195,10 +191,12 @@ def search(
         InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.
     """
     from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.dataset.generation.situation import walls_of_lengths
     from phase_ppl.simulator.joint import simulate
 
-    scene = Scene(np.array(_SEARCH["start"]), np.full(len(ENTITIES), _SIZE), _walls())
-    hypothesis = Hypothesis(*_SEARCH["goals"])  # type: ignore[arg-type]
+    walls = walls_of_lengths(_SEARCH["walls"])
+    scene = Scene(np.array(_SEARCH["start"]), np.full(len(ENTITIES), _SIZE), walls)
+    hypothesis = Hypothesis(*_SEARCH["goals"])
     figure = new_figure(
         *(3.6 * len(cost_weights), 3.9),
         note="The green agent wants the blue item, which it does not see. Numbers: moments in "
@@ -224,10 +222,3 @@ def search(
             axes.text(x, y, str(number), ha="center", va="center", zorder=6)
         axes.set_title(f"{letter}  \N{GREEK SMALL LETTER LAMDA} = {weight:g}", loc="center")
     return written(figure, path)
-
-
-def _walls() -> FloatArray:
-    """Return the walls of the search, from the arena's centre outwards."""
-    centre = np.array(ARENA).reshape(2, 2).mean(axis=1)
-    pairs = zip(RAY_DIRECTIONS, _SEARCH["walls"], strict=True)
-    return np.array([[centre, centre + length * ray] for ray, length in pairs if length])
