@@ -28,7 +28,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.files import write_json
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import plain, preformatted
 
 SCHEMA: Final = "phase-ppl-design-1"
 
@@ -151,11 +151,7 @@ class Design:
         }
         for model in self.models:
             of_model = self.probabilities.sel(model=model).values
-            leading = of_model.argmax(axis=1)
-            columns[model] = [
-                f"{labels[code]} {row[code]:.2f}"
-                for code, row in zip(leading, of_model, strict=True)
-            ]
+            columns[model] = [f"{labels[row.argmax()]} {row.max():.2f}" for row in of_model]
         table = pd.DataFrame(columns, index=pd.Index(self.events, name="event"))
         return table.sort_values("information", ascending=False, kind="stable")
 
@@ -281,7 +277,6 @@ class Design:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it to a .json file, from which :meth:`load` reads it."""
-        errors = self.probabilities["error"].values
         record = {
             "schema": SCHEMA,
             "question": self.question,
@@ -293,10 +288,7 @@ class Design:
             "events": self.events,
             "labels": self.labels,
             "probabilities": self.probabilities.values.tolist(),
-            "errors": [
-                [[None if math.isnan(e) else e for e in row] for row in rows]
-                for rows in errors.tolist()
-            ],
+            "errors": plain(self.probabilities["error"].values),  # None where it is not known
         }
         write_json(path, record)
 
@@ -311,16 +303,11 @@ class Design:
         if record.get("schema") != SCHEMA:
             raise InvalidEventError(f"{path}: its schema is {record.get('schema')!r}, not {SCHEMA}")
         try:
-            coords = {"model": record["models"], "event": record["events"]}
-            coords["answer"] = record["labels"]
             dims = ("model", "event", "answer")
-            errors = np.array(record["errors"], np.float64)
+            coords = {dim: record[f"{dim}s"] for dim in dims[:2]} | {"answer": record["labels"]}
+            coords["error"] = dims, np.array(record["errors"], np.float64)
             return checked(
-                xr.DataArray(
-                    np.array(record["probabilities"], np.float64),
-                    {**coords, "error": (dims, errors)},
-                    dims=dims,
-                ),
+                xr.DataArray(np.array(record["probabilities"], np.float64), coords, dims=dims),
                 str(record["question"]),
                 answers=record["answers"],
                 lapse=record["lapse"],
