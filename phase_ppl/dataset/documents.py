@@ -10,15 +10,15 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     PhasePPLError,
     UnknownNameError,
+    check_name,
     shown,
-    unknown_name,
 )
 
 T = TypeVar("T")
@@ -88,7 +88,7 @@ def parse_text(text: str) -> dict[str, Any]:
         document = json.loads(
             text,
             object_pairs_hook=_without_duplicates,
-            parse_constant=_refuse_constant,
+            parse_constant=_finite,
             parse_float=_finite,
         )
     except json.JSONDecodeError as error:
@@ -131,10 +131,6 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return result
 
 
-def _refuse_constant(token: str) -> NoReturn:
-    raise InvalidEventError(f"holds {token}, expected finite numbers")
-
-
 def _finite(token: str) -> float:
     value = float(token)
     if not math.isfinite(value):
@@ -174,8 +170,7 @@ def optional(record: Mapping[str, Any], name: str, kind: type[T], where: str = "
 def only(record: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
     """Raise UnknownNameError if ``record`` has a field that is none of ``allowed``."""
     for name in record:
-        if name not in allowed:
-            raise unknown_name(f"field of {where}", name, allowed)
+        check_name(f"field of {where}", name, allowed)
 
 
 def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:

@@ -15,7 +15,7 @@ from phase_ppl.dataset import events_json
 from phase_ppl.dataset.documents import check_ids, naming, parse_document, read_document
 from phase_ppl.dataset.events_json import Entries, event_from_record, turned
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
@@ -83,9 +83,9 @@ def load_event(
     if video is None and len(ids) > 1:
         some = ", ".join(repr(name) for name in ids[:3]) + (", ..." if len(ids) > 3 else "")
         raise InvalidSettingError(f"{path} holds {len(ids)} videos; name one of them: {some}")
-    if video is not None and video not in ids:
+    if video is not None:
         with naming(path):
-            raise unknown_name("video", video, ids)
+            check_name("video", video, ids)
     index = 0 if video is None else ids.index(video)
     return _read(path, entries[index], turning)
 
@@ -116,8 +116,8 @@ def load_events(
 
 
 def _entries(path: PathLike, format: str | None) -> Entries:
-    if format not in (None, PHASE_PICKLE):
-        raise unknown_name("format", format, [PHASE_PICKLE])
+    if format is not None:
+        check_name("format", format, [PHASE_PICKLE])
     bundled = None if format else _bundled_name(path)
     if bundled is not None:
         file = _folder() / f"{bundled}{_JSON}"
@@ -177,8 +177,8 @@ def _bundled_name(path: PathLike) -> str | None:
 
 
 def _check_turning(turning: str | None) -> None:
-    if turning is not None and turning not in TURNINGS:
-        raise unknown_name("turning", turning, TURNINGS)
+    if turning is not None:
+        check_name("turning", turning, TURNINGS)
 
 
 # --- writing ---------------------------------------------------------------------------------
@@ -232,8 +232,7 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
         InvalidEventError: no events, an id given twice, or an event has something that the format
             has no place for.
     """
-    if format not in EXPORTS:
-        raise unknown_name("format", format, EXPORTS)
+    check_name("format", format, EXPORTS)
     suffixes = EXPORTS[format]
     check_output(path, suffixes)
     if format in ("json", "netcdf"):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import numbers
 import os
-from typing import Final
+from collections.abc import Collection, Sequence
+from typing import Any, Final
 
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 
 MOST: Final = 2**63 - 1  # of a whole number, what arrays can hold
 MOST_WORKERS: Final = 1024
@@ -54,6 +56,17 @@ def instance_of(name: str, value: object, kind: type | tuple[type, ...], expecte
     """Raise InvalidSettingError unless ``value`` is of a kind, or of one of some."""
     if not isinstance(value, kind):
         raise InvalidSettingError(f"{name}={shown(value)}, expected {expected}")
+
+
+def check_fields(
+    record: Collection[str], kind: type[Any], what: str, needed: Sequence[str] = ()
+) -> None:
+    """Raise a PhasePPLError where a plain form has a field that ``kind`` has not, or lacks one."""
+    for name in record:
+        check_name(f"field of {what}", name, [field.name for field in dataclasses.fields(kind)])
+    for name in needed:
+        if name not in record:
+            raise InvalidSettingError(f"{what} needs {name}")
 
 
 def positive_number(name: str, value: object) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 _SHOWN_CHARACTERS = 80
@@ -71,6 +71,12 @@ class SimulationError(PhasePPLError, RuntimeError):
     """
 
     posterior: Any = None
+
+
+def check_name(what: str, name: object, allowed: Collection[str]) -> None:
+    """Raise UnknownNameError unless ``name`` is one of the allowed ones."""
+    if name not in allowed:
+        raise unknown_name(what, name, allowed)
 
 
 def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownNameError:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import (
     RELATIONS,
@@ -146,10 +146,8 @@ class Truth:
             object.__setattr__(self, "scenario", scenario(self.goal_red, self.goal_green))
         if not self.relation:
             object.__setattr__(self, "relation", relation(self.goal_red, self.goal_green))
-        if self.relation not in RELATIONS:
-            raise unknown_name("relation", self.relation, RELATIONS)
-        if self.scenario not in SCENARIOS:
-            raise unknown_name("scenario", self.scenario, SCENARIOS)
+        check_name("relation", self.relation, RELATIONS)
+        check_name("scenario", self.scenario, SCENARIOS)
         for name in ("strength_red", "strength_green"):
             value = getattr(self, name)
             if value is not None:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError, shown, unknown_name
+from phase_ppl.world.checks import check_fields, instance_of
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError, check_name, shown
 from phase_ppl.world.goals import (
     GOALS,
     N_GOALS,
@@ -231,13 +231,7 @@ class Hypothesis:
             UnknownNameError: a field that a hypothesis does not have.
             InvalidSettingError: a goal is missing.
         """
-        names = [field.name for field in dataclasses.fields(cls)]
-        for name in record:
-            if name not in names:
-                raise unknown_name("field of a hypothesis", name, names)
-        for name in ("goal_red", "goal_green"):
-            if name not in record:
-                raise InvalidSettingError(f"a hypothesis needs {name}")
+        check_fields(record, cls, "a hypothesis", ("goal_red", "goal_green"))
         return cls(**{**record, "alpha": tuple(record.get("alpha", (0, 0)))})
 
     def __repr__(self) -> str:
@@ -341,8 +335,7 @@ class Roles:
             who, whom = (world.agent(name) for name in pair)
             if who == whom:
                 raise InvalidSettingError(f"the {pair[0]} cannot {word} itself")
-            if word not in STANCES:
-                raise unknown_name("relation", word, STANCES)
+            check_name("relation", word, STANCES)
             if towards[who] is not None:
                 raise InvalidSettingError(f"the {pair[0]} can help or hinder one other only")
             towards[who] = whom, STANCES[word]
@@ -366,7 +359,7 @@ class Roles:
         )
         roles = cls(world, tuple(stated), tuple(towards), strengths)
         for (helper, owner), word in roles.relation.items():
-            if roles._acts_on(world.agent(helper)) is None:
+            if not roles._can_act(world.agent(helper)):
                 own = world.goals[stated[world.agent(owner)] or 0]
                 raise InvalidSettingError(
                     f"the {helper} cannot {word} the {owner} with {own!r}: what it would "
@@ -377,23 +370,22 @@ class Roles:
     @property
     def effective_goals(self) -> tuple[int, ...]:
         """(agent,) what each acts on, an index into ``world.goals``."""
-        stated = [0 if goal is None else goal for goal in self.stated]
-        return tuple(
-            effective_goal(stated, agent, towards, self.world)
-            for agent, towards in enumerate(self.towards)
-        )
+        return tuple(map(self._acts_on, range(len(self.towards))))
 
     @property
     def is_possible(self) -> bool:
         """Whether what each would act on is a goal of the world."""
-        return all(self._acts_on(agent) is not None for agent in range(len(self.towards)))
+        return all(map(self._can_act, range(len(self.towards))))
 
-    def _acts_on(self, agent: int) -> int | None:
+    def _acts_on(self, agent: int) -> int:
         stated = [0 if goal is None else goal for goal in self.stated]
+        return effective_goal(stated, agent, self.towards[agent], self.world)
+
+    def _can_act(self, agent: int) -> bool:
         try:
-            return effective_goal(stated, agent, self.towards[agent], self.world)
+            return self._acts_on(agent) >= 0
         except UnknownNameError:
-            return None
+            return False
 
     def effective(self) -> Roles:
         """Return the same with effective goals as stated ones, and nobody who helps or hinders."""

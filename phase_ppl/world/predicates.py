@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.world.arrays import BoolArray, FloatArray
-from phase_ppl.world.checks import instance_of, number_or_nan, positive_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.checks import check_fields, instance_of, number_or_nan, positive_number
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.rooms import UNREACHABLE, Rooms
 
 _MARGIN: Final = 0.5
@@ -103,23 +103,22 @@ class Predicate:
     def check(self, world: Any) -> None:
         """Raise a PhasePPLError unless a world has what it is about."""
         what, (x0, x1, y0, y1) = f"predicate {self.name!r}", world.arena
-        if self.subject not in world.entities:
-            raise unknown_name(f"subject of {what}", self.subject, world.entities)
+        check_name(f"subject of {what}", self.subject, world.entities)
         if self.target == self.subject:
             raise InvalidSettingError(f"{what} has {self.subject!r} as subject and target")
-        targets = (*world.entities, *world.landmark_names)
-        if self.room is None and self.target not in targets:
-            raise unknown_name(f"target of {what}", self.target, targets)
-        farthest = float(np.hypot(x1 - x0, y1 - y0))
-        if self.room is None and not self.limit < farthest:
-            way = "within" if self.beyond is None else "beyond"
-            raise InvalidSettingError(
-                f"{what}: {way}={self.limit:g}, expected less than the arena's diagonal, "
-                f"{farthest:.4g}"
-            )
-        if isinstance(self.room, str) and self.room not in world.landmark_names:
-            raise unknown_name(f"room of {what}", self.room, world.landmark_names)
-        if isinstance(self.room, tuple):
+        if self.room is None:
+            targets = (*world.entities, *world.landmark_names)
+            check_name(f"target of {what}", self.target, targets)
+            farthest = float(np.hypot(x1 - x0, y1 - y0))
+            if not self.limit < farthest:
+                way = "within" if self.beyond is None else "beyond"
+                raise InvalidSettingError(
+                    f"{what}: {way}={self.limit:g}, expected less than the arena's diagonal, "
+                    f"{farthest:.4g}"
+                )
+        elif isinstance(self.room, str):
+            check_name(f"room of {what}", self.room, world.landmark_names)
+        else:
             x, y = self.room
             if not (x0 <= x <= x1 and y0 <= y <= y1):
                 raise InvalidSettingError(
@@ -210,10 +209,7 @@ class Predicate:
         """
         if not isinstance(record, Mapping):
             raise InvalidSettingError(f"a predicate is {shown(record)}, expected a mapping")
-        names = [field.name for field in dataclasses.fields(cls)]
-        for name in record:
-            if name not in names:
-                raise unknown_name("field of a predicate", name, names)
+        check_fields(record, cls, "a predicate")
         for name in ("name", "subject"):
             if name not in record:
                 raise InvalidSettingError(f"a predicate needs a {name}")

@@ -19,8 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.checks import check_fields, instance_of, number_or_nan, whole_number
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    check_name,
+    shown,
+    unknown_name,
+)
 from phase_ppl.world.geometry import deepest_overlap
 from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS, Predicate
 from phase_ppl.world.picture import (
@@ -237,8 +243,7 @@ class World:
         everything = (*self.entities, *landmarks)
         found: dict[str, Colour] = {}
         for name, colour in given.items():
-            if name not in everything:
-                raise unknown_name("name with a colour", name, everything)
+            check_name("name with a colour", name, everything)
             values = tuple(colour) if isinstance(colour, (tuple, list)) else ()
             if len(values) != 3:
                 raise InvalidSettingError(
@@ -286,14 +291,12 @@ class World:
 
     def entity(self, name: str) -> int:
         """Return the index of an agent or item. UnknownNameError: there is none of that name."""
-        if name not in self.entities:
-            raise unknown_name("agent or item", name, self.entities)
+        check_name("agent or item", name, self.entities)
         return self.entities.index(name)
 
     def agent(self, name: str) -> int:
         """Return the index of an agent. UnknownNameError: there is none of that name."""
-        if name not in self.agents:
-            raise unknown_name("agent", name, self.agents)
+        check_name("agent", name, self.agents)
         return self.agents.index(name)
 
     @functools.cached_property
@@ -479,16 +482,15 @@ class World:
     def _room(self, given: object, rooms: Rooms) -> int:
         """Return the number of a room, by it, or by a landmark or a point in it."""
         if isinstance(given, str):
-            if given not in self.landmark_names:
-                raise unknown_name("landmark", given, self.landmark_names)
+            check_name("landmark", given, self.landmark_names)
             _, x, y, *_ = self.landmarks[self.landmark_names.index(given)]
-            return int(rooms.room_of(np.array([x, y])))
-        if not isinstance(given, (Sequence, np.ndarray)):
+        elif isinstance(given, (Sequence, np.ndarray)):
+            x, y = _numbers("room", given, (2,))
+            x0, x1, y0, y1 = self.arena
+            if not (x0 <= x <= x1 and y0 <= y <= y1):
+                raise InvalidSettingError(f"room of ({x:g}, {y:g}), which lies outside the arena")
+        else:
             return whole_number("room", given, 0, len(rooms) - 1)
-        x, y = _numbers("room", given, (2,))
-        x0, x1, y0, y1 = self.arena
-        if not (x0 <= x <= x1 and y0 <= y <= y1):
-            raise InvalidSettingError(f"room of ({x:g}, {y:g}), which lies outside the arena")
         return int(rooms.room_of(np.array([x, y])))
 
     def _beside(self, near: Mapping[str, str]) -> list[tuple[int, int]]:
@@ -499,8 +501,7 @@ class World:
         places = (*self.entities, *self.landmark_names)
         for name, other in near.items():
             self.entity(name)
-            if other not in places:
-                raise unknown_name("agent, item or landmark", other, places)
+            check_name("agent, item or landmark", other, places)
         left, found = dict(near), []
         while left:
             ready = [name for name, other in left.items() if other not in left]
@@ -536,13 +537,7 @@ class World:
             UnknownNameError: a field that a world does not have.
             InvalidSettingError: one is missing, or a world that cannot be.
         """
-        names = [field.name for field in dataclasses.fields(cls)]
-        for name in record:
-            if name not in names:
-                raise unknown_name("field of a world", name, names)
-        for name in ("agents", "items", "landmarks"):
-            if name not in record:
-                raise InvalidSettingError(f"a world needs {name}")
+        check_fields(record, cls, "a world", ("agents", "items", "landmarks"))
         own = record.get("predicates", [])
         instance_of("predicates", own, list, "a list")
         return cls(**{**record, "predicates": [OwnPredicate.from_dict(one) for one in own]})
@@ -556,18 +551,17 @@ class World:
 
 def _names(what: str, names: object, least: int, most: int) -> tuple[str, ...]:
     """Return names, checked. InvalidSettingError: too few, too many, or one that cannot be."""
-    found = tuple(names) if isinstance(names, (list, tuple)) else ()
-    if isinstance(names, str) or (not isinstance(names, (list, tuple))):
+    if not isinstance(names, (list, tuple)):
         raise InvalidSettingError(f"{what}={shown(names)}, expected a list of names")
-    if not least <= len(found) <= most:
-        raise InvalidSettingError(f"{len(found)} {what}, expected {least} to {most}")
-    for name in found:
+    if not least <= len(names) <= most:
+        raise InvalidSettingError(f"{len(names)} {what}, expected {least} to {most}")
+    for name in names:
         plain = isinstance(name, str) and name == " ".join(name.split()) != ""
         if not plain or any(word in f" {name.lower()} " for word in _READ_AS):
             raise InvalidSettingError(
                 f"{what} has the name {shown(name)}, expected words without 'to' and 'away from'"
             )
-    return found
+    return tuple(names)
 
 
 def _numbers(name: str, value: object, shape: tuple[int, ...]) -> list[float]:
@@ -656,17 +650,17 @@ class Scene:
         ):
             if getattr(self, name) is None:
                 set_field(name, value)
-        set_field("start", finite_array("scene.start", self.start, (n, 3)))
-        set_field("radius", finite_array("scene.radius", self.radius, (n,)))
-        set_field("walls", finite_array("scene.walls", self.walls, (None, 2, 2)))
-        set_field(
-            "landmark_centres",
-            finite_array("scene.landmark_centres", self.landmark_centres, (len(places), 2)),
-        )
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "start": (n, 3),
+            "radius": (n,),
+            "walls": (None, 2, 2),
+            "landmark_centres": (len(places), 2),
+        }
+        for name, shape in shapes.items():
+            set_field(name, finite_array(f"scene.{name}", getattr(self, name), shape))
         arena = finite_array("scene.arena", self.arena, (4,))
         set_field("arena", tuple(float(v) for v in arena))
-        if self.turning not in TURNINGS:
-            raise unknown_name("turning", self.turning, TURNINGS)
+        check_name("turning", self.turning, TURNINGS)
         if not isinstance(self.resets_velocity, bool):
             raise InvalidEventError(
                 f"scene.resets_velocity is {shown(self.resets_velocity)}, expected true or false"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.errors import check_name
 from phase_ppl.world.scene import PHASE, World
 
 __all__ = [
@@ -55,8 +55,7 @@ def available() -> dict[str, World]:
 
 def named(name: str) -> World:
     """Return the ready-made world of that name. UnknownNameError: there is none."""
-    if name not in _READY:
-        raise unknown_name("world", name, _READY)
+    check_name("world", name, _READY)
     return _READY[name]
 
 

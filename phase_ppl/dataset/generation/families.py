@@ -41,7 +41,7 @@ from phase_ppl.dataset.generation.situation import (
 )
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown, unknown_name
 from phase_ppl.world.goals import goal_literal, is_true
 from phase_ppl.world.hypothesis import (
     RELATION_OF_SCENARIO,
@@ -213,8 +213,7 @@ def register_family(
         UnknownNameError: an unknown scenario, layout or world.
         InvalidSettingError: the name is taken by another function, or holds a colon.
     """
-    if scenario not in SCENARIOS:
-        raise unknown_name("scenario", scenario, SCENARIOS)
+    check_name("scenario", scenario, SCENARIOS)
     for layout in layouts:
         if layout not in LAYOUTS:
             raise unknown_name("layout", layout, map(str, LAYOUTS))

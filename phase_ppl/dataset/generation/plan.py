@@ -26,7 +26,7 @@ from phase_ppl.dataset.generation.families import (
 )
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import check_memory, instance_of, number_or_nan, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
@@ -147,8 +147,7 @@ class Plan:
                 raise InvalidSettingError(f"split {name}={shown(share)}, expected a share >= 0")
         if not sum(self.splits.values()) > 0:
             raise InvalidSettingError("the splits have no shares")
-        if self.turning not in TURNINGS:
-            raise unknown_name("turning", self.turning, TURNINGS)
+        check_name("turning", self.turning, TURNINGS)
         least = {"copies": 0, "replans": 0, "frames": 2, "seed": 0, "max_tries": 1}
         for name, minimum in least.items():
             whole_number(name, getattr(self, name), minimum)
