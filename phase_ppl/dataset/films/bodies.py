@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
-from phase_ppl.dataset.films.layout import Colours, Pixels, Still
-from phase_ppl.render.frames import EYE_COLOUR, EYE_RADIUS, EYES, Painter
+from phase_ppl.dataset.films.frames import Colours, Still
+from phase_ppl.render.frames import EYE_COLOUR, EYE_RADIUS, EYES, Painter, Pixels
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID, heading, is_agent
 

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from phase_ppl.dataset.films.bodies import REACH, SEEN, Bodies
-from phase_ppl.dataset.films.frames import Film, Mapping
-from phase_ppl.dataset.films.layout import Colours, Pixels, Still
+from phase_ppl.dataset.films.frames import Colours, Film, Mapping, Still
 from phase_ppl.dataset.motion import observed_turning
-from phase_ppl.render.frames import BACKGROUND, Painter, panel, side_by_side, write_centred
+from phase_ppl.render.frames import BACKGROUND, Painter, Pixels, panel, side_by_side, write_centred
 from phase_ppl.world import worlds
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, nonnegative_number, number_or_nan, whole_number
