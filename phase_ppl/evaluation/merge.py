@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 from phase_ppl.analysis.comparison import Comparison
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import PLAN, GeneratedEvents
-from phase_ppl.dataset.generation.parts import assemble, part_file
+from phase_ppl.dataset.generation.generate import assemble, part_file
 from phase_ppl.dataset.generation.plan import slots
 from phase_ppl.evaluation.evaluate import whole_digest
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of

@@ -1,42 +1,195 @@
-"""One call that makes a data set."""
+"""One call that makes a data set: a part for each slot of its plan, and of these the whole."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 import os
 import time
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, Final, overload
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.generated import COST, MANIFEST, PLAN, GeneratedEvents
-from phase_ppl.dataset.generation.making import make
-from phase_ppl.dataset.generation.parts import (
-    PARTS,
-    assemble,
-    part_file,
-    read_part,
-    write_part,
+from phase_ppl.dataset.events_json import event_from_record, event_record
+from phase_ppl.dataset.events_netcdf import checksum, events_bytes
+from phase_ppl.dataset.generated import (
+    BLOCKS,
+    COST,
+    ENTRIES,
+    EVENTS,
+    MANIFEST,
+    MANIFEST_SCHEMA,
+    PLAN,
+    REJECTED,
+    GeneratedEvents,
 )
-from phase_ppl.dataset.generation.plan import PHASE500, DrawRoles, Plan, Slot, cell_of, scaled
+from phase_ppl.dataset.generation.making import Made, Rejected, make
+from phase_ppl.dataset.generation.plan import (
+    BLOCK,
+    PHASE500,
+    DrawRoles,
+    Plan,
+    Slot,
+    cell_of,
+    scaled,
+)
 from phase_ppl.simulator.processes import Failure, results, slots_of
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
+    PhasePPLError,
     SimulationError,
+    shown,
 )
-from phase_ppl.world.files import locked, writable_folder, write_json
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import locked, writable_folder, write_bytes, write_json
 from phase_ppl.world.identity import differences, versions_so_far
+from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.shards import SHARD, Shard
 from phase_ppl.world.worlds import named
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
+PARTS: Final = "parts"
+
+# --- what became of the slots, a file each -------------------------------------------------------
+
+
+def part_file(folder: Path, slot: Slot) -> Path:
+    """Return the file of a slot, whether it is there or not."""
+    return folder / PARTS / f"{slot.number:05d}.json"
+
+
+def write_part(folder: Path, made: Made, keep_rejected: bool) -> None:
+    """Keep what became of a slot."""
+    rejected: list[dict[str, Any]] = []
+    for id, reason, event, measures, replanned in made.rejected:
+        rejected.append({"id": id, "reason": reason, "replanned": replanned, "measures": measures})
+        if keep_rejected and event is not None:
+            rejected[-1]["event"] = event_record(event)
+    content = {
+        "name": made.slot.name,
+        "cell": made.slot.cell,
+        "events": [event_record(event) for event in made.events],
+        "entries": made.entries,
+        "rejected": rejected,
+    }
+    write_json(part_file(folder, made.slot), {"sha256": _digest(content), **content})
+
+
+def read_part(folder: Path, slot: Slot) -> Made:
+    """Return what is kept of a slot (InvalidEventError: it is damaged)."""
+    source = part_file(folder, slot)
+    content = read_json(source)
+    digest = content.pop("sha256", None)
+    try:
+        if digest != _digest(content):
+            raise InvalidEventError("its content is not what sha256 says")
+        if content["name"] != slot.name:
+            raise InvalidEventError(f"it holds {shown(content['name'])}")
+        events = [event_from_record(record) for record in content["events"]]
+        made = Made(slot, events, list(content["entries"]), [])
+        for draw in content["rejected"]:
+            event = event_from_record(draw["event"]) if "event" in draw else None
+            told = draw["id"], draw["reason"], event, draw["measures"], draw["replanned"]
+            made.rejected.append(Rejected(*told))
+        if [event.id for event in events] != [entry["id"] for entry in made.entries]:
+            raise InvalidEventError("its events and entries are not the same")
+        return made
+    except (KeyError, TypeError, PhasePPLError) as error:
+        raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# --- the data set ------------------------------------------------------------------------------
+
+
+def assemble(
+    out: Path,
+    plan: Mapping[str, Any],
+    made_by: Sequence[Mapping[str, Any]],
+    slots: Sequence[Slot],
+    folder_of: Callable[[Slot], Path],
+) -> None:
+    """Write the data set of a plan, of which each slot has a part; the manifest comes last.
+
+    A block of slots is in memory at a time. A set of one block has its events in one file, and its
+    entries in the manifest.
+
+    Args:
+        out: folder of the data set.
+        plan: as plain data.
+        made_by: versions that made it, the last ones last.
+        slots: all of the plan.
+        folder_of: slot -> the folder that has its part.
+    """
+    cells = plan["cells"]
+    # of simulations, and of those of re-planned copies
+    kept = {replanned: dict.fromkeys(cells, 0) for replanned in (False, True)}
+    reasons: dict[bool, dict[str, Counter[str]]] = {
+        replanned: {cell: Counter() for cell in cells} for replanned in (False, True)
+    }
+    given_up: list[str] = []
+    sizes: list[int] = []
+    single = len(slots) <= BLOCK
+    entries: list[dict[str, Any]] = []
+    for start in range(0, len(slots), BLOCK):
+        events: list[Event] = []
+        entries = []
+        refused: list[Event] = []
+        told: list[dict[str, Any]] = []
+        for slot in slots[start : start + BLOCK]:
+            part = read_part(folder_of(slot), slot)
+            events += part.events
+            entries += part.entries
+            kept[False][slot.cell] += bool(part.events)
+            kept[True][slot.cell] += sum(bool(entry.get("replanned")) for entry in part.entries)
+            given_up += [] if part.events else [slot.name]
+            for id, reason, event, measures, replanned in part.rejected:
+                reasons[replanned][slot.cell][reason] += 1
+                if event is not None:
+                    refused.append(event)
+                    draw = {"reason": reason, "replanned": replanned, "measures": measures}
+                    told.append({"id": id, "cell": slot.cell, **draw})
+        for event, entry in zip(events, entries, strict=True):
+            entry["checksum"] = checksum(event)
+        place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
+        if events:
+            write_bytes(place / EVENTS, (".nc",), events_bytes(events))
+        if refused:
+            write_bytes(place / f"{REJECTED}.nc", (".nc",), events_bytes(refused))
+            write_json(place / f"{REJECTED}.json", {"rejected": told})
+        if not single:
+            write_json(place / ENTRIES, {"entries": entries})
+        sizes.append(len(events))
+    if not sum(sizes):
+        raise OutputError(f"{out}: no draw of any kind was kept")
+    replans = {cell: {"kept": n, "rejected": reasons[True][cell]} for cell, n in kept[True].items()}
+    write_json(
+        out / MANIFEST,
+        {
+            "schema": MANIFEST_SCHEMA,
+            "plan": dict(plan),
+            "versions": made_by[-1],
+            "earlier_versions": made_by[:-1],
+            "kept": kept[False],
+            "rejected": reasons[False],
+            "replans": replans if plan["replans"] else {},
+            "given_up": given_up,
+            **({"entries": entries} if single else {"blocks": sizes}),
+        },
+    )
 
 
 class _Builder:
@@ -98,21 +251,12 @@ class _Builder:
         self, n_workers: int | None, executor: Executor | None, progress: bool | None
     ) -> dict[str, Any]:
         """Make what is missing; return what that cost."""
-        from tqdm.auto import tqdm
-
         clock = time.perf_counter()
         total, left = len(self._slots), len(self._missing)
         failures: list[str] = []
-        bar = tqdm(
-            total=total,
-            initial=total - left,
-            desc="events",
-            unit="event",
-            disable=None if progress is None else not progress,
-            dynamic_ncols=True,
-        )
         made = results(make, self._plan, self._missing, n_workers, "the plan", executor)
         try:
+            bar = Bar(total, total - left, progress, "event", "events")
             with contextlib.closing(made), bar:
                 for slot, result in made:
                     if isinstance(result, Failure):

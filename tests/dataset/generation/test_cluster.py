@@ -13,7 +13,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import COST, verify
-from phase_ppl.dataset.generation import parts
+from phase_ppl.dataset.generation import generate
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -113,7 +113,7 @@ def test_shards_make_the_set_of_one_process_byte_for_byte(
 def test_sets_of_many_slots_are_written_and_read_in_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Path, shards: list[Path]
 ) -> None:
-    monkeypatch.setattr(parts, "BLOCK", 3)
+    monkeypatch.setattr(generate, "BLOCK", 3)
     blocks = make(tmp_path / "set")
     ppl.merge(shards, tmp_path / "merged")
     assert contents(tmp_path / "merged") == contents(tmp_path / "set")

@@ -18,7 +18,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation import generate as module
-from phase_ppl.dataset.generation import making, parts
+from phase_ppl.dataset.generation import making
 from phase_ppl.dataset.generation.families import family_and_variant
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
@@ -297,7 +297,7 @@ def test_interrupted_generation_goes_on_to_the_same_set(
 def test_statistics_of_a_set_in_blocks_are_those_of_one_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: GeneratedEvents
 ) -> None:
-    monkeypatch.setattr(parts, "BLOCK", 2)
+    monkeypatch.setattr(module, "BLOCK", 2)
     made = generate(tmp_path / "set", cells=CELLS, **QUICK)
     assert "entries" not in made.manifest
     found, known = (ppl.statistics(one, one.manifest) for one in (made, whole))
