@@ -145,7 +145,6 @@ class Painter:
         pale: how far the landmarks are mixed with white, so that more can be seen on them.
 
     Attributes:
-        scene: what it draws.
         size: width and height of its pictures, pixels.
         scale: pixels per unit.
     """
@@ -199,7 +198,7 @@ class Painter:
             for entity in self._order:
                 points = self.pixel(trail[:, entity, :2])
                 colour = trail_colour(self._colours[entity])
-                _paste_line(picture, colour, points, TRAIL_PIXELS, self._fine)
+                _paste(picture, colour, points, self._trail, self._fine, margin=TRAIL_PIXELS)
         for entity in self._order:
             self._draw_entity(picture, entity, pose[entity])
         picture.paste(WALL_COLOUR, mask=self.walls)
@@ -225,7 +224,7 @@ class Painter:
             scene.landmark_centres, scene.half_widths, scene.world.landmarks, strict=True
         ):
             corners = self.pixel(centre + half * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]))
-            _paste_polygon(picture, one.colour, corners, self._fine)
+            self._polygon(picture, one.colour, corners)
         if self._pale:
             return Image.blend(picture, Image.new("RGB", picture.size, BACKGROUND), self._pale)
         return picture
@@ -240,41 +239,40 @@ class Painter:
             # walls run along an axis; those that meet overlap in a square, so no corner is open
             low, high = ends.min(axis=0) - half, ends.max(axis=0) + half
             corners = np.array([low, (low[0], high[1]), high, (high[0], low[1])])
-            _paste_polygon(mask, 255, corners, self._fine)
+            self._polygon(mask, 255, corners)
         return mask
 
     def _tint(self, picture: Image.Image, colour: Colour, corners: FloatArray) -> None:
         """Lay a translucent colour over the part of an area that lies in the arena."""
-        first, last = self._arena_box
-        low = np.floor(corners.min(axis=0) - 1).clip(first, last).astype(int)
-        high = np.ceil(corners.max(axis=0) + 1).clip(first, last).astype(int)
-        if (low >= high).any():
-            return
-        width, height = (int(n) for n in (high - low) * _SIGHT_FINE)
-        mask = Image.new("L", (width, height), 0)
-        fine = ((corners - low) * _SIGHT_FINE - 0.5).ravel().tolist()
-        draw = ImageDraw.Draw(mask)
-        draw.polygon(fine, fill=round(255 * SIGHT_OPACITY))
-        edge = round(SIGHT_EDGE_PIXELS * _SIGHT_FINE)
-        draw.line([*fine, *fine[:2]], fill=round(255 * SIGHT_EDGE_OPACITY), width=edge)
-        picture.paste(colour, (int(low[0]), int(low[1])), mask.reduce(_SIGHT_FINE))
 
-    @functools.cached_property
-    def _arena_box(self) -> NDArray[np.int64]:
-        """Top left and bottom right pixel of the arena; walls cover what this rounds off."""
+        def paint(draw: ImageDraw.ImageDraw, at: Points) -> None:
+            draw.polygon(at, fill=round(255 * SIGHT_OPACITY))
+            edge = round(SIGHT_EDGE_PIXELS * _SIGHT_FINE)
+            draw.line([*at, at[0]], fill=round(255 * SIGHT_EDGE_OPACITY), width=edge)
+
         x0, x1, y0, y1 = self.scene.arena
-        return self.pixel([[x0, y1], [x1, y0]]).astype(np.int64)
+        arena = self.pixel([[x0, y1], [x1, y0]]).astype(int)  # walls cover what this rounds off
+        _paste(picture, colour, corners, paint, _SIGHT_FINE, margin=1, within=arena)
 
     def _draw_entity(self, picture: Image.Image, entity: int, pose: FloatArray) -> None:
         radius, colour = float(self.scene.radius[entity]), self._colours[entity]
         if not is_agent(entity, len(self.scene.world.agents)):
-            _paste_disc(picture, colour, self.pixel(pose[:2]), radius * self.scale, self._fine)
+            self._disc(picture, colour, self.pixel(pose[:2]), radius)
             return
         turn = radius * rotation(pose[2]).T
-        _paste_polygon(picture, colour, self.pixel(pose[:2] + UNIT_TRAPEZOID @ turn), self._fine)
+        self._polygon(picture, colour, self.pixel(pose[:2] + UNIT_TRAPEZOID @ turn))
         for eye in self.pixel(pose[:2] + EYES @ turn):
-            eye_radius = EYE_RADIUS * radius * self.scale
-            _paste_disc(picture, EYE_COLOUR, eye, eye_radius, self._fine)
+            self._disc(picture, EYE_COLOUR, eye, EYE_RADIUS * radius)
+
+    def _trail(self, draw: ImageDraw.ImageDraw, at: Points) -> None:
+        draw.line(at, fill=255, width=TRAIL_PIXELS * self._fine, joint="curve")
+
+    def _polygon(self, picture: Image.Image, colour: Colour | int, corners: FloatArray) -> None:
+        _paste(picture, colour, corners, lambda draw, at: draw.polygon(at, fill=255), self._fine)
+
+    def _disc(self, picture: Image.Image, colour: Colour, centre: FloatArray, size: float) -> None:
+        box = centre + size * self.scale * np.array([[-1.0, -1.0], [1.0, 1.0]])
+        _paste(picture, colour, box, lambda draw, at: draw.ellipse(at, fill=255), self._fine)
 
 
 def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> Pixels:
@@ -288,28 +286,6 @@ def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> 
     return np.asarray(Painter(scene, fields_of_view).draw(poses), np.uint8)
 
 
-def _paste_polygon(
-    picture: Image.Image, colour: Colour | int, corners: FloatArray, fine: int
-) -> None:
-    _paste(picture, colour, corners, lambda draw, at: draw.polygon(at, fill=255), fine)
-
-
-def _paste_disc(
-    picture: Image.Image, colour: Colour, centre: FloatArray, radius: float, fine: int
-) -> None:
-    box = centre + radius * np.array([[-1.0, -1.0], [1.0, 1.0]])
-    _paste(picture, colour, box, lambda draw, at: draw.ellipse(at, fill=255), fine)
-
-
-def _paste_line(
-    picture: Image.Image, colour: Colour, points: FloatArray, width: float, fine: int
-) -> None:
-    def paint(draw: ImageDraw.ImageDraw, at: Points) -> None:
-        draw.line(at, fill=255, width=round(width * fine), joint="curve")
-
-    _paste(picture, colour, points, paint, fine, margin=width)
-
-
 def _paste(
     picture: Image.Image,
     colour: Colour | int,
@@ -317,14 +293,16 @@ def _paste(
     paint: Callable[[ImageDraw.ImageDraw, Points], None],
     fine: int,
     margin: float = 0.0,
+    within: NDArray[np.int64] | None = None,
 ) -> None:
     """Let ``paint`` draw a shape through ``points``, (n, 2) pixels, and paste it smoothly.
 
-    Only the box around the points is drawn finely and averaged.
+    Only the box around the points is drawn finely and averaged, and of that what lies ``within``,
+    the top left and bottom right pixel of the picture or of a part of it.
     """
-    # of a shape that leaves the picture, only what can be seen
-    low = np.floor(points.min(axis=0) - margin).clip(0, picture.size).astype(int)
-    high = np.ceil(points.max(axis=0) + margin).clip(0, picture.size).astype(int)
+    first, last = ((0, 0), picture.size) if within is None else within
+    low = np.floor(points.min(axis=0) - margin).clip(first, last).astype(int)
+    high = np.ceil(points.max(axis=0) + margin).clip(first, last).astype(int)
     if (low >= high).any():
         return
     mask = Image.new("L", (int(high[0] - low[0]) * fine, int(high[1] - low[1]) * fine), 0)
