@@ -31,12 +31,8 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     """Yield a fresh path beside ``path``; what was written there becomes ``path`` at the end.
 
     If the block raises, ``path`` stays as it was and what was written is deleted. Whether the
-    folder can be written is found out before the block begins. What was written is on the disk
-    before it takes the place of what was there.
-
-    Args:
-        path: where the result is to be.
-        suffixes: file name endings that are allowed, such as (".png",).
+    folder can be written, and the name has one of the ``suffixes``, is found out before the block
+    begins. What was written is on the disk before it takes the place of what was there.
     """
     with _part_of(target := as_path(path), suffixes) as part:
         yield part

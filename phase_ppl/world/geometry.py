@@ -96,14 +96,9 @@ def shapes_meet(
     enlarge_second: float = 1.0,
     n_agents: int = len(AGENTS),
 ) -> bool:
-    """Whether the (enlarged) shapes of two entities overlap.
+    """Whether the shapes of two entities overlap, enlarged about their centres.
 
-    Args:
-        first, second: entity indices.
-        poses: (entity, 3) x, y, angle of all entities.
-        radii: (entity,) sizes R.
-        enlarge_first, enlarge_second: factors about each shape's centre.
-        n_agents: of the entities, so many are agents.
+    Of all entities ``poses`` are (entity, 3) x, y, angle and ``radii`` (entity,) sizes R.
     """
     if not is_agent(first, n_agents) and is_agent(second, n_agents):
         first, second = second, first
@@ -153,11 +148,7 @@ def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) ->
 
 
 def deepest_overlap(scene: Any) -> tuple[str, float]:
-    """Return what overlaps most at the start of a :class:`phase_ppl.Scene`, and by how much.
-
-    Returns:
-        What it is, in words, and units; "" and 0 where nothing does.
-    """
+    """Return in words what overlaps most at a scene's start, and by how many units; "" and 0."""
     n_agents, radii, arena = len(scene.world.agents), scene.radius, scene.arena
     shapes = [
         agent_outline(pose, r) if is_agent(e, n_agents) else pose[None, :2]

@@ -52,10 +52,7 @@ def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
 def literal_goal(literal: Literal, holder: int | None = None, world: World = PHASE) -> int:
     """Return the goal index whose literal is ``literal`` (inverse of :func:`goal_literal`).
 
-    Args:
-        literal: ON an entity and a landmark, TOUCH, or a predicate of the world's own.
-        holder: whose goal it is; None: the subject's.
-        world: whose goals.
+    It is the goal of ``holder``, by default of the literal's subject.
     """
     predicate, subject, target, positive = literal
     way = "to" if positive else "away from"
@@ -77,13 +74,7 @@ def literal_goal(literal: Literal, holder: int | None = None, world: World = PHA
 
 
 def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
-    """Whether a goal's literal is true where the bodies are.
-
-    Args:
-        literal: of a goal, see :func:`goal_literal`.
-        poses: (entity, coord) x, y [units], angle [rad].
-        scene: sizes and landmarks.
-    """
+    """Whether a goal's literal is true at (entity, coord) poses x, y [units], angle [rad]."""
     subject, target = literal.subject, literal.target
     if literal.predicate is Predicate.OWN:
         found = bool(scene.world.predicates[target].holds(poses, scene))
@@ -166,14 +157,9 @@ def _parts(index: int, world: World) -> tuple[int, tuple[Predicate, int | None],
 def shared_goal(
     goal: str | int, owner: int, helper: int | None = None, world: World = PHASE
 ) -> int:
-    """Return the goal that ``helper`` has when it helps ``owner`` with ``goal``.
+    """Return the goal that ``helper``, by default the other of two, has when it helps ``owner``.
 
     The same goal, but for touching, which a helper who takes part in it sees from the other side.
-
-    Args:
-        goal: of the owner.
-        owner, helper: agents; None: the other one of two.
-        world: whose goals.
     """
     helper = 1 - owner if helper is None else helper
     literal = goal_literal(goal, owner, world)
@@ -205,13 +191,10 @@ def opposed_goal(
 def effective_goals(
     goal_red: str | int, goal_green: str | int, alpha: tuple[int, int]
 ) -> tuple[int, int]:
-    """Return the effective goals of (red, green) in PHASE.
+    """Return the effective goals of (red, green) in PHASE, of their stated ones.
 
-    Args:
-        goal_red: stated goal of the red agent.
-        goal_green: stated goal of the green agent.
-        alpha: signs of (alpha red -> green, alpha green -> red); 0 means the agent pursues
-            its own goal, > 0 the other's, < 0 the negation of the other's.
+    Signs in ``alpha`` are those of (alpha red -> green, alpha green -> red); 0 means the agent
+    pursues its own goal, > 0 the other's, < 0 the negation of the other's.
     """
     stated = [goal_index(goal_red), goal_index(goal_green)]
     red, green = (
@@ -224,14 +207,10 @@ def effective_goals(
 def effective_goal(
     stated: Sequence[int], agent: int, towards: tuple[int, int] | None, world: World = PHASE
 ) -> int:
-    """Return what an agent acts on, an index into the goals of a world.
+    """Return what an agent acts on, an index into the goals of a world, of the agents' stated ones.
 
-    Args:
-        stated: goals of all agents.
-        agent: whose.
-        towards: another agent, and 1 where it is helped, -1 where it is hindered; None: the agent
-            pursues its own goal.
-        world: whose goals.
+    It acts ``towards`` another agent, with 1 where that is helped, -1 where it is hindered; None:
+    it pursues its own goal.
     """
     if towards is None:
         return stated[agent]

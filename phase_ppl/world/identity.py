@@ -113,10 +113,7 @@ def versions_so_far(
 ) -> list[dict[str, Any]]:
     """Return the versions of which something was made that is gone on with, the present ones last.
 
-    Args:
-        before: those so far.
-        path: where it is.
-        other_versions: whether it may be gone on with by others; None: that cannot be chosen.
+    Whether it may be gone on with by others is said by ``other_versions``; None: nobody can choose.
     """
     now = versions()
     last = before[-1] if before else {}

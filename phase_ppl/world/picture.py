@@ -66,11 +66,6 @@ _PALER: Final = 0.45
 _PIXELS: Final = 260
 
 
-def first_colour(name: str, palette: Mapping[str, Colour]) -> Colour | None:
-    """Return the colour that a name begins with, such as that of "red agent", if any."""
-    return palette.get(name.split()[0].lower())
-
-
 def floor_colour(colour: Colour) -> Colour:
     """Return the colour as a landmark has it, dull, so that entities stand out on it."""
     red, green, blue = (round(part + _PALER * (165 - part)) for part in colour)
@@ -89,13 +84,7 @@ def preformatted(what: Any) -> str:
 
 
 def drawn(scene: Any, trajectory: FloatArray | None = None, caption: str = "") -> str:
-    """Return a scene as SVG with a caption, bodies at the start, and the way they go.
-
-    Args:
-        scene: the :class:`phase_ppl.Scene` to draw.
-        trajectory: (time, entity, coord) of the way.
-        caption: a line below it.
-    """
+    """Return a scene as SVG over a caption: bodies at the start, and (time, entity, coord) ways."""
     x0, x1, y0, y1 = scene.arena
     world, parts = scene.world, []
     for (x, y), half, one in zip(

@@ -219,11 +219,8 @@ class Predicate:
 def _ways(start: FloatArray, end: FloatArray | None, ends: Any, rooms: Rooms) -> FloatArray:
     """Return (...) lengths of ways through doors, units.
 
-    Args:
-        start: (..., 2) points.
-        end: (..., 2) points; None: the ways end in the last door.
-        ends: (...) the rooms of the ends.
-        rooms: of the floor plan.
+    They lead from ``start`` to ``end``, (..., 2) points in the rooms ``ends`` (...), or, where
+    there is None, to the last door.
     """
     starts, ends = np.broadcast_arrays(rooms.room_of(start), ends)
     if rooms.is_open and end is not None:

@@ -169,12 +169,8 @@ class Rooms:
     def route(self, start: int, end: int, width: float = 0.0) -> tuple[int, ...] | None:
         """Return the doors on the way from room to room, or None where there is no way.
 
-        The way through the fewest doors; among those, the shortest from first to last door.
-        The way back is the same way.
-
-        Args:
-            start, end: room ids.
-            width: doors must be wider than this to count, units.
+        The way through the fewest doors wider than ``width``, units; among those, the shortest
+        from first to last door. The way back is the same way.
         """
         key = (start, end, width)
         if key not in self._routes:
@@ -265,13 +261,8 @@ def _check_wall(
     if max(dx, dy) < _TOLERANCE:
         raise InvalidEventError(f"wall {wall.tolist()} has no length")
     x0, x1, y0, y1 = arena
-    slack = _TOLERANCE
-    if (
-        min(ax, bx) < x0 - slack
-        or max(ax, bx) > x1 + slack
-        or min(ay, by) < y0 - slack
-        or max(ay, by) > y1 + slack
-    ):
+    beyond = np.maximum([x0, y0] - wall, wall - [x1, y1])
+    if (beyond > _TOLERANCE).any():
         raise InvalidEventError(
             f"wall {wall.tolist()} leaves the arena x {x0:g}..{x1:g}, y {y0:g}..{y1:g}"
         )

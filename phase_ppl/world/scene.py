@@ -36,7 +36,6 @@ from phase_ppl.world.picture import (
     LANDMARK_COLOURS,
     Colour,
     drawn,
-    first_colour,
     floor_colour,
 )
 from phase_ppl.world.predicates import Predicate as OwnPredicate
@@ -131,10 +130,6 @@ class World:
         quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
             else rooms are found from the walls.
         predicates: up to 8 goals of one's own.
-
-    Attributes:
-        entities: names of agents, then items: the order of every array.
-        landmark_names: their names.
 
     Raises:
         InvalidSettingError: something that cannot be; the message names it.
@@ -251,17 +246,17 @@ class World:
                 )
             red, green, blue = (whole_number(f"the colour of {name!r}", v, 0, 255) for v in values)
             found[name] = red, green, blue
-        for names, palette, tone in (
-            (self.agents, AGENT_COLOURS, lambda colour: colour),
-            (self.items, ITEM_COLOURS, lambda colour: colour),
-            (landmarks, COLOURS, floor_colour),
+        floors = {name: floor_colour(colour) for name, colour in COLOURS.items()}
+        for names, palette in (
+            (self.agents, AGENT_COLOURS),
+            (self.items, ITEM_COLOURS),
+            (landmarks, floors),
         ):
-            tones = [tone(colour) for colour in palette.values()]
-            # those whose names say a colour first
-            for name in sorted(names, key=lambda name: first_colour(name, palette) is None):
-                said = first_colour(name, palette)
-                free = (colour for colour in tones if colour not in found.values())
-                found.setdefault(name, next(free, tones[0]) if said is None else tone(said))
+            # names that begin with a colour, such as "red agent", come first and have it
+            said = {name: palette.get(name.split()[0].lower()) for name in names}
+            for name in sorted(names, key=lambda name: said[name] is None):
+                free = (colour for colour in palette.values() if colour not in found.values())
+                found.setdefault(name, said[name] or next(free, next(iter(palette.values()))))
         return found
 
     @property

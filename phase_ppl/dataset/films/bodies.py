@@ -44,14 +44,7 @@ _OFFSETS: Final = (_NORMALS * UNIT_TRAPEZOID).sum(axis=1)
 
 
 class Bodies:
-    """Finds bodies in frames that lie over the painter's picture.
-
-    Args:
-        painter: of the scene, with its walls.
-        still: the floor, and the colours as the film has them.
-        colours: of the world.
-        softness: width of the edges, pixels.
-    """
+    """Finds bodies in frames that lie over the painter's picture, with edges of so many pixels."""
 
     def __init__(self, painter: Painter, still: Still, colours: Colours, softness: float) -> None:
         self.painter, self.still, self.softness = painter, still, max(1.0, softness)
@@ -62,7 +55,6 @@ class Bodies:
         self.walls = np.asarray(painter.walls, float) / 255
 
     def is_agent(self, entity: int) -> bool:
-        """Whether the entity is one."""
         return is_agent(entity, self._n_agents)
 
     def find(self, frame: Pixels, before: FloatArray | None, radius: FloatArray) -> FloatArray:
@@ -174,13 +166,7 @@ class Bodies:
 class _Window:
     """The part of a frame about one body, and what else is drawn there.
 
-    Args:
-        of: what it is for.
-        frame, labels: the picture, and who has whose colour.
-        entity: the body.
-        poses, radius: of all, NaN for those that are not there.
-        about: x, y of the middle, units.
-        coarse: how much coarser than usual.
+    Its middle is ``about``, x and y in units; poses of bodies that are not there are NaN.
     """
 
     def __init__(

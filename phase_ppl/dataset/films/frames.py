@@ -40,21 +40,12 @@ _LEAST: Final = 0.5  # share of walls and landmarks of a scene that a film must 
 
 
 class Film:
-    """A video file, decoded by ffmpeg.
-
-    Attributes:
-        fps: frames per second, 0 where the file does not say.
-        n_frames: how many there are.
-        samples: up to 16 of them, evenly spaced, the first among them.
-
-    Raises:
-        InvalidEventError: there is no such file, or it is no video.
-    """
+    """A video file, decoded by ffmpeg (InvalidEventError: there is none, or it is no video)."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path: Path = existing_file(path)
-        self.fps = 0.0
-        self.samples: list[Image.Image] = []
+        self.fps = 0.0  # frames per second, 0 where the file does not say
+        self.samples: list[Image.Image] = []  # evenly spaced, the first frame among them
         every, self.n_frames = 1, 0
         for frame in self._decoded():
             if self.n_frames % every == 0:
@@ -112,20 +103,11 @@ class Film:
 
 
 class Mapping:
-    """Where a film shows the arena, and its frames as the package's painter would draw them.
+    """Where a film shows a scene's arena, and its frames as the painter would draw them.
 
     The arena's border, black lines all around, is looked for in what is black in every sample;
-    the film may be larger, smaller, cut or have bars beside it.
-
-    Args:
-        film: the film.
-        scene: its arena; nothing else of it matters.
-
-    Attributes:
-        scale: pixels of the film per pixel of the painter's picture.
-
-    Raises:
-        InvalidEventError: there is no border of the arena's proportions, or more than one.
+    the film may be larger, smaller, cut or have bars beside it. A pixel of the painter's picture is
+    as wide as ``scale`` of the film.
     """
 
     def __init__(self, film: Film, scene: Scene) -> None:
@@ -218,10 +200,8 @@ def _lines(
 class Colours:
     """The colours of a world, by which pixels are labelled.
 
-    Labels are those of entities, then landmarks, background and walls.
-
-    Raises:
-        InvalidSettingError: an entity has the colour of something else.
+    Labels are those of entities, then landmarks, background and walls. InvalidSettingError: an
+    entity has the colour of something else.
     """
 
     def __init__(self, world: World) -> None:

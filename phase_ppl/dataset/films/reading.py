@@ -307,14 +307,10 @@ def _turn(angle: NDArray[np.float64]) -> FloatArray:
 def _closed(
     found: FloatArray, scene: Scene, seconds: FloatArray, max_gap: int, known: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (time, entity, 3) without gaps, and the confidence.
+    """Return (time, entity, 3) without gaps, and the confidence, of what was found.
 
-    Args:
-        found: (time, entity, 4), NaN where a body is lost.
-        scene: whose they are.
-        seconds: (time,) of the film.
-        max_gap: frames of a gap at most.
-        known: (entity, 3) the first frame, if the scene says it.
+    That is (time, entity, 4), NaN where a body is lost, at (time,) ``seconds`` of the film; its
+    first frame, (entity, 3), may be known.
     """
     world = scene.world
     track, confidence = found[..., :3].copy(), np.nan_to_num(found[..., 3])

@@ -125,14 +125,8 @@ def assemble(
     """Write the data set of a plan, of which each slot has a part; the manifest comes last.
 
     A block of slots is in memory at a time. A set of one block has its events in one file, and its
-    entries in the manifest.
-
-    Args:
-        out: folder of the data set.
-        plan: as plain data.
-        made_by: versions that made it, the last ones last.
-        slots: all of the plan.
-        folder_of: slot -> the folder that has its part.
+    entries in the manifest. It was ``made_by`` these versions, the last ones last; the part of each
+    slot is in a folder of its own, or the same.
     """
     cells = plan["cells"]
     # of simulations, and of those of re-planned copies
@@ -192,16 +186,13 @@ def assemble(
     )
 
 
+# --- what is missing, and the whole --------------------------------------------------------------
+
+
 class _Builder:
-    """The folder of a data set that is being made.
+    """The folder of a data set that is being made, or of the share of a ``shard``.
 
-    ``slots`` are those to be made here: all of the plan, or the share of a ``shard``. ``damaged``
-    are the names of events whose part was there and cannot be used: they are missing again.
-
-    Raises:
-        OutputError: the folder cannot be written, holds a data set already, or one of another
-            plan.
-        InvalidSettingError: what is missing would be made by other versions.
+    Events whose part was there and is damaged are missing again.
     """
 
     def __init__(
