@@ -348,8 +348,8 @@ class Progress(Bar):
             self._frames += frames
             self._seconds += seconds
         left = self.seconds_left()
-        self._bar.steady_rate = len(self._left) / left if left else None
-        self._bar.update(1)
+        self.steady_rate = len(self._left) / left if left else None
+        self.update(1)
 
     def seconds_left(self) -> float | None:
         """Return how long the rest takes at the pace until now; None: too early to say."""
@@ -362,5 +362,5 @@ class Progress(Bar):
 
     def say(self, text: str) -> None:
         """Write a line above the bar, where there is one."""
-        if not self._bar.disable:
-            self._bar.write(text, file=sys.stderr)
+        if not self.disable:
+            self.write(text, file=sys.stderr)

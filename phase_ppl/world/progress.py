@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from typing import Any, ClassVar, Final, Self, TypeVar
+from typing import Any, ClassVar, Final, TypeVar
 
 from tqdm.auto import tqdm
 
@@ -23,54 +23,39 @@ def is_shown(shown: bool | None) -> bool:
     return (sys.stderr.isatty() or "ipykernel" in sys.modules) if shown is None else shown
 
 
-class SteadyBar(tqdm):
-    """A bar whose rate is set from outside."""
+class Bar(tqdm):
+    """A bar on stderr; ``shown`` None: where that is a terminal, and in notebooks.
+
+    Its rate is ``steady_rate`` or, without one, the mean since the beginning.
+    """
 
     # of threads alone: tqdm's own is also a semaphore of the system, which is reported as leaked
     # where a worker process is killed
     _lock: ClassVar = threading.RLock()
-
     steady_rate: float | None = None
+
+    def __init__(
+        self,
+        total: int | None,
+        done: int,
+        shown: bool | None,
+        unit: str,
+        what: str,
+        items: Iterable[Any] | None = None,
+    ) -> None:
+        how = {"disable": not is_shown(shown), "file": sys.stderr, "unit": unit, "desc": what}
+        super().__init__(items, total=total, initial=done, **how)
 
     @property
     def format_dict(self) -> dict[str, Any]:
-        """What is shown; without a rate, tqdm takes the mean since the beginning."""
         return {**super().format_dict, "rate": self.steady_rate}
-
-
-class Bar:
-    """What a bar on stderr counts with; it is closed at the end of a ``with``.
-
-    ``shown`` None: where stderr is a terminal, and in notebooks.
-    """
-
-    def __init__(self, total: int, done: int, shown: bool | None, unit: str, what: str) -> None:
-        self._bar = SteadyBar(
-            total=total,
-            initial=done,
-            disable=not is_shown(shown),
-            file=sys.stderr,
-            unit=unit,
-            desc=what,
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def update(self) -> None:
-        """Count one more."""
-        self._bar.update()
 
 
 def counted(
     items: Iterable[Item], shown: bool | None, unit: str, what: str, total: int | None = None
 ) -> Iterator[Item]:
-    """Yield the items, and count them with a bar on stderr; arguments as of :class:`Bar`."""
-    hidden = not is_shown(shown)
-    yield from SteadyBar(items, disable=hidden, file=sys.stderr, unit=unit, desc=what, total=total)
+    """Yield the items, and count them with a :class:`Bar`."""
+    yield from Bar(total, 0, shown, unit, what, items)
 
 
 class Progress(Bar):
@@ -83,7 +68,7 @@ class Progress(Bar):
     def __init__(
         self, total: int, shown: bool | None = None, *, done: int = 0, batch: int = 1
     ) -> None:
-        self._n, self._total = done, total
+        self._n = done
         self._times = deque([(clock(), done)], maxlen=_ROUNDS * batch + 1)
         self._batch = batch
         self._began = False
@@ -93,7 +78,7 @@ class Progress(Bar):
         """Count one simulation, stopped early or not."""
         if not self._began:
             self._began = True
-            self._bar.set_description("simulating", refresh=False)
+            self.set_description("simulating", refresh=False)
         self._count(1)
 
     def reach(self, done: int) -> None:
@@ -103,18 +88,18 @@ class Progress(Bar):
 
     def expect(self, total: int) -> None:
         """Let there be ``total`` simulations: with a budget of seconds it shows on the way."""
-        self._total = self._bar.total = total
+        self.total = total
 
     def seconds_left(self) -> float | None:
         """Return how long the rest takes at the pace of the last two rounds; None: too early."""
         rate = self._rate()
-        return None if rate is None else max(self._total - self._n, 0) / rate
+        return None if rate is None else max(self.total - self._n, 0) / rate
 
     def _count(self, n: int) -> None:
         self._n += n
         self._times.append((clock(), self._n))
-        self._bar.steady_rate = self._rate()
-        self._bar.update(n)
+        self.steady_rate = self._rate()
+        self.update(n)
 
     def _rate(self) -> float | None:
         (begin, before), (end, now) = self._times[0], self._times[-1]
