@@ -45,6 +45,9 @@ _LONGEST_KEY: Final = 9  # longest tuple that is the key of a dict
 _PROTOCOL: Final = 5
 _DTYPE: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1)")
 _NO_NUMBERS: Final = "holds an array of something else than plain numbers"
+_DAMAGED: Final = "is damaged: its pickle makes no sense"
+_NO_ARRAY: Final = "is damaged: it describes an array as NumPy never does"
+_TOO_DEEP: Final = f"is nested more than {MAX_NESTING} deep, or in itself"
 _NO_KEY: Final = "has a dict whose keys are no texts or whole numbers"
 
 
@@ -69,12 +72,8 @@ def unpickled(content: bytes) -> Any:
     except (InvalidEventError, MemoryError):
         raise
     except Exception:  # pickle raises nearly every kind of error that there is
-        raise _damaged() from None
+        raise InvalidEventError(_DAMAGED) from None
     return _Finished().of(loaded, 0).value
-
-
-def _damaged() -> InvalidEventError:
-    return InvalidEventError("is damaged: its pickle makes no sense")
 
 
 # --- before it is loaded ---------------------------------------------------------------------
@@ -89,18 +88,15 @@ class _Effect(NamedTuple):
     puts: int
 
 
-_EFFECTS: Final = {
-    opcode.code.encode("latin-1"): _Effect(
-        opcode.name,
-        pickletools.markobject in opcode.stack_before,
-        sum(
-            kind not in (pickletools.markobject, pickletools.stackslice)
-            for kind in opcode.stack_before
-        ),
-        len(opcode.stack_after),
+def _effect(opcode: pickletools.OpcodeInfo) -> _Effect:
+    marks = pickletools.markobject, pickletools.stackslice
+    below = [kind for kind in opcode.stack_before if kind not in marks]
+    return _Effect(
+        opcode.name, marks[0] in opcode.stack_before, len(below), len(opcode.stack_after)
     )
-    for opcode in pickletools.opcodes
-}
+
+
+_EFFECTS: Final = {op.code.encode("latin-1"): _effect(op) for op in pickletools.opcodes}
 _READERS: Final[Mapping[bytes, Callable[[io.BytesIO], Any] | None]] = {
     **{op.code.encode("latin-1"): op.arg.reader if op.arg else None for op in pickletools.opcodes},
     # their readers know ASCII only, and undo escapes
@@ -177,11 +173,11 @@ def _check_opcodes(content: bytes) -> None:
         start = len(stack)
         if marked:
             if not marks:
-                raise _damaged()
+                raise InvalidEventError(_DAMAGED)
             start = marks.pop()
         start -= below
         if start < (marks[-1] if marks else 0):
-            raise _damaged()
+            raise InvalidEventError(_DAMAGED)
         taken = stack[start:]
         if below or marked:
             del stack[start:]
@@ -196,7 +192,7 @@ def _check_opcodes(content: bytes) -> None:
             made = taken[0]
         elif name.endswith("GET"):
             if argument not in memo:
-                raise _damaged()
+                raise InvalidEventError(_DAMAGED)
             made = memo[argument]
         elif name == "MARK":
             marks.append(len(stack))
@@ -204,15 +200,15 @@ def _check_opcodes(content: bytes) -> None:
         elif name.endswith("PUT"):
             # room is made for all places up to the last one
             if len(stack) == (marks[-1] if marks else 0) or not 0 <= argument <= MAX_OPCODES:
-                raise _damaged()
+                raise InvalidEventError(_DAMAGED)
             memo[argument] = stack[-1]
         if name == "MEMOIZE":
             memo[len(memo)] = made
         if made > MAX_NESTING:
-            raise _too_deep()
+            raise InvalidEventError(_TOO_DEEP)
         stack += [made] * puts
     if stack or marks:
-        raise _damaged()
+        raise InvalidEventError(_DAMAGED)
 
 
 def _check_argument(name: str, argument: Any) -> None:
@@ -255,7 +251,7 @@ class _Unpickler(pickle.Unpickler):
         try:
             return content.encode("latin-1")
         except UnicodeEncodeError:
-            raise _no_array() from None
+            raise InvalidEventError(_NO_ARRAY) from None
 
 
 class _Function:
@@ -305,7 +301,7 @@ class _Array:
     def __setstate__(self, state: object) -> None:
         """Take (version, shape, data type, whether in Fortran order, bytes); version optional."""
         if not isinstance(state, tuple) or len(state) not in (4, 5):
-            raise _no_array()
+            raise InvalidEventError(_NO_ARRAY)
         shape, dtype, fortran, content = state[-4:]
         order = "F" if fortran in (1, True) else "C"
         self.array = _array(self._reader, content, dtype, shape, order)
@@ -339,18 +335,18 @@ def _array(
 
 def _reconstruct(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
     if len(arguments) != 3 or arguments[0] is not _NDARRAY:
-        raise _no_array()
+        raise InvalidEventError(_NO_ARRAY)
     return _Array(reader)
 
 
 def _from_buffer(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
     """Arguments: bytes, data type, shape, order "C", "F" or "K", and for "K" that of the axes."""
     if len(arguments) not in (4, 5):
-        raise _no_array()
+        raise InvalidEventError(_NO_ARRAY)
     content, dtype, shape, order, *rest = arguments
     axes = rest[0] if rest else None
     if order not in ("C", "F", "K") or (order == "K") != (axes is not None):
-        raise _no_array()
+        raise InvalidEventError(_NO_ARRAY)
     array = _array(reader, content, dtype, shape, order)
     if axes is None:
         return _Array(reader, array)
@@ -359,13 +355,13 @@ def _from_buffer(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
         or any(type(axis) is not int for axis in axes)
         or sorted(axes) != list(range(array.ndim))
     ):
-        raise _no_array()
+        raise InvalidEventError(_NO_ARRAY)
     return _Array(reader, array.transpose(axes))
 
 
 def _scalar(reader: _Unpickler, arguments: tuple[Any, ...]) -> Any:
     if len(arguments) != 2:
-        raise _no_array()
+        raise InvalidEventError(_NO_ARRAY)
     return _array(reader, arguments[1], arguments[0], (), "C").item()
 
 
@@ -382,17 +378,13 @@ def _encode(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes | bytearray
     match arguments:
         case (str() as text, "latin1" | "latin-1"):
             return reader.raw(text)
-    raise _no_array()
+    raise InvalidEventError(_NO_ARRAY)
 
 
 def _no_bytes(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes:
     if arguments:
-        raise _no_array()
+        raise InvalidEventError(_NO_ARRAY)
     return b""
-
-
-def _no_array() -> InvalidEventError:
-    return InvalidEventError("is damaged: it describes an array as NumPy never does")
 
 
 _STAND_INS: Final[Mapping[tuple[str, str], Callable[..., Any] | object]] = {
@@ -449,12 +441,12 @@ class _Finished:
         if part is None:
             part = self._known[id(value)] = self._container(value, depth)
         if depth + part.height > MAX_NESTING:
-            raise _too_deep()
+            raise InvalidEventError(_TOO_DEEP)
         return part
 
     def _container(self, value: Any, depth: int) -> _Part:
         if depth > MAX_NESTING or id(value) in self._open:
-            raise _too_deep()
+            raise InvalidEventError(_TOO_DEEP)
         self._open.add(id(value))
         parts, size = [], 1
         if type(value) is dict:
@@ -478,7 +470,3 @@ class _Finished:
         if any(type(part) not in (str, int) for part in parts):
             raise InvalidEventError(_NO_KEY)
         return sum(1 + len(part) if isinstance(part, str) else 1 for part in parts)
-
-
-def _too_deep() -> InvalidEventError:
-    return InvalidEventError(f"is nested more than {MAX_NESTING} deep, or in itself")
