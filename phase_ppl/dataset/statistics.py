@@ -355,12 +355,11 @@ def goal_type(goal: str | int, world: World = PHASE_WORLD) -> str:
 
 def _strengths(event: Event) -> tuple[float | None, ...]:
     """Return (agent,) strengths, newtons, as far as they are known."""
-    truth = event.truth
-    if truth is None:
-        return (None,) * len(event.scene.world.agents)
-    if isinstance(truth, Roles):
-        return truth.strengths
-    return truth.strength_red, truth.strength_green
+    if isinstance(event.truth, Roles):
+        return event.truth.strengths
+    if event.truth is not None:
+        return event.truth.strength_red, event.truth.strength_green
+    return (None,) * len(event.scene.world.agents)
 
 
 def _level(force: float) -> str:

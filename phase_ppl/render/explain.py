@@ -71,17 +71,12 @@ def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
             f"event {event.id!r} has {event.observation.n_frames} frames and thoughts at "
             f"{len(thoughts.subgoals)} steps, expected one at each frame but the last"
         )
-    episodes = sorted(
-        (
-            one
-            for agent in range(len(event.scene.world.agents))
-            for one in _episodes(event, thoughts, agent)
-        ),
-        key=lambda one: (one.begin, one.agent),
-    )
+    agents = range(len(event.scene.world.agents))
+    episodes = [one for agent in agents for one in _episodes(event, thoughts, agent)]
+    episodes.sort(key=lambda one: (one.begin, one.agent))
     if path is not None:
         _film(event, thoughts, path)
-    return "\n".join(_line(event, one) for one in episodes)
+    return "\n".join(_line(event, thoughts, one) for one in episodes)
 
 
 def _episodes(event: Event, thoughts: Thoughts, agent: int) -> list[Episode]:
@@ -103,16 +98,15 @@ def _episodes(event: Event, thoughts: Thoughts, agent: int) -> list[Episode]:
     return found
 
 
-def _line(event: Event, one: Episode) -> str:
-    assert event.thoughts is not None
+def _line(event: Event, thoughts: Thoughts, one: Episode) -> str:
     begin, end = (step / SIMULATED_PER_SECOND for step in (one.begin, one.end))
-    words = _sentence(event, event.thoughts, one.subgoal, one.agent, one.begin)
+    words = _sentence(event, thoughts, one.agent, one.begin)
     return textwrap.fill(f"{begin:4.1f} to {end:4.1f} s  {words}", 88, subsequent_indent=" " * 16)
 
 
-def _sentence(event: Event, thoughts: Thoughts, subgoal: Literal, agent: int, step: int) -> str:
+def _sentence(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
     """Return what an agent does at a step and why."""
-    world = event.scene.world
+    world, subgoal = event.scene.world, thoughts.subgoals[step][agent]
     words = f"the {world.agents[agent]} {doing(subgoal, agent, event.scene)}"
     knows, about = _knows(event, thoughts, agent, step), _about(event, agent)
     if subgoal.predicate is Predicate.STOP:
@@ -246,7 +240,7 @@ def _mind(
 
 def _write(picture: Image.Image, event: Event, thoughts: Thoughts, step: int, agent: int) -> None:
     draw, font = ImageDraw.Draw(picture), ImageFont.load_default(_TEXT_SIZE)
-    words = _sentence(event, thoughts, thoughts.subgoals[step][agent], agent, step)
+    words = _sentence(event, thoughts, agent, step)
     width = picture.width // len(event.scene.world.agents)
     letters = round(width * _LETTERS)
     for row, line in enumerate(textwrap.wrap(f"{words[0].upper()}{words[1:]}.", letters)):
