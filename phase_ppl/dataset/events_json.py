@@ -118,19 +118,13 @@ SCENE: Final[Mapping[str, Field]] = {
 """Attribute of a scene -> how files have it; beside these there are ``turning``, a text, and
 ``resets_velocity``, which only a scene that does so has."""
 
-_EVENT_FIELDS = (
-    "format",
-    "id",
-    "world",
-    "scene",
-    "trajectories",
-    "truth",
-    "judgments",
-    "predictions",
+DOCUMENTS: Final = ("judgments", "predictions")  # of any content
+_EVENT_FIELDS: Final = ("format", "id", "world", "scene", "trajectories", "truth", *DOCUMENTS)
+_TRUTH_FIELDS: Final = ("goals", "relation", "scenario", "strengths")
+_SCENE_FIELDS: Final = (
+    *("arena", "walls", "landmarks", "landmark_half_width", "turning"),
+    *("resets_velocity", "radius", "start"),
 )
-_TRUTH_FIELDS = ("goals", "relation", "scenario", "strengths")
-_SCENE_FIELDS = (*("arena", "walls", "landmarks", "landmark_half_width", "turning"),
-                 *("resets_velocity", "radius", "start"))  # fmt: skip
 _LINE_CHARACTERS = 100
 
 
@@ -176,10 +170,9 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
     tracks = require(record, "trajectories", dict)
     observation = read_observation(tracks, "trajectories", world.entities)
     truth = optional(record, "truth", dict)
-    if truth is not None:
-        only(truth, _TRUTH_FIELDS, "truth")
     known: Truth | Roles | None = None
     if truth is not None:
+        only(truth, _TRUTH_FIELDS, "truth")
         of_phase = world == PHASE
         known = read_truth(truth, "strengths") if of_phase else Roles.from_dict(world, truth)
     return Event(
@@ -273,11 +266,8 @@ def event_record(event: Event) -> dict[str, Any]:
         record["truth"] = event.truth.to_dict()
     elif event.truth is not None:
         record["truth"] = truth_record(event.truth, "strengths")
-    if event.judgments is not None:
-        record["judgments"] = dict(event.judgments)
-    if event.predictions is not None:
-        record["predictions"] = dict(event.predictions)
-    return record
+    given = ((name, getattr(event, name)) for name in DOCUMENTS)
+    return record | {name: dict(content) for name, content in given if content is not None}
 
 
 def scene_record(

@@ -45,6 +45,7 @@ from phase_ppl.dataset.documents import (
     reading_bytes,
 )
 from phase_ppl.dataset.events_json import (
+    DOCUMENTS,
     EVENT_FORMAT,
     EVENTS_FORMAT,
     LABELS,
@@ -70,7 +71,6 @@ _FORCE: Final = Field("", (), "N")
 _TEXT: Final = Field("", (), "")
 _GOALS: Final = ("goal_red", "goal_green")
 _STRENGTHS: Final = ("strength_red", "strength_green")
-_DOCUMENTS: Final = ("judgments", "predictions")
 _RESETS: Final = "resets_velocity"
 """1 or 0, where agents of any of a file's events stand still after each step; else not there."""
 
@@ -104,7 +104,7 @@ def event_dataset(event: Event) -> xr.Dataset:
     else:
         values["landmark_half_width"] = fields_of(world)["landmark_half_width"], scene.half_widths
         documents = {"world": world.to_dict(), "truth": event.truth and event.truth.to_dict()}
-    documents |= {name: getattr(event, name) for name in _DOCUMENTS}
+    documents |= {name: getattr(event, name) for name in DOCUMENTS}
     for name, content in documents.items():
         values[name] = _TEXT, "" if content is None else to_text(dict(content), compact=True)
     seconds = np.arange(event.observation.n_frames) / FRAMES_PER_SECOND
@@ -151,7 +151,7 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     record: dict[str, Any] = {
         "world": given,
         "truth": None if given is None else _document(dataset, "truth"),
-        **{name: _document(dataset, name) for name in _DOCUMENTS},
+        **{name: _document(dataset, name) for name in DOCUMENTS},
         "id": _text(dataset, "event", required=True),
         "scene": scene_record(found, turning, _resets(dataset), world),
         "trajectories": dict(zip(world.entities, tracks, strict=True)),

@@ -20,11 +20,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 class Registry(Generic[Entry]):
     """Name -> entry. All are loaded when one is asked for that is not known yet.
 
-    Args:
-        what: is registered, for messages.
-        package: of ours, by its full name, whose modules register theirs; None: ours are known
-            already.
-        entry_points: the group of those of other packages; None: they offer none.
+    Those of ours are registered by the modules of a ``package``, where it has to be searched, those
+    of other packages offered by their ``entry_points``.
     """
 
     def __init__(

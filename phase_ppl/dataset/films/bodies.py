@@ -61,12 +61,8 @@ class Bodies:
         """Return (entity, 4) x, y [units], angle [rad] and confidence; NaN for what is not seen.
 
         The confidence is how far body and pixels of its colour agree (the intersection of the two
-        over their union), less where most of the body is covered.
-
-        Args:
-            frame: the picture.
-            before: (entity, 3) where they were, NaN where that is not known.
-            radius: (entity,) sizes, units.
+        over their union), less where most of the body is covered. It is looked for about where it
+        was ``before``, (entity, 3), NaN where that is not known.
         """
         labels = self._colours.labels(frame)
         found = np.full((self._n, 4), np.nan)

@@ -234,9 +234,8 @@ class Colours:
 class Still:
     """What stands still in the samples of a film, mapped to the painter's picture.
 
-    Attributes:
-        floor: (height, width, 3) what the picture is without bodies.
-        colours: (entity, 3) as the film has them.
+    Its ``floor``, (height, width, 3), is the picture without bodies, which have the (entity, 3)
+    ``colours`` in the film.
     """
 
     def __init__(self, samples: Sequence[Pixels], colours: Colours, painter: Painter) -> None:

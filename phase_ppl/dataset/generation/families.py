@@ -254,12 +254,7 @@ def family_and_variant(cell: str) -> tuple[Family, str | None]:
 
 
 def cast_family_and_variant(cell: str, world: World) -> tuple[CastFamily, str | None]:
-    """Return what "FAMILY" or "FAMILY:VARIANT" names in a world other than PHASE.
-
-    Raises:
-        UnknownNameError: there is no such family or variant.
-        InvalidSettingError: the family is of another world, or needs a larger cast.
-    """
+    """Return what "FAMILY" or "FAMILY:VARIANT" names in a world other than PHASE."""
     name, _, _ = cell.partition(":")
     if name not in CAST_FAMILIES.names():
         if name in FAMILIES.names():

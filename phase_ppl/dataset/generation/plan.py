@@ -100,12 +100,7 @@ class Slot(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What is to be generated.
-
-    Raises:
-        UnknownNameError: an unknown family, variant, turning or planner.
-        InvalidSettingError: a number that is not allowed.
-    """
+    """What is to be generated."""
 
     # FAMILY or FAMILY:VARIANT -> number of events; in another world also ``cell_of`` it, of random
     # scenes with roles
