@@ -51,15 +51,13 @@ ENTRIES: Final = "entries.json"
 class GeneratedEvents(StoredEvents):
     """The events of a generated data set, with its manifest; each is read when it is asked for.
 
-    Slices and splits are of the same kind, and read nothing. The files are open only while
-    something is read, so that any number of processes can have the same events.
+    Slices and splits are of the same kind, and read nothing; see :class:`StoredEvents`.
 
     Args:
         path: the folder.
         turning: "both", "ccw" or "cw" instead of what is stored.
 
     Attributes:
-        path: the folder.
         manifest: of the whole set.
 
     Raises:

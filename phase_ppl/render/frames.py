@@ -311,7 +311,6 @@ def _paste(
 
 # --- frames put beside each other, with words -----------------------------------------------------
 
-
 PANEL: Final = HEIGHT  # side of a panel in PHASE, pixels: the arena and its margin
 _TEXT_COLOUR: Final = (70, 70, 70)
 
@@ -322,14 +321,18 @@ def panel(frame: Image.Image) -> Image.Image:
     return frame.crop((beside, 0, frame.width - beside, frame.height))
 
 
-def side_by_side(panels: list[Image.Image], below: int = 0) -> Image.Image:
-    """Return a picture of ``panels`` from left to right over ``below`` blank rows."""
+def side_by_side(
+    panels: list[Image.Image], below: int = 0, columns: int | None = None
+) -> Image.Image:
+    """Return ``panels`` from left to right, each over so many blank pixels; None: all in a row."""
     width, height = (max(sizes) for sizes in zip(*(part.size for part in panels), strict=True))
-    picture = Image.new("RGB", (width * len(panels), height + below), BACKGROUND)
+    columns = min(columns or len(panels), len(panels))
+    rows = -(-len(panels) // columns)
+    picture = Image.new("RGB", (width * columns, (height + below) * rows), BACKGROUND)
     for index, part in enumerate(panels):
-        picture.paste(
-            part, (index * width + (width - part.width) // 2, (height - part.height) // 2)
-        )
+        row, column = divmod(index, columns)
+        x, y = column * width, row * (height + below)
+        picture.paste(part, (x + (width - part.width) // 2, y + (height - part.height) // 2))
     return picture
 
 

@@ -88,7 +88,6 @@ RELATION_TABLE: Final = np.array(
 ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 """Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
 
-
 ALPHA_WORDS: Final = (
     "neither helps nor hinders",
     "red helps green",
@@ -252,10 +251,8 @@ class Hypothesis:
 STANCES: Final = {"help": 1, "hinder": -1}
 """What an agent may do with another's goal, and the sign of alpha."""
 
-
 SOCIAL: Final = 1 - 1 / 3
 """Probability that some agent helps or hinders another (paper, Appendix 4B)."""
-
 
 Towards = tuple[tuple[int, int] | None, ...]
 """(agent,) another agent, and 1 where it is helped, -1 where it is hindered; None: neither."""

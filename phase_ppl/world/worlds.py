@@ -7,14 +7,7 @@ from typing import Final
 from phase_ppl.world.errors import check_name
 from phase_ppl.world.scene import PHASE, World
 
-__all__ = [
-    "PHASE",
-    "SOLO",
-    "TRIO",
-    "available",
-    "named",
-]
-
+__all__ = ["PHASE", "SOLO", "TRIO", "available", "named"]
 
 SOLO: Final = World(
     ["red agent"],

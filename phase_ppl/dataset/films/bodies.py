@@ -25,7 +25,6 @@ REACH: Final = float(np.hypot(*UNIT_TRAPEZOID.T).max())
 SEEN: Final = 0.3
 """Confidence below which a body counts as lost."""
 
-_AREAS: Final = (4.0 - 2 * np.pi * EYE_RADIUS**2, np.pi)  # of an agent and an item of size 1
 _ANGLES: Final = 16  # of an agent, tried before the best is improved
 _OTHERS: Final = 6  # of those, the best, that are improved where the likely one does not do
 _SURE: Final = 0.9  # confidence from which on nothing else is tried
@@ -128,7 +127,7 @@ class Bodies:
 
     def area(self, entity: int) -> float:
         """Return the area in its own colour of a body of size 1."""
-        return _AREAS[0] if self.is_agent(entity) else _AREAS[1]
+        return 4.0 - 2 * np.pi * EYE_RADIUS**2 if self.is_agent(entity) else np.pi
 
     def _improve(
         self,

@@ -79,14 +79,7 @@ class VideoReading:
             self._panel(painter, frame, before)
             for before, frame in zip([0, *frames[:-1]], frames, strict=True)
         ]
-        rows = [
-            side_by_side(panels[first : first + _COLUMNS], below=4)
-            for first in range(0, len(panels), _COLUMNS)
-        ]
-        picture = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)), BACKGROUND)
-        for index, row in enumerate(rows):
-            picture.paste(row, (0, index * rows[0].height))
-        return picture
+        return side_by_side(panels, 4, _COLUMNS)
 
     def _panel(self, painter: Painter, frame: int, before: int) -> Image.Image:
         drawn = self._pictures[frame]
@@ -111,8 +104,7 @@ class VideoReading:
             f"frame {frame}: least {self.confidence[frame, least]:.2f}, "
             f"{scene.world.entities[least]}"
         )
-        result = Image.new("RGB", (small.width, small.height + _CAPTION), BACKGROUND)
-        result.paste(small, (0, 0))
+        result = side_by_side([small], _CAPTION)
         write_centred(result, words, small.width / 2, small.height + _CAPTION / 4, 18)
         return result
 
