@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Renews the scripts of others that are committed: jsPsych for the pages, axe for their tests.
-# Needs npm and python3. jsPsych's packages hold no licence: its text, static/vendor/LICENSE, is that
+# Needs npm. jsPsych's packages hold no licence: its text, static/vendor/LICENSE, is that
 # of its repository.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
@@ -24,13 +24,6 @@ mkdir -p "$pages" "$tests"
 : >"$pages/VERSIONS"
 : >"$tests/VERSIONS"
 unpack jspsych@8.3.0
-# nearly all of the style sheet are fonts inside it
-python3 -c '
-import re, sys
-path = sys.argv[1]
-text = re.sub(r"@font-face\s*\{.*?\}|/\*.*?\*/", "", open(path).read(), flags=re.S)
-open(path, "w").write(re.sub(r"\n\s*\n+", "\n", text).lstrip())' "$work/package/css/jspsych.css"
-keep "$pages" jspsych@8.3.0 css/jspsych.css jspsych.css
 keep "$pages" jspsych@8.3.0 dist/index.browser.min.js jspsych.js
 unpack axe-core@4.14.1
 keep "$tests" axe-core@4.14.1 axe.min.js axe.min.js
