@@ -36,7 +36,6 @@ SCHEMA: Final = "phase-ppl-checkpoint-3"
 SUFFIXES: Final = (".ckpt",)
 
 _DOCUMENT: Final = "run.json"
-_ARRAY: Final = ".npy"
 _LIST: Final = "arrays"
 _KINDS: Final = "biuf"
 
@@ -58,14 +57,20 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Columns]
     """Return the document and the arrays that :func:`write_archive` wrote."""
     source = existing_file(path)
     try:
-        with zipfile.ZipFile(source) as archive:
-            members = {info.filename: _member(archive, info) for info in archive.infolist()}
-        document = json.loads(members.pop(_DOCUMENT))
+        # from memory: NumPy leaves a damaged file open
+        with np.load(io.BytesIO(source.read_bytes()), allow_pickle=False) as kept:
+            # compressed ones could be far larger than the file
+            if any(one.file_size != one.compress_size for one in kept.zip.infolist()):
+                raise ValueError("it is compressed")
+            arrays = {name: kept[name] for name in kept.files}
+        document = json.loads(arrays.pop(_DOCUMENT))
         if not isinstance(document, dict):
             raise ValueError(f"{_DOCUMENT} is no object")
-        arrays = {name.removesuffix(_ARRAY): _array(data) for name, data in members.items()}
         if document.pop(_LIST) != list(arrays):
             raise ValueError("it has not the arrays that were written")
+        for name, values in arrays.items():
+            if values.dtype.kind not in _KINDS:
+                raise ValueError(f"{name} is an array of {values.dtype}, expected numbers")
     except Exception as error:  # whatever a damaged file makes the readers stumble over
         raise damaged(source, error) from None
     return document, arrays
@@ -79,20 +84,6 @@ def damaged(path: str | os.PathLike[str], error: Exception) -> InvalidEventError
     return InvalidEventError(
         f"{path} is no checkpoint, or a damaged one: {reason or type(error).__name__}"
     )
-
-
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    # compressed ones could be far larger than the file
-    if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
-        raise ValueError(f"{info.filename!r} is compressed")
-    return archive.read(info)
-
-
-def _array(data: bytes) -> NDArray[Any]:
-    values = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-    if values.dtype.kind not in _KINDS:
-        raise ValueError(f"an array of {values.dtype}, expected numbers")
-    return values
 
 
 # --- what a run has done, as arrays of numbers ----------------------------------------------------
