@@ -46,17 +46,8 @@ GROWTH_BYTES: Final = 2_000_000_000
 """How much a worker may grow before a fresh one takes its place; compiled programs take room."""
 
 ENVIRONMENT: Final = {
-    **dict.fromkeys(
-        (
-            "MKL_NUM_THREADS",
-            "NUMBA_NUM_THREADS",
-            "NUMEXPR_NUM_THREADS",
-            "OMP_NUM_THREADS",
-            "OPENBLAS_NUM_THREADS",
-            "VECLIB_MAXIMUM_THREADS",
-        ),
-        "1",
-    ),
+    **{f"{name}_NUM_THREADS": "1" for name in ("MKL", "NUMBA", "NUMEXPR", "OMP", "OPENBLAS")},
+    "VECLIB_MAXIMUM_THREADS": "1",
     "LOKY_MAX_MEMORY_LEAK_SIZE": str(GROWTH_BYTES),
 }
 """Of our workers: the cores are shared out among processes, not threads."""
@@ -220,14 +211,16 @@ class OwnWorkers:
                     initargs=(self._token, self._packed),
                     env=ENVIRONMENT,
                 )
+            # processes started meanwhile inherit it: Ctrl-C prints no half-started traces of theirs
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
-                with _interrupts_blocked():
-                    future: Future[Any] = self._executor.submit(
-                        _do_in_worker, self._token, None, function, arguments
-                    )
-                    return future
+                future: Future[Any] = self._executor.submit(
+                    _do_in_worker, self._token, None, function, arguments
+                )
+                return future
             finally:
                 self._note_processes()
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
         """Kill all workers; the next task starts new ones."""
@@ -239,9 +232,11 @@ class OwnWorkers:
             # has, and without it leaves the worker alive: they are taken from it
             self._executor._processes.clear()
             self._executor.shutdown(wait=True, kill_workers=True)
-            for process in self._processes.values():
-                if process.is_alive():
-                    _kill(process.pid)
+            for pid, process in self._processes.items():
+                # the worker, and its own group, which exists once it has started up
+                for kill in (os.kill, os.killpg) if process.is_alive() else ():
+                    with contextlib.suppress(ProcessLookupError, PermissionError):
+                        kill(pid, signal.SIGKILL)
                 process.join()
             self._processes.clear()
             self._executor = None
@@ -254,25 +249,6 @@ class OwnWorkers:
     def _note_processes(self) -> None:
         # loky forgets them when it breaks, or where Ctrl-C came while it started them
         self._processes.update(self._executor._processes)
-
-
-@contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    # processes started meanwhile inherit it: Ctrl-C does not print their half-started traces
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _kill(pid: int | None) -> None:
-    if pid is None:
-        return
-    # the worker, and its own group, which exists once it has started up
-    for kill in (os.kill, os.killpg):
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            kill(pid, signal.SIGKILL)
 
 
 class BorrowedExecutor:
