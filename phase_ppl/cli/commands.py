@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import inspect
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -279,6 +280,17 @@ def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
     """Return those of the options that were given, by name."""
     found = {name: getattr(options, name) for name in names}
     return {name: value for name, value in found.items() if value is not None}
+
+
+def arguments(
+    function: Callable[..., Any], options: argparse.Namespace, /, **own: Any
+) -> dict[str, Any]:
+    """Return arguments of a function: what the options of the same names give, and ``own`` ones."""
+    names = [name for name in inspect.signature(function).parameters if name in options]
+    found = given(options, *names)
+    if "progress" in names:
+        found["progress"] = shows_progress(options)
+    return {**found, **own}
 
 
 PRESET: Final = (

@@ -63,22 +63,15 @@ def _compare(options: argparse.Namespace) -> int:
 def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> int:
     interrupted = False
     try:
-        found = phase_ppl.compare(
-            event,
-            own.model(options, options.planner),
+        arguments = cli.arguments(
+            phase_ppl.compare,
+            options,
+            event=event,
+            model=own.model(options, options.planner),
             kernels=_kernels(options.kernels),
-            budget=options.budget,
-            repeats=options.repeats,
-            chains=options.chains,
-            seed=options.seed,
             reference=_reference(options.reference),
-            weights=options.weights,
-            workers=options.workers,
-            executor=options.executor,
-            shard=options.shard,
-            progress=cli.shows_progress(options),
-            checkpoint=options.checkpoint,
         )
+        found = phase_ppl.compare(**arguments)
     except phase_ppl.ComparisonInterrupted as stopped:
         if stopped.comparison is None:
             print("phase-ppl: interrupted before the first run was finished", file=sys.stderr)

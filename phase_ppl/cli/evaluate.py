@@ -225,21 +225,8 @@ def _evaluation(
 ) -> Evaluation | None:
     """Evaluate one model, ``named`` in messages; None where it was interrupted."""
     try:
-        return phase_ppl.evaluate(
-            events,
-            model,
-            out=out,
-            workers=options.workers,
-            executor=options.executor,
-            shard=options.shard,
-            resume=options.resume,
-            limit=options.limit,
-            seed=options.seed or 0,
-            judgments=options.judgments,
-            progress=cli.shows_progress(options),
-            observer=options.observer,
-            **of_model,
-        )
+        more = dict(of_model, events=events, model=model, out=out, split=None)  # was chosen before
+        return phase_ppl.evaluate(**cli.arguments(phase_ppl.evaluate, options, **more))
     except phase_ppl.EvaluationInterrupted as stopped:
         print(f"phase-ppl: {named}{stopped}", file=sys.stderr)
         if out is not None:
@@ -388,10 +375,7 @@ def _compare_models(options: argparse.Namespace) -> int:
         writable_folder(options.out)
     found = phase_ppl.compare_models(
         _sources(options.folders),
-        stored=named_references(options.stored),
-        against=options.against,
-        common=options.common,
-        **cli.given(options, "margin", "seed", "resamples"),
+        **cli.arguments(phase_ppl.compare_models, options, stored=named_references(options.stored)),
     )
     print(found)
     if options.out is None:

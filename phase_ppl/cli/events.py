@@ -163,15 +163,8 @@ def _read_video(options: argparse.Namespace) -> int:
         scene = phase_ppl.load_event(options.scene).scene
     elif Path(layout).suffix in EVENT_SUFFIXES:
         layout = phase_ppl.load_events(layout)[0].scene.world
-    reading = phase_ppl.read_video(
-        options.film,
-        scene,
-        layout=layout,
-        frames_per_step=options.frames_per_step,
-        start=options.start,
-        max_gap=options.max_gap,
-        progress=cli.shows_progress(options),
-    )
+    more = cli.arguments(phase_ppl.read_video, options, scene=scene, layout=layout)
+    reading = phase_ppl.read_video(options.film, **more)
     phase_ppl.save_event(reading.event, options.out)
     print(f"{'':16}confidence  least  in frame  interpolated")
     for name, sure in zip(reading.event.scene.world.entities, reading.confidence.T, strict=True):

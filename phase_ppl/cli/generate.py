@@ -24,12 +24,6 @@ REJECTED_VIDEOS: Final = "videos_rejected"
 """Folders of films in that of the data set; those of rejected draws end in the reason."""
 
 
-_PASSED_ON: Final = (
-    *("planner", "seed", "copies", "replans", "turning", "shard", "workers"),
-    *("executor", "keep_rejected", "resume", "other_versions"),
-)
-
-
 def add_to(commands: Any) -> None:
     """Add the commands."""
     parser = cli.command(
@@ -96,14 +90,8 @@ def _generate(options: argparse.Namespace) -> int:
         given["roles"] = functools.partial(phase_ppl.roles.draw, prior=prior)
     cells = {_family(name): number for name, number in options.cell or ()}
     try:
-        made = generate(
-            options.out,
-            options.n,
-            cells=cells or PRESETS.get(options.preset),
-            **given,
-            progress=cli.shows_progress(options),
-            **cli.given(options, *_PASSED_ON),
-        )
+        given["cells"] = cells or PRESETS.get(options.preset)
+        made = generate(**cli.arguments(generate, options, **given))
     except GenerationInterrupted as stopped:
         print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
         return cli.INTERRUPTED

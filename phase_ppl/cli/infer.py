@@ -122,20 +122,9 @@ def _infer(options: argparse.Namespace) -> int:
             return _watched(event, out, options)
         exact = stepwise and options.kernel is None
         model, of_kernel = _model_of(options, stepwise)
-        given = {
-            **_run_options(options),
-            **of_kernel,
-            **_kernel(options),
-            **cli.given(options, "chains", "planner"),
-        }
-        run = functools.partial(
-            phase_ppl.infer,
-            event,
-            model,
-            seed=options.seed,
-            checkpoint=None if exact else kept,
-            **completed(options.preset, given),
-        )
+        own_ones = {"event": event, "model": model, "checkpoint": None if exact else kept}
+        given = cli.arguments(phase_ppl.infer, options, **own_ones, **of_kernel, **_kernel(options))
+        run = functools.partial(phase_ppl.infer, **completed(options.preset, given))
         return _finish(run, event, out, kept, options)
 
 
@@ -184,17 +173,19 @@ def _resume(options: argparse.Namespace) -> int:
         run = functools.partial(
             phase_ppl.resume,
             options.file,
-            model=_model_again(options, saved.identity["model"]),
-            other_versions=options.other_versions,
-            **_kernel(options),
-            **_run_options(options),
+            **cli.arguments(
+                phase_ppl.resume,
+                options,
+                model=_model_again(options, saved.identity["model"]),
+                **_kernel(options),
+            ),
         )
         return _finish(run, saved.event, out, options.file, options)
 
 
 def _model_again(options: argparse.Namespace, before: Mapping[str, Any]) -> phase_ppl.Model | None:
     """Return the model of a run that has parts of one's own; None where none are given."""
-    if not own.is_given(options):
+    if not cli.given(options, *own.PARTS):
         return None
     planner = None
     if options.simulator is None and before["planner"] is not None:
@@ -245,14 +236,6 @@ def _has_own(options: argparse.Namespace) -> bool:
     """Return whether a file cannot hold all of a run: parts out of a file, or its likelihood."""
     given = (options.prior, options.simulator, options.kernel, options.likelihood)
     return any(text is not None and (".py:" in text or "stepwise" in text) for text in given)
-
-
-def _run_options(options: argparse.Namespace) -> dict[str, Any]:
-    names = (
-        *("iterations", "budget", "workers", "executor", "on_failure", "retries"),
-        *("simulation_seconds", "burn_in", "weights"),
-    )
-    return {"progress": cli.shows_progress(options), **cli.given(options, *names)}
 
 
 def _write_results(

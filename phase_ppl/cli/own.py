@@ -25,7 +25,7 @@ FILE: Final = "FILE.py:NAME takes one of your own, and runs that file"
 """What options say that :func:`taken` reads."""
 
 LIKELIHOODS: Final = ("radial", "stepwise")
-_PARTS: Final = ("prior", "simulator", "likelihood", "noise")
+PARTS: Final = ("prior", "simulator", "likelihood", "noise")  # options of :func:`add_model`
 _SUFFIX: Final = ".py"
 
 
@@ -66,14 +66,9 @@ def model(
 
 def given_again(options: argparse.Namespace, *more: str) -> str:
     """Return those of the options that are of one's own, to be given to another command."""
-    found = {name: getattr(options, name, None) for name in (*_PARTS, *more)}
+    found = {name: getattr(options, name, None) for name in (*PARTS, *more)}
     words = (f" --{name} {shlex.quote(str(value))}" for name, value in found.items() if value)
     return "".join(words)
-
-
-def is_given(options: argparse.Namespace) -> bool:
-    """Return whether any of the options of :func:`add_model` is."""
-    return bool(cli.given(options, *_PARTS))
 
 
 def taken(text: str, what: str, named: bool = True) -> Any:

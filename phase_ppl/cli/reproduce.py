@@ -39,15 +39,8 @@ def add_to(commands: Any) -> None:
 
 
 def _reproduce(options: argparse.Namespace) -> int:
-    names = ("profile", "judgments", "vlm_store", "tags", "likeness", "seed", "workers", "resume")
     try:
-        made = phase_ppl.reproduce(
-            options.out,
-            options.videos,
-            progress=cli.shows_progress(options),
-            say=_say,
-            **cli.given(options, *names),
-        )
+        made = phase_ppl.reproduce(**cli.arguments(phase_ppl.reproduce, options, say=_say))
     except KeyboardInterrupt:
         _say("phase-ppl: interrupted; go on with the same command and --resume")
         return cli.INTERRUPTED

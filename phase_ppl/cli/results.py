@@ -343,8 +343,6 @@ def _report(options: argparse.Namespace) -> int:
     if options.out is not None:
         cli.check_suffix(options.out, (".html",))
         writable_folder(options.out.parent)
-    path = phase_ppl.report(
-        options.folder, options.out, videos=options.videos, progress=cli.shows_progress(options)
-    )
+    path = phase_ppl.report(path=options.out, **cli.arguments(phase_ppl.report, options))
     print(f"{path.stat().st_size / 1e6:.1f} MB written to {path}")
     return 0

@@ -124,13 +124,7 @@ def _new(options: argparse.Namespace) -> int:
     events = (
         [e for name in options.events for e in all_events(name)] if several else options.events[0]
     )
-    study = Study.new(
-        options.folder,
-        events,
-        options.kind,
-        progress=cli.shows_progress(options),
-        **cli.given(options, "generated", "title", "trials", "raters", "workers"),
-    )
+    study = Study.new(**cli.arguments(Study.new, options, events=events))
     print(f"{study}\nIts texts are in {study.folder / 'study.toml'}; say there who is responsible.")
     if options.kind == "play":
         for warning in study.check():
@@ -206,13 +200,7 @@ def _simulate(options: argparse.Namespace) -> int:
     from phase_ppl.study.study import check_extra
 
     check_extra()
-    found = simulate(
-        _study(options),
-        options.out,
-        options.people,
-        options=cli.once(options.option),
-        progress=cli.shows_progress(options),
-        **cli.given(options, "model", "predictions", "lapse", "drop_outs", "seed"),
-    )
+    of_model = cli.once(options.option)
+    found = simulate(_study(options), **cli.arguments(simulate, options, options=of_model))
     print(f"{found}\n\nThese are no people: every file in {options.out} is simulated.")
     return 0

@@ -50,13 +50,8 @@ def _train(options: argparse.Namespace) -> int:
     settings = TrainingSettings.of(options.variant, **given)
     writable_folder(options.out)
     try:
-        report = phase_ppl.train_socialgnn(
-            options.data,
-            options.out,
-            settings=settings,
-            progress=cli.shows_progress(options),
-            **cli.given(options, "seeds", "seed", "resume"),
-        )
+        arguments = cli.arguments(phase_ppl.train_socialgnn, options, settings=settings)
+        report = phase_ppl.train_socialgnn(**arguments)
     except KeyboardInterrupt:
         print("phase-ppl: interrupted; go on with the same command and --resume", file=sys.stderr)
         return cli.INTERRUPTED

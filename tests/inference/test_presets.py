@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,7 @@ def test_infer_takes_single_settings_and_writes_the_word_down(
 ) -> None:
     asked: list[dict[str, Any]] = []
 
+    @functools.wraps(ppl.infer)
     def remembered(event: Any, model: Any, **given: Any) -> Any:
         asked.append(given)
         raise InvalidSettingError("enough")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import pickle
 import shutil
@@ -418,7 +419,7 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
     out = tmp_path / "a set"
     monkeypatch.setattr(
         "phase_ppl.cli.generate.generate",
-        lambda folder, n, **options: generate(folder, n, **{**options, **QUICK, "frames": 8}),
+        functools.wraps(generate)(lambda **options: generate(**{**options, **QUICK, "frames": 8})),
     )
     arguments = ["generate", "--cell", "chasing=2", "--replans", "1", "--keep-rejected"]
     arguments += ["--videos", "--quiet", "--workers", "1"]
