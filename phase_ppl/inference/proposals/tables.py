@@ -1,7 +1,6 @@
 """What a window of the observation says about goals and strengths (paper, Appendix 4B).
 
-Computed once per event, in NumPy, in one of two forms; the third, "closed_loop", is in
-``closed_loop.py``.
+Computed once per event, in NumPy, in one of three forms.
 
 "learned". Goals are scored by :func:`goal_features`, which also see what the agent itself did, and
 proposed together with alpha (:func:`joint_logits`). The weights of the features were learned from
@@ -17,13 +16,20 @@ d is the distance of the goal's own entity: of the item for a goal about an item
 agent for a goal about an agent at a landmark, between the two for goals of touching. For a goal to
 be *away* it is the distance to the set of places that are away: max(0, R - distance). A smaller R
 leaves many goals at distance 0 that nobody works for.
+
+"closed_loop". The video is read once by the closed loop (:mod:`phase_ppl.closed_loop`), with one
+set of searches and the paper's uniform prior: as good as a bottom-up pass can be. A window proposes
+goals, and who helps or hinders whom, by what is probable given the frames up to its end; the
+initial hypotheses come from the whole. Of the goals of several agents together only their product
+is proposed, given who helps or hinders whom. Hastings' ratio corrects for it, so the posterior is
+still that of simulations; but what the closed loop takes to be improbable is seldom tried.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -32,11 +38,14 @@ from numpy.typing import NDArray
 from phase_ppl.inference.proposals.strength import Estimator, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.event import Observation
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.scene import PHASE, Scene
-from phase_ppl.world.space import space_of
+from phase_ppl.world.space import HypothesisSpace, space_of
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.stepwise_table import GoalRows, Table
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""
@@ -110,8 +119,6 @@ def bottom_up_tables(
     estimates = estimated_strengths(settings.strength, scene, observation, windows)
     if settings.proposal != "paper":
         if settings.proposal == "closed_loop":
-            from phase_ppl.inference.proposals.closed_loop import closed_loop_logits
-
             goal, alpha = closed_loop_logits(scene, observation, last, progress)
         else:
             goal, alpha = joint_logits(_scores(scene, observation, first, last))
@@ -186,6 +193,67 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
                 apart if literal.positive else np.maximum(0.0, farthest - apart)
             )
     return distance
+
+
+# --- what the closed loop makes of a video --------------------------------------------------------
+
+_LEAST: Final = 1e-12  # of the mass, which what has less is proposed with
+_EVENTS_KEPT: Final = 8
+
+
+def closed_loop_logits(
+    scene: Scene, observation: Observation, last: IntArray, progress: bool | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return what is probable given the frames up to each of ``last``.
+
+    Unnormalised log probabilities: (stretch, way, agent, goal) of stated goals given in which way
+    agents stand to each other, and (stretch, way) beside the prior's. ``progress`` says whether to
+    show a bar while the video is read.
+    """
+    table = _read(scene, observation, progress)
+    space, rows = table.space, table.hypotheses
+    n = len(space.ways)
+    log_prior = rows.log_prior - rows.log_drawn
+    least = np.where(np.isfinite(log_prior), _LEAST, 0)
+    prior = _sums(rows.way, np.exp(log_prior), n)
+    goal = np.empty((len(last), n, space.n_agents, space.n_goals))
+    evidence = np.empty((len(last), n))
+    for place, frame in enumerate(last):
+        log_masses = table.log_masses(int(frame))[0]
+        masses = np.exp(log_masses - log_masses.max())
+        evidence[place] = _sums(rows.way, np.maximum(masses, least), n) - prior
+        for way in range(n):
+            goal[place, way] = _goal_logits(space, way, rows, masses)
+    return np.where(space.impossible, IMPOSSIBLE, goal), evidence
+
+
+def _goal_logits(
+    space: HypothesisSpace, way: int, rows: GoalRows, masses: FloatArray
+) -> FloatArray:
+    """Return (agent, goal) log masses of stated goals in one way; all alike of who has none."""
+    found = np.zeros((space.n_agents, space.n_goals))
+    chosen = rows.way == way
+    for agent in np.unique(space.owner[way]):
+        shares = np.bincount(rows.stated[chosen, agent], masses[chosen], space.n_goals)
+        found[agent] = np.log(np.maximum(shares / max(shares.sum(), 1e-300), _LEAST))
+    return found
+
+
+def _sums(way: IntArray, masses: FloatArray, n: int) -> FloatArray:
+    """Return (way,) logs of sums of masses."""
+    return np.asarray(np.log(np.maximum(np.bincount(way, masses, n), 1e-300)))
+
+
+@functools.lru_cache(_EVENTS_KEPT)
+def _read(scene: Scene, observation: Observation, progress: bool | None) -> Table:
+    # by object: kernels that are compared share it
+    from phase_ppl.analysis.stepwise_table import table_of
+    from phase_ppl.inference.stepwise import filter_event
+    from phase_ppl.models.model import Model
+    from phase_ppl.models.stepwise import StepwiseLikelihood
+
+    model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
+    return table_of(filter_event(Event(scene, observation), model, progress=progress).dataset)
 
 
 # --- features of motion that speak for goals ------------------------------------------------------
