@@ -188,23 +188,18 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
             return dataclasses.replace(
                 info, factory=kernel.bound_to, needs=_needs_of(kernel.bound_to)
             )
-    if isinstance(kernel, MCMCKernel):
-        factory = getattr(kernel, "bound_to", None)
-        name = type(kernel).__name__
-        if isinstance(kernel, HMC):
-            raise _needs_gradient(name)
-        if factory is None:
-            raise InvalidSettingError(
-                f"kernel {name}: give the class, or a function that makes the kernel from the "
-                "program; an instance already has a program of its own"
-            )
-    elif isinstance(kernel, type) and issubclass(kernel, HMC):
-        raise _needs_gradient(kernel.__name__)
-    elif callable(kernel):
-        factory = kernel
-        name = getattr(kernel, "__name__", type(kernel).__name__)
-    else:
+    is_made = isinstance(kernel, MCMCKernel)
+    if not (is_made or callable(kernel)):
         raise InvalidSettingError(f"kernel={shown(kernel)} is neither a name nor a kernel")
+    name = getattr(kernel, "__name__", type(kernel).__name__)
+    if issubclass(kernel if isinstance(kernel, type) else type(kernel), HMC):
+        raise _needs_gradient(name)
+    factory: Any = getattr(kernel, "bound_to", None) if is_made else kernel
+    if factory is None:
+        raise InvalidSettingError(
+            f"kernel {name}: give the class, or a function that makes the kernel from the "
+            "program; an instance already has a program of its own"
+        )
     return KernelInfo(
         name,
         factory,
