@@ -249,16 +249,16 @@ def table(event_id: str, found: Mapping[str, Any]) -> str:
 
 def _scalars(scalars: Mapping[str, Any]) -> Iterator[str]:
     for name, entry in scalars.items():
-        sizes = (_whole(entry["ess_bulk"]), _whole(entry["ess_tail"]))
-        yield _row(name.replace("_", " "), (_two(entry["r_hat"]), *sizes), 12)
+        sizes = (_number(entry["ess_bulk"], 0), _number(entry["ess_tail"], 0))
+        yield _row(name.replace("_", " "), (_number(entry["r_hat"]), *sizes), 12)
 
 
 def _categories(found: Mapping[str, Any]) -> Iterator[str]:
     for name, categories in found["categories"].items():
         label = name.replace("_", " ")
         for category, entry in categories.items():
-            numbers = (_two(entry["probability"]), _two(entry["share"]), _two(entry["mcse"]))
-            cells = (*numbers, _whole(entry["ess"]), _two(entry["r_hat"]))
+            numbers = map(_number, (entry["probability"], entry["share"], entry["mcse"]))
+            cells = (*numbers, _number(entry["ess"], 0), _number(entry["r_hat"]))
             yield _row(f"{label:<{LABEL}}{category}", cells, 7)
             label = ""
         apart = found["between_chain_tv"].get(name)
@@ -318,12 +318,8 @@ def _simulations(found: Mapping[str, Any]) -> str:
     )
 
 
-def _two(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _whole(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0f}"
+def _number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 # --- report ----------------------------------------------------------------------------------

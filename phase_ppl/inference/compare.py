@@ -496,7 +496,8 @@ def compare(
             },
             checkpoint,
         )
-        waiting = [(r, c) for r, c in runs if not record.has(c, r)]
+        done = {(run["repeat"], run["kernel"]) for run in record.runs}
+        waiting = [(repeat, entry) for repeat, entry in runs if (repeat, entry.label) not in done]
         if waiting and checkpoint is not None:
             versions_so_far([record.settings["versions"]], checkpoint)
         shown_bar = is_shown(progress)
@@ -526,8 +527,8 @@ def compare(
                     record.keep(columns, rows.assign(kernel=entry.label, repeat=repeat))
                     bar.update()
         except KeyboardInterrupt as stopped:
-            done = record.comparison() if record.runs else None
-            raise ComparisonInterrupted(done) from stopped
+            finished = record.comparison() if record.runs else None
+            raise ComparisonInterrupted(finished) from stopped
         return record.comparison()
 
 
@@ -549,9 +550,6 @@ class _Record:
         """The reference with its marginals; None where it is still to be made."""
         entry = self.settings["reference"]
         return entry if "marginals" in entry else None
-
-    def has(self, entry: Entry, repeat: int) -> bool:
-        return any(r["kernel"] == entry.label and r["repeat"] == repeat for r in self.runs)
 
     def keep_reference(self, found: Mapping[str, Any]) -> None:
         self.settings["reference"] |= _stable(found)

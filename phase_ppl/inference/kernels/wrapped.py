@@ -64,10 +64,9 @@ def seed_of(program: EventProgram, uniform: jax.Array, sites: dict[str, jax.Arra
 
 def quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
     """Return where a distribution function reaches ``uniform``, element by element."""
-    kind = type(distribution).__name__
     while isinstance(distribution, dist.Independent | dist.ExpandedDistribution):
         distribution = distribution.base_dist  # broadcasting gives the shape back
-        kind = type(distribution).__name__
+    kind = type(distribution).__name__
     refused = InvalidSettingError(
         f"site {name!r} ({kind}) has no inverse distribution function, which this kernel needs"
     )
