@@ -427,7 +427,7 @@ def test_ctrl_c_stops_soon_leaves_no_worker_and_keeps_what_was_done(
 
 
 def test_a_reference_has_options_as_kernels_have() -> None:
-    from phase_ppl.cli.compare import _reference
+    from phase_ppl.cli.infer import _reference
 
     assert _reference("enumeration:per_pair=16") == ("enumeration", {"per_pair": 16})
     assert _reference("enumeration") == "enumeration"

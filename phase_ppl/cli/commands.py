@@ -41,7 +41,7 @@ COMMANDS: Final = {
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
     "read-video": ("events", "read an event back from a film of it"),
     "compare": (
-        "compare",
+        "infer",
         "compare kernels on an event: same budget, several seeds, against a reference",
     ),
     "query": (
@@ -53,7 +53,7 @@ COMMANDS: Final = {
         "evaluate",
         "compare evaluations of several models, and people, on the same events",
     ),
-    "fit-people": ("fit_people", "fit an observer to people's judgments"),
+    "fit-people": ("evaluate", "fit an observer to people's judgments"),
     "reproduce": ("reproduce", "the paper's tables and figures, cell by cell"),
     "report": (
         "results",
