@@ -11,7 +11,7 @@ import secrets
 import socket
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -151,14 +151,9 @@ class Study:
             write_bytes(target / settings_module.FILE, (".toml",), text.encode())
         return cls(target)
 
-    @contextlib.contextmanager
-    def store(self) -> Iterator[Store]:
-        """Open the database; the server may be at work in it."""
-        found = Store(self.folder / store_module.FILE)
-        try:
-            yield found
-        finally:
-            found.close()
+    def store(self) -> contextlib.closing[Store]:
+        """Open the database, for a ``with``; the server may be at work in it."""
+        return contextlib.closing(Store(self.folder / store_module.FILE))
 
     @functools.cached_property
     def events(self) -> Mapping[str, Event]:
@@ -311,11 +306,9 @@ class Study:
         exports.check_folder(target)
         with locked(target), tempfile.TemporaryDirectory(dir=self.folder) as folder:
             with self.store() as live:
-                store = live.snapshot(Path(folder) / store_module.FILE)
-            try:
+                snapshot = live.snapshot(Path(folder) / store_module.FILE)
+            with contextlib.closing(snapshot) as store:
                 exports.write(store, self.settings, self.events, target, include, demographics)
-            finally:
-                store.close()
         return target
 
     def withdraw(self, participant: str) -> None:
@@ -336,16 +329,13 @@ class Study:
         return f"<Study of {self.settings.kind} in {self.folder}>"
 
 
-@contextlib.contextmanager
-def _listening(host: str, port: int) -> Iterator[socket.socket]:
+def _listening(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        listener = socket.create_server((host, port), family=family, backlog=2048)
+        return socket.create_server((host, port), family=family, backlog=2048)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot listen at {host}, port {port}: {reason}") from None
-    with listener:
-        yield listener
 
 
 def _digest(path: Path) -> str:
