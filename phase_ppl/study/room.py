@@ -304,7 +304,8 @@ class Room:
                     lag = max(lag, late)
                     if late > interval:
                         due += late
-                    self._show(number)
+                    for agent, seat in enumerate(self.seats):
+                        seat.tell(self.shown(agent, number))
                 self.slip = max(self.slip, lag)
                 number = len(self.steps) + 1
                 self.steps.append(Step(number, int(red), int(green), keys, 1000 * lag))
@@ -313,10 +314,6 @@ class Room:
         return outcome
 
     # --- what browsers are told -------------------------------------------------------------------
-
-    def _show(self, number: int) -> None:
-        for agent, seat in enumerate(self.seats):
-            seat.tell(self.shown(agent, number))
 
     def shown(self, agent: int, number: int = 0) -> Message:
         """Return the present moment as an agent sees it; of what it does not see, nothing."""
@@ -390,7 +387,7 @@ def warnings(events: Iterable[Event], settings: PlaySettings) -> list[str]:
         for agent, strength in enumerate((truth.strength_red, truth.strength_green)):
             name, size = ENTITIES[agent], float(scene.radius[agent])
             who = f"{event.id}: the {name} (size {size:g}, {strength:g} N)"
-            needed = _needed(literals[agent], agent, scene, strength, settings)
+            needed = _needed(literals[agent], agent, scene, strength) * settings.step
             width = scene.arena[1] - scene.arena[0]
             crossing = driving(size, strength, width, settings.resets_velocity) * settings.step
             if needed == np.inf:
@@ -411,24 +408,21 @@ def _of(settings: PlaySettings) -> str:
     return f"of the {settings.seconds:g} s that a session takes (limit in [play])"
 
 
-def _needed(
-    literal: Literal, agent: int, scene: Scene, strength: float, settings: PlaySettings
-) -> float:
-    """Return the seconds that an agent needs for its goal, alone and straight; inf: never."""
+def _needed(literal: Literal, agent: int, scene: Scene, strength: float) -> float:
+    """Return the planner steps that an agent needs for its goal, alone and straight; inf: never."""
     places, distance, resets = scene.start[:, :2], scene.rooms.path_distance, scene.resets_velocity
     size, subject = float(scene.radius[agent]), literal.subject
     if not literal.positive or subject == 1 - agent:
         return 0.0
     if literal.predicate is Predicate.TOUCH:
-        way = distance(places[agent], places[literal.target])
-        return driving(size, strength, way, resets) * settings.step
+        return driving(size, strength, distance(places[agent], places[literal.target]), resets)
     goal = scene.landmark_centres[literal.target]
     carried = max(0.0, float(distance(places[subject], goal)) - scene.landmark_half_width)
     if subject == agent:
-        return driving(size, strength, carried, resets) * settings.step
+        return driving(size, strength, carried, resets)
     there = driving(size, strength, float(distance(places[agent], places[subject])), resets)
     item = float(scene.radius[subject])
-    return (there + driving(size, strength, carried, resets, item)) * settings.step
+    return there + driving(size, strength, carried, resets, item)
 
 
 _STEADY: Final = 24  # steps after which the speed of an agent that is reset is taken as it stays
