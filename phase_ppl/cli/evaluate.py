@@ -226,7 +226,8 @@ def _evaluation(
 ) -> Evaluation | None:
     """Evaluate one model, ``named`` in messages; None where it was interrupted."""
     try:
-        more = dict(of_model, events=events, model=model, out=out, split=None)  # was chosen before
+        # the events are those of the split already
+        more = dict(of_model, events=events, model=model, out=out, split=None)
         return phase_ppl.evaluate(**cli.arguments(phase_ppl.evaluate, options, **more))
     except phase_ppl.EvaluationInterrupted as stopped:
         print(f"phase-ppl: {named}{stopped}", file=sys.stderr)

@@ -274,10 +274,7 @@ def _sample_stats(
     np.add.at(frames, where, table["frames_simulated"][within])
     paid = {"long_name": "frames simulated for this iteration's proposal, accepted or not"}
     weight = {"long_name": "log weight of the draw, up to a constant; 0 where all are equal"}
-    drawn = {
-        name: np.stack([step[name] for step in steps], axis=1)
-        for name in ("accepted", "window", "log_weight", "log_evidence")
-    }
+    drawn = {name: np.stack([step[name] for step in steps], axis=1) for name in _PARTICLE}
     stats = {
         "log_joint": (DRAW, (table["log_prior"] + table["log_likelihood"])[index]),
         "total_error": (DRAW, table["total_error"][index], {"units": "units of length"}),
