@@ -12,6 +12,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import typing
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
@@ -198,6 +199,7 @@ def plan(
     is_goal: Callable[[Node], bool],
     heuristic: Callable[[Node], float],
     abilities: Abilities,
+    hopeless: set[Node] | None = None,
 ) -> list[Step] | None:
     """Return the cheapest sequence of operators to a goal node by A*, or None.
 
@@ -207,13 +209,19 @@ def plan(
         targets: entities that matter to the goal; others are not touched or carried.
         is_goal: goal test.
         heuristic: admissible lower bound of the cost left.
+        hopeless: states from which such a goal is known to be out of reach; where a search ends as
+            no state is left, all that it saw are added.
     """
+    if hopeless is not None and start in hopeless:
+        return None
     order = itertools.count()
     frontier: list[tuple[float, int, float, Node]] = [(heuristic(start), next(order), 0.0, start)]
     best = {start: 0.0}
     came: dict[Node, tuple[Node, Step]] = {}
     for _ in range(MAX_EXPANSIONS):
         if not frontier:
+            if hopeless is not None:
+                hopeless.update(best)
             return None
         _, _, cost, node = heapq.heappop(frontier)
         if cost > best[node]:
@@ -241,6 +249,7 @@ class Plans:
     def __init__(self, abilities: Abilities) -> None:
         self._abilities = abilities
         self._found: dict[tuple[object, ...], list[Step] | None] = {}
+        self._hopeless: defaultdict[tuple[object, ...], set[Node]] = defaultdict(set)
 
     def find(
         self,
@@ -262,7 +271,8 @@ class Plans:
             def heuristic(node: Node) -> float:
                 return 0.0 if heading is None else distance[node.rooms[heading[0]]][heading[1]]
 
+            hopeless = self._hopeless[willing, targets, goal]
             self._found[key] = plan(
-                start, willing, targets, goal.reached, heuristic, self._abilities
+                start, willing, targets, goal.reached, heuristic, self._abilities, hopeless
             )
         return self._found[key]

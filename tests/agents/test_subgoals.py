@@ -8,10 +8,12 @@ one of two collaborators. Goals about touching an item are not among the 36.
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import pytest
 
+from phase_ppl.agents.operators import Plans, Target, plan, start_node
 from phase_ppl.agents.standpoints import stance
 from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planners
 from phase_ppl.agents.symbols import SymbolicState
@@ -512,3 +514,19 @@ def test_equal_abilities_share_one_planner_memory(walls: list[list[list[float]]]
     )
     assert first is second
     assert weak is not first
+
+
+def test_plans_are_those_of_a_search_from_each_state_alone() -> None:
+    abilities = Abilities.of(
+        scene(walls=NARROW_DOWN, radius=[WIDE, SMALL, WIDE, SMALL]), (300, 300)
+    )
+    plans, found, none = Plans(abilities), 0, 0
+    for rooms in itertools.product(range(N_ROOMS), repeat=3):
+        start = start_node(state((*rooms, TR)), (False,) * 4, frozenset({BLUE}))
+        for willing, room in (((RED,), BL), ((RED, GREEN), TL)):
+            goal = Target("rooms", BLUE, frozenset({room}))
+            alone = plan(start, willing, frozenset({BLUE}), goal.reached, lambda _: 0.0, abilities)
+            assert plans.find(start, willing, frozenset({BLUE}), goal, None) == alone
+            found, none = found + (alone is not None), none + (alone is None)
+    assert found > 10
+    assert none > 10
