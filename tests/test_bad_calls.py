@@ -186,7 +186,7 @@ TO = ("--to", "phase-test", "--out")
 
 
 def run(*command: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    whole = [sys.executable, "-m", "phase_ppl.cli", *command]
+    whole = [sys.executable, "-m", "phase_ppl", *command]
     return subprocess.run(whole, stderr=subprocess.PIPE, text=True, timeout=120, **options)
 
 
@@ -208,7 +208,7 @@ def test_a_full_output_is_one_line(event: str, tmp_path: Path) -> None:
 
 def test_a_closed_output_is_no_error(event: str, tmp_path: Path) -> None:
     options = f"{' '.join(TO)} {tmp_path}/x.json"
-    command = f"{sys.executable} -m phase_ppl.cli export {event} {options} >&-"
+    command = f"{sys.executable} -m phase_ppl export {event} {options} >&-"
     done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=120)
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -374,7 +374,7 @@ class TestQuery:
 
     @pytest.mark.skipif(os.name != "posix", reason="closes a pipe")
     def test_a_reader_that_stops_early_is_no_error(self, folder: Path) -> None:
-        command = [sys.executable, "-m", "phase_ppl.cli", "query", str(folder)]
+        command = [sys.executable, "-m", "phase_ppl", "query", str(folder)]
         read, write = os.pipe()
         os.close(read)
         done = subprocess.run(
@@ -400,7 +400,7 @@ def _is_gone_within(group: int, seconds: float) -> bool:
 def test_ctrl_c_stops_soon_leaves_no_worker_and_keeps_what_was_done(
     short: str, tmp_path: Path
 ) -> None:
-    command = [sys.executable, "-m", "phase_ppl.cli", "infer", short, "--workers", "2"]
+    command = [sys.executable, "-m", "phase_ppl", "infer", short, "--workers", "2"]
     length = ["--kernel", "prior_mh", "--iterations", "500", "--chains", "2"]
     # not a terminal, so the bar has to be asked for
     run = subprocess.Popen(

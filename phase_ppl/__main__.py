@@ -1,4 +1,4 @@
-"""``python -m phase_ppl.cli``."""
+"""``python -m phase_ppl``."""
 
 import sys
 
