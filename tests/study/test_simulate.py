@@ -166,7 +166,7 @@ def test_a_port_that_is_taken_and_a_host_without_name_are_told(
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_the_server_ends_when_it_is_told_to(study: Study, how: signal.Signals) -> None:
-    command = f"-m phase_ppl.cli study run {study.folder} --port 0".split()
+    command = f"-m phase_ppl study run {study.folder} --port 0".split()
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, *command], **pipes) as run:
         assert run.stdout is not None
