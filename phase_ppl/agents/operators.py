@@ -86,10 +86,11 @@ def start_node(state: SymbolicState, done: tuple[bool, ...], targets: frozenset[
 
 
 def _door_free(node: Node, abilities: Abilities, door: int, carried: int) -> bool:
-    return not any(
-        filled == door and abilities.fills[i][door] and len(node.held) + i != carried
-        for i, filled in enumerate(node.clear)
-    )
+    n_agents = len(node.held)
+    for item, filled in enumerate(node.clear):
+        if filled == door and abilities.fills[item][door] and n_agents + item != carried:
+            return False
+    return True
 
 
 def moves(
@@ -104,8 +105,8 @@ def moves(
         targets: entities that matter; others are not touched, carried or placed.
         abilities: what the bodies can do.
     """
-    n_agents, item = len(node.held), node.held[agent]
-    room = node.rooms[agent]
+    rooms, held, near, placed, clear = node
+    n_agents, item, room = len(held), held[agent], rooms[agent]
     if item == NOTHING:
         for door, following in abilities.neighbours[room]:
             if abilities.passes[agent][door] and _door_free(node, abilities, door, NOTHING):
@@ -113,82 +114,73 @@ def moves(
                     (agent,),
                     Literal(Predicate.CLOSE, agent, following),
                     abilities.room_distance[room][following],
-                    node._replace(
-                        rooms=_set(node.rooms, agent, following),
-                        near=_set(node.near, agent, NOTHING),
-                        placed=_set(node.placed, agent, False),
+                    Node(
+                        _set(rooms, agent, following),
+                        held,
+                        _set(near, agent, NOTHING),
+                        _set(placed, agent, False),
+                        clear,
                     ),
                 )
         for target in targets:
-            if target != agent and node.rooms[target] == room and node.near[agent] != target:
+            if target != agent and rooms[target] == room and near[agent] != target:
                 yield Step(
                     (agent,),
                     Literal(Predicate.TOUCH, agent, target),
                     TOUCH_COST,
-                    node._replace(near=_set(node.near, agent, target)),
+                    Node(rooms, held, _set(near, agent, target), placed, clear),
                 )
-        target = node.near[agent]
+        target = near[agent]
         if target >= n_agents and target in targets:
             yield Step(
                 (agent,),
                 Literal(Predicate.ATTACH, agent, target),
                 GRIP_COST,
-                node._replace(held=_set(node.held, agent, target)),
+                Node(rooms, _set(held, agent, target), near, placed, clear),
             )
-        landmark = abilities.landmark_in[room]
-        if agent in targets and not node.placed[agent] and landmark != NOTHING:
+        if agent in targets and not placed[agent] and abilities.landmark_in[room] != NOTHING:
             yield Step(
                 (agent,),
-                Literal(Predicate.ON, agent, landmark),
+                Literal(Predicate.ON, agent, abilities.landmark_in[room]),
                 PLACE_COST,
-                node._replace(placed=_set(node.placed, agent, True)),
+                Node(rooms, held, near, _set(placed, agent, True), clear),
             )
         return
     yield Step(
         (agent,),
         Literal(Predicate.ATTACH, agent, item, positive=False),
         GRIP_COST,
-        node._replace(held=_set(node.held, agent, NOTHING), near=_set(node.near, agent, item)),
+        Node(rooms, _set(held, agent, NOTHING), _set(near, agent, item), placed, clear),
     )
-    others = [a for a, held in enumerate(node.held) if a != agent and held == item]
+    others = [a for a, thing in enumerate(held) if a != agent and thing == item]
     actors = (agent, *(other for other in others if other in willing))
     if not abilities.carries(*actors, holders=1 + len(others)) or item not in targets:
         return
     movers = (agent, item, *others)
-    for door, following in abilities.neighbours[node.rooms[item]]:
+    emptied = _set(clear, item - n_agents, -1)
+    apart = [e for e in movers if abilities.route((e,), rooms[e], rooms[item]) is None]
+    for door, following in abilities.neighbours[rooms[item]]:
         # a holder beyond the door need not pass it; one before it must also be with the item
-        crossing = [e for e in movers if node.rooms[e] != following]
         passing = all(
-            abilities.passes[e][door]
-            and abilities.route((e,), node.rooms[e], node.rooms[item]) is not None
-            for e in crossing
+            abilities.passes[e][door] and e not in apart for e in movers if rooms[e] != following
         )
         if passing and _door_free(node, abilities, door, item):
-            rooms = node.rooms
-            placed = node.placed
+            moved, lifted = rooms, placed
             for entity in movers:
-                rooms = _set(rooms, entity, following)
-                placed = _set(placed, entity, False)
+                moved, lifted = _set(moved, entity, following), _set(lifted, entity, False)
             yield Step(
                 actors,
                 Literal(Predicate.CLOSE, item, following),
-                abilities.room_distance[node.rooms[item]][following],
-                node._replace(
-                    rooms=rooms, placed=placed, clear=_set(node.clear, item - n_agents, -1)
-                ),
+                abilities.room_distance[rooms[item]][following],
+                Node(moved, held, near, lifted, emptied),
             )
-    together = all(
-        abilities.route((e,), node.rooms[e], node.rooms[item]) is not None for e in movers
-    )
-    landmark = abilities.landmark_in[node.rooms[item]]
-    if together and not node.placed[item] and landmark != NOTHING:
+    landmark = abilities.landmark_in[rooms[item]]
+    if not apart and not placed[item] and landmark != NOTHING:
         yield Step(
             actors,
             Literal(Predicate.ON, item, landmark),
             PLACE_COST,
-            node._replace(
-                placed=_set(node.placed, item, True), clear=_set(node.clear, item - n_agents, -1)
-            ),
+            Node(rooms, held, near, _set(placed, item, True), emptied),
         )
 
 
