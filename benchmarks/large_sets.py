@@ -1,21 +1,28 @@
-"""What memory do generated sets take, by how many events they have?
+"""What memory do generated sets take, and is a set the same that two made, of whom one was killed?
 
     python benchmarks/large_sets.py [--events 100 500 2000] [--frames 101]
+    python benchmarks/large_sets.py --killed [--events 2000]
 
 Each set is made in a process of its own by a simulator that takes no time, opened in another, and
 gone through in a third. What is measured is the most memory that the process ever had, beyond what
-it has after the imports.
+it has after the imports. With ``--killed`` two processes, each with an executor, make the halves of
+a set and evaluate it; one of them is killed on the way and started again. What is merged has to
+have the same bytes as what one process makes, but for seconds; exits with 1 if it has not.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from common import write
@@ -28,19 +35,28 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.names import AGENTS, NOTHING
 
 STEPS: Final = ("made", "opened", "gone through")
+WORK: Final = {"make": "parts", "evaluate": "events"}
+"""What processes share, and the folder in that of a share where what is finished lies."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--events", type=int, nargs="+", default=[100, 500, 2000])
     parser.add_argument("--frames", type=int, default=101)
-    parser.add_argument("--step", choices=STEPS, help="only this one, in --set")
+    parser.add_argument("--killed", action="store_true")
+    parser.add_argument("--step", choices=(*STEPS, *WORK), help="only this one, in --set")
+    parser.add_argument("--shard", metavar="I/N")
     parser.add_argument("--set", metavar="DIR", type=Path)
     parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
+    if options.step in WORK:
+        work(options.step, options.set, options.events[0], options.frames, options.shard)
+        return
     if options.step is not None:
         print(megabytes(options.step, options.set, options.events[0], options.frames))
         return
+    if options.killed:
+        sys.exit(killed(options.events[-1], options.frames))
     rows = [measured(n, options.frames) for n in options.events]
     print(f"{'events':>7}{''.join(f'{step:>14}' for step in STEPS)}{'seconds':>10}{'on disk':>10}")
     for row in rows:
@@ -93,6 +109,71 @@ def most() -> float:
     # not getrusage, which begins with what the process had that started this one
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+
+
+def work(what: str, folder: Path, n: int, frames: int, shard: str | None) -> None:
+    """Make a set in this process, or evaluate the one beside it; or do a share of that."""
+    making.record = instant
+    making.reason_against = lambda *_: None
+    options: dict[str, Any] = {"progress": False}
+    if shard is not None:
+        options |= {"shard": shard, "resume": True}
+    with ThreadPoolExecutor(1) as executor:
+        if what == "make":
+            ppl.generate(folder, n, frames=frames, executor=executor, **options)
+        else:
+            ppl.evaluate(
+                str(folder.parent / "make"), "predicate", out=folder, executor=executor, **options
+            )
+
+
+def killed(n: int, frames: int) -> bool:
+    """Return whether anything differs from what one process makes and evaluates."""
+    differs = False
+    with tempfile.TemporaryDirectory() as root:
+        for what, finished in WORK.items():
+
+            def start(name: str, *shard: str, what: str = what) -> subprocess.Popen[bytes]:
+                command = (sys.executable, __file__, "--step", what, "--set", f"{root}/{name}")
+                return subprocess.Popen(
+                    [*command, "--events", str(n), "--frames", str(frames), *shard]
+                )
+
+            alone = start(what)
+            first, second = start("first", "--shard", "1/2"), start("second", "--shard", "2/2")
+            while second.poll() is None and len(entries(Path(root, "second", finished))) < n // 8:
+                time.sleep(0.1)
+            second.kill()
+            second.wait()
+            print(f"{what}: killed with {len(entries(Path(root, 'second', finished)))} finished")
+            second = start("second", "--shard", "2/2")
+            if any(process.wait() for process in (alone, first, second)):
+                return True
+            shares = [Path(root, name) for name in ("first", "second")]
+            ppl.merge(shares, Path(root, "merged"))
+            ours, theirs = (contents(Path(root, name)) for name in ("merged", what))
+            other = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
+            print(f"{what}: {len(theirs)} files of {n} events, {len(other)} differ {other[:3]}")
+            differs |= bool(other)
+            for done in (*shares, Path(root, "merged")):
+                shutil.rmtree(done)
+    return differs
+
+
+def entries(folder: Path) -> list[str]:
+    return os.listdir(folder) if folder.is_dir() else []
+
+
+def contents(folder: Path) -> dict[str, Any]:
+    """Return what files say, but for the seconds that the work took."""
+    found: dict[str, Any] = {}
+    for file in folder.rglob("*"):
+        if file.name in ("prediction.json", "metrics.json"):
+            found[str(file)] = json.loads(file.read_text())
+            del found[str(file)]["cost"]
+        elif file.is_file() and file.name != "cost.json":
+            found[str(file)] = file.read_bytes()
+    return {str(Path(name).relative_to(folder)): value for name, value in found.items()}
 
 
 def instant(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
