@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from numpyro import handlers
 
 Program = Callable[..., Any]  # A NumPyro program
@@ -60,6 +61,33 @@ def site_shapes(program: Program) -> dict[str, tuple[int, ...]]:
         found.update({name: jnp.shape(s["value"]) for name, s in latent_sites(trace).items()})
 
     jax.eval_shape(run)
+    return found
+
+
+class Site(NamedTuple):
+    """What a site that is a single number can be."""
+
+    discrete: bool
+    values: tuple[float, ...] | None  # all of them; None: not a few that are always the same
+
+
+def single_sites(program: Program) -> dict[str, Site]:
+    """Return the latent sites of ``program()`` that are single numbers."""
+    found: dict[str, Site] = {}
+
+    def run(key: jax.Array) -> jax.Array:
+        trace = handlers.trace(handlers.seed(program, key)).get_trace()
+        for name, site in latent_sites(trace).items():
+            if jnp.shape(site["value"]) == ():
+                discrete, values = bool(site["fn"].support.is_discrete), None
+                if discrete and site["fn"].has_enumerate_support:
+                    # of what depends on other sites there is no array here
+                    with contextlib.suppress(jax.errors.JAXTypeError, NotImplementedError):
+                        values = np.ravel(site["fn"].enumerate_support(expand=False)).tolist()
+                found[name] = Site(discrete, None if values is None else tuple(values))
+        return key
+
+    jax.vmap(run)(jax.random.split(jax.random.key(0), 1))
     return found
 
 

@@ -2,7 +2,8 @@
 
 A helper or hinderer acts on the other's goal, so its own stated goal changes nothing: the prior
 of an effective pair is the sum over all stated goals and alphas that lead to it. Sites of a
-user's own are averaged out over draws from the prior. Where strengths are levels, a prior is a
+user's own are summed out where they have few values, else averaged out over draws from the prior.
+Where strengths are levels, a prior is a
 table of masses (:func:`prior_table`).
 """
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
-from phase_ppl.models.density import NO_DENSITY, remembered, trace_log_density
+from phase_ppl.models.density import NO_DENSITY, remembered, single_sites, trace_log_density
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
@@ -32,7 +33,10 @@ from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, effective_table
 Prior = Callable[[], object]
 
 _CHUNK = 4096
-_OWN_DRAWS = 64
+_LEAST_DRAWS = 64  # of sites of a user's own, over which what depends on them is averaged
+_MOST_DRAWS = 2**14
+_DENSITIES = 2**23  # that are evaluated for that, unless the least draws come to more
+_MOST_VALUES = 64  # combinations of values of sites of a user's own up to which these are summed
 _PRIORS_KEPT = 16
 _TABLES_KEPT = 8
 _NODES = 4  # at which a continuous prior is evaluated in the cell of each level of strength
@@ -52,14 +56,41 @@ def stated_hypotheses() -> dict[tuple[int, int], NDArray[np.int64]]:
 
 
 def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
-    """Return (n,) log densities of the hypothesis sites, each (n,), own sites averaged out."""
-    names = tuple(sites)
-    density = _density(prior, names)
-    n = len(sites[names[0]])
+    """Return (n,) log densities of the hypothesis sites, each (n,), own sites summed out."""
+    names, n = tuple(sites), len(next(iter(sites.values())))
+    above = _own_above(prior, names)
+    if not above or n == 0:
+        return _of_rows(_density(prior, names), sites, _CHUNK)
+    depends = upstream(prior)
+    mixed = tuple(name for name in names if not depends[name].isdisjoint(above))
+    apart = tuple(name for name in names if name not in mixed)
+    # what is averaged depends on some of the sites only, which have fewer combinations
+    relevant = {*mixed}.union(*(depends[name] for name in (*mixed, *above)))
+    columns = {name: np.asarray(sites[name]) for name in names if name in relevant}
+    import pandas as pd  # slow to import
+
+    table = pd.DataFrame(np.column_stack([one.reshape(n, -1) for one in columns.values()]))
+    place = table.groupby(list(table), sort=False).ngroup().to_numpy()
+    _, first = np.unique(place, return_index=True)
+    n_draws = 2 ** int(math.log2(_DENSITIES / len(first))) if len(first) < _DENSITIES else 0
+    n_draws = min(max(n_draws, _LEAST_DRAWS), _MOST_DRAWS)
+    density = _averaged(prior, mixed, above, n_draws)
+    chunk = max(1, _CHUNK * _LEAST_DRAWS // n_draws)
+    found = _of_rows(density, {name: one[first] for name, one in columns.items()}, chunk)[place]
+    return found + _of_rows(_density(prior, apart), sites, _CHUNK) if apart else found
+
+
+def _of_rows(
+    density: Callable[[dict[str, jax.Array]], jax.Array],
+    sites: Mapping[str, NDArray[Any]],
+    chunk: int,
+) -> FloatArray:
+    """Return (n,) the density of sites, each (n,), evaluated for so many at a time."""
+    n = len(next(iter(sites.values())))
     parts = []
-    for start in range(0, n, _CHUNK):
+    for start in range(0, n, chunk):
         # one shape, so that it compiles once
-        rows = np.minimum(np.arange(start, start + _CHUNK), n - 1)
+        rows = np.minimum(np.arange(start, start + chunk), n - 1)
         parts.append(np.asarray(density({k: jnp.asarray(v[rows]) for k, v in sites.items()})))
     return np.concatenate([np.empty(0), *parts])[:n].astype(float)
 
@@ -80,21 +111,57 @@ def strengths_apart(prior: Prior) -> bool:
     )
 
 
+def _own_above(prior: Prior, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the other sites on which those named depend, be it by way of each other."""
+    depends = upstream(prior)
+    found: set[str] = set()
+    new = set().union(*(depends[name] for name in names)) - {*names}
+    while new:
+        found |= new
+        new = set().union(*(depends[name] for name in new)) - {*names} - found
+    return tuple(name for name in depends if name in found)
+
+
 @remembered(_PRIORS_KEPT)
 def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
-    has_own = any(not upstream(prior)[name] <= set(names) for name in names)
-    n_draws = _OWN_DRAWS if has_own else 1
+    """Return the log density of sites that depend on no others than those they are given with."""
 
-    def given(key: jax.Array, z: dict[str, jax.Array]) -> jax.Array:
-        # own sites are drawn given the hypothesis sites before them and weighted by those after
-        # them, which averages to the marginal density wherever they stand in a hierarchy
-        program = handlers.seed(handlers.substitute(prior, z), key)
+    def given(z: dict[str, jax.Array]) -> jax.Array:
+        program = handlers.seed(handlers.substitute(prior, z), jax.random.key(0))
         trace = handlers.trace(program).get_trace()
         return trace_log_density({name: trace[name] for name in names})
 
+    return Hosted(jax.vmap(given))
+
+
+@remembered(_PRIORS_KEPT)
+def _averaged(
+    prior: Prior, names: tuple[str, ...], above: tuple[str, ...], n_draws: int
+) -> Callable[[dict[str, jax.Array]], jax.Array]:
+    """Return the log density of sites that depend on others ``above``, which are summed out.
+
+    Sites above with few values are summed over, others averaged over ``n_draws`` in all.
+    """
+    known, summed, n_values = single_sites(prior), dict[str, tuple[float, ...]](), 1
+    for name in above:
+        values = known[name].values if name in known else None
+        if values is not None and n_values * len(values) <= _MOST_VALUES:
+            summed[name], n_values = values, n_values * len(values)
+    n_each = max(1, n_draws // n_values) if len(summed) < len(above) else 1
+    grid = np.meshgrid(*map(np.array, summed.values()), indexing="ij")
+    options = {name: np.repeat(one, n_each) for name, one in zip(summed, grid, strict=True)}
+
+    def given(key: jax.Array, own: dict[str, jax.Array], z: dict[str, jax.Array]) -> jax.Array:
+        # own sites are drawn given the hypothesis sites before them and weighted by those after
+        # them, which averages to the marginal density wherever they stand in a hierarchy
+        program = handlers.seed(handlers.substitute(prior, {**z, **own}), key)
+        trace = handlers.trace(program).get_trace()
+        return trace_log_density({name: trace[name] for name in (*names, *own)})
+
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
-        keys = jax.random.split(jax.random.key(0), n_draws)
-        return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(n_draws)
+        keys = jax.random.split(jax.random.key(0), n_values * n_each)
+        own = {name: jnp.asarray(values) for name, values in options.items()}
+        return logsumexp(jax.vmap(given, in_axes=(0, 0, None))(keys, own, z)) - math.log(n_each)
 
     return Hosted(jax.vmap(marginal))
 
@@ -144,8 +211,8 @@ def drawn_stated(
 def prior_of_pairs(prior: Prior) -> FloatArray:
     """Return (goal_red, goal_green) prior masses of the pairs of effective goals, their sum 1.
 
-    Exact where goals and alpha depend on nothing else, as on strengths or sites of a user's own;
-    these are averaged out over draws.
+    Exact where goals and alpha depend on nothing else but sites of a user's own with few values;
+    others, and strengths, are averaged out over draws.
     """
     pairs = np.array(list(stated_hypotheses()))
     _, row, log_mass = _all_stated(prior, pairs, {})

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from numpyro import handlers
@@ -15,9 +14,10 @@ from numpyro import handlers
 from phase_ppl.models.density import (
     NO_DENSITY,
     Program,
+    Site,
     compiled_quickly,
-    latent_sites,
     remembered,
+    single_sites,
     trace_log_density,
 )
 from phase_ppl.models.effective import cells, place_of_level, prior_table, strengths_apart
@@ -33,25 +33,7 @@ _MOST_TOGETHER: Final = 8
 Values = tuple[tuple[str, tuple[float, ...]], ...]  # sites with all the values that each can take
 
 
-class Site(NamedTuple):
-    """What a site that is a single number can be."""
-
-    discrete: bool
-    values: tuple[float, ...] | None  # all of them; None: infinitely many
-
-
-@remembered(_PRIORS_KEPT)
-def _single_sites(prior: Program) -> dict[str, Site]:
-    trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
-    found = {}
-    for name, site in latent_sites(trace).items():
-        if jnp.shape(site["value"]) != ():
-            continue
-        discrete, values = bool(site["fn"].support.is_discrete), None
-        if discrete and site["fn"].has_enumerate_support:
-            values = tuple(np.ravel(site["fn"].enumerate_support(expand=False)).tolist())
-        found[name] = Site(discrete, values)
-    return found
+_single_sites = remembered(_PRIORS_KEPT)(single_sites)
 
 
 def further_sites(prior: Program) -> dict[str, Site]:

@@ -70,8 +70,10 @@ def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) 
     assert post.sites.summed
     assert post.at(0).mean("hostile").error == pytest.approx(0, abs=1e-9)
     assert 0 < post.mean("hostile").error < 0.1  # of the searches
-    # what does not name it is answered as ever
+    # what does not name it is answered as ever, and says the same
     assert post.query("P(alpha)").identical(post.marginal("alpha"))
+    np.testing.assert_allclose(post.at(0).marginal("alpha"), prior @ by_mood, atol=1e-5)
+    np.testing.assert_allclose(post.marginal("alpha"), post.sites.marginal("alpha"), atol=1e-5)
 
 
 def test_other_sites_are_drawn_with_their_monte_carlo_error() -> None:
@@ -91,6 +93,21 @@ def test_other_sites_are_drawn_with_their_monte_carlo_error() -> None:
     share = post.query("P(alpha=(0, 0) | friendliness > 0.5 or friendliness <= 0.5)")
     assert abs(share - shares[0]) < 4 * share.error
     assert post.query("E[friendliness]") == found  # seeded
+
+
+def test_a_site_whose_values_depend_on_another_is_drawn() -> None:
+    def trying() -> None:
+        spared = numpyro.sample("spared", dist.DiscreteUniform(1, 4))
+        numpyro.sample("hits", dist.Binomial(5 - spared, 0.5))
+        ppl.sites.goals()
+        ppl.sites.alpha()
+        ppl.sites.strengths()
+
+    start = StepwisePosterior(FOUND, 0).with_prior(trying)
+    for question, exact in (("E[hits]", 1.25), ("P(spared=4)", 0.25), ("P(hits=4)", 1 / 64)):
+        found = start.query(question)
+        assert 0 < found.error < 0.02
+        assert abs(found - exact) < 4 * found.error
 
 
 def test_few_draws_do_not_make_what_is_drawn_sure() -> None:

@@ -28,9 +28,10 @@ def log_prior(pairs: list[tuple[int, int]], prior: object = priors.uniform) -> n
     return log_prior_of_effective(prior, np.array(pairs), strengths)  # type: ignore[arg-type]
 
 
-def test_a_site_of_ones_own_is_averaged_out() -> None:
+@pytest.mark.parametrize("share", [0.5, 0.001])
+def test_a_site_of_ones_own_with_few_values_is_summed_out(share: float) -> None:
     def friendly_or_not() -> None:
-        friendly = numpyro.sample("friendly", dist.Bernoulli(0.5))
+        friendly = numpyro.sample("friendly", dist.Bernoulli(share))
         helping = jnp.array([0.0, 0.5, 0.5, 0.0, 0.0])
         alone = jnp.array([1.0, 0.0, 0.0, 0.0, 0.0])
         numpyro.sample("alpha", dist.Categorical(probs=jnp.where(friendly, helping, alone)))
@@ -41,8 +42,27 @@ def test_a_site_of_ones_own_is_averaged_out() -> None:
         log_prior([(BLUE_TO_RED, BLUE_TO_RED), (BLUE_TO_RED, PINK_TO_RED)], friendly_or_not)
         + PER_NEWTON
     )
-    assert unrelated == pytest.approx(0.5 / 34**2, rel=0.3)
-    assert shared == pytest.approx(0.5 / 34 + 0.5 / 34**2, rel=0.3)
+    assert unrelated == pytest.approx((1 - share) / 34**2, rel=1e-4)
+    assert shared == pytest.approx(share / 34 + (1 - share) / 34**2, rel=1e-4)
+    masses = np.exp(prior_table(friendly_or_not, (150.0, 300.0, 450.0, 600.0)))
+    expected = [1 - share, share / 2, share / 2, 0, 0]
+    np.testing.assert_allclose(masses.sum(axis=(0, 1, 3, 4)), expected, rtol=1e-4)
+
+
+def test_sites_of_ones_own_are_averaged_out_where_they_have_many_values() -> None:
+    def moody() -> None:
+        tries = numpyro.sample("tries", dist.DiscreteUniform(1, 5))
+        hits = numpyro.sample("hits", dist.Binomial(tries, 0.5))  # has other values each time
+        mood = numpyro.sample("mood", dist.Beta(2.0, 2.0))
+        helping = 0.1 * hits * mood
+        numpyro.sample(
+            "alpha", dist.Categorical(probs=jnp.stack([1 - helping, *[helping / 4] * 4]))
+        )
+        sites.goals()
+        sites.strengths()
+
+    masses = np.exp(prior_table(moody, (150.0, 300.0, 450.0, 600.0))).sum(axis=(0, 1, 3, 4))
+    np.testing.assert_allclose(masses, [0.925, *[0.075 / 4] * 4], rtol=0.02)
 
 
 @pytest.mark.parametrize(
