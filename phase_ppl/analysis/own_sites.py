@@ -23,7 +23,7 @@ from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
 from phase_ppl.analysis.weights import Rows, log_sum_exp
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.space import HypothesisSpace
 
 _GROUPS: Final = 20
@@ -69,6 +69,7 @@ class WithSites(Hypotheses):
     ) -> None:
         super().__init__(space, quantities, rows)
         self.summed = summed
+        self._space = space
         self._errors = errors
 
     def _jackknife(self, share: float) -> Any:
@@ -78,6 +79,36 @@ class WithSites(Hypotheses):
     def _effective_size(self) -> float:
         """The number of equal draws that those here are worth; NaN where there are all values."""
         return math.nan if self.summed else worth(self._rows.weights)
+
+    def _has_error(self, *columns: NDArray[Any]) -> bool:
+        """Return whether no column depends on strengths, as of what is read step by step.
+
+        Of draws, those columns that depend on further sites too have their Monte-Carlo error.
+        """
+        same, but_for_strengths = self._first_alike
+        return not any(
+            (column == column[same]).all() and (column != column[but_for_strengths]).any()
+            for column in columns
+        )
+
+    @functools.cached_property
+    def _first_alike(self) -> tuple[IntArray, IntArray]:
+        """(row,) the first row that has the same, and that has all but strengths in common.
+
+        The values of further sites count where there are all of them.
+        """
+        derived = {*Vocabulary(self._space).quantities, *self._own}
+        sites = [name for name in self._quantities if name not in derived]
+        names = (*self._space.kept_columns, *(sites if self.summed else ()))
+        strengths = self.strengths_of.values()
+        return self._first(names), self._first([name for name in names if name not in strengths])
+
+    def _first(self, names: Sequence[str]) -> IntArray:
+        import pandas as pd  # slow to import
+
+        table = pd.DataFrame({name: self._rows.values[name] for name in names})
+        place = table.groupby(list(table), sort=False).ngroup().to_numpy()
+        return np.unique(place, return_index=True)[1][place]
 
     def __repr__(self) -> str:
         how = "all values" if self.summed else f"{len(self.table.weights)} draws"
