@@ -6,7 +6,8 @@ A hypothesis is drawn from the prior, a trajectory is simulated with it, and an 
 around that from the likelihood's own noise. Among the particles of a run on this observation the
 truth then has a rank, and over many events ranks are evenly spread if the kernel draws from the
 posterior. Ranked are both strengths, and the marginal probability of both agents' effective goals,
-with ties broken by chance. The simulator is that of the tests, a fast one that walks to its goals.
+with ties broken by chance; kernels whose draws are to be weighed are refused. The simulator is that
+of the tests, a fast one that walks to its goals.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from scipy.stats import binom, chisquare
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the simulator is the tests'
 
 import phase_ppl as ppl
+from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models.density import draw
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.event import Event, Observation
@@ -48,7 +50,7 @@ BINS = 8
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--kernel", default="local_mh", choices=ppl.available_kernels())
+    parser.add_argument("--kernel", default="local_mh", choices=ranked_kernels())
     parser.add_argument("--rule", help="of local_mh: exact or paper")
     parser.add_argument("--events", type=int, default=200)
     parser.add_argument("--iterations", type=int, default=200)
@@ -74,6 +76,16 @@ def main() -> None:
     write(report, options.json)
     if options.figure:
         draw_figure(ranks, options.figure)
+
+
+def ranked_kernels() -> list[str]:
+    """Return the kernels whose draws all count alike."""
+    found = {name: kernel_info(name) for name in ppl.available_kernels()}
+    return [
+        name
+        for name, info in found.items()
+        if info.keeps == "all" and not info.weighted and info.weights is None
+    ]
 
 
 def ranked(task: tuple[int, str, int, dict[str, Any]]) -> list[int]:

@@ -161,6 +161,14 @@ def test_calibration_of_a_few_events(tmp_path: Path, figures: Figures) -> None:
     assert image.stat().st_size > 1000
 
 
+@pytest.mark.parametrize("kernel", ["importance", "smc", "enumerate", "racing"])
+def test_no_ranks_among_draws_that_are_to_be_weighed(
+    kernel: str, run_script: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = fails(run_script, capsys, "calibration.py", "--events", "1", "--kernel", kernel)
+    assert f"invalid choice: '{kernel}'" in said
+
+
 def test_events_of_another_world_are_made_and_read(tmp_path: Path, figures: Figures) -> None:
     given = ["--events", "1", "--frames", "40", "--workers", "1", "--out", str(tmp_path / "out")]
     report: dict[str, Any] = figures("worlds.py", *given)
