@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from phase_ppl.analysis.estimate import cautious
+from phase_ppl.analysis.estimate import cautious, widened
 from phase_ppl.dataset.statistics import LEVELS, PHASE
 
 Statistics = Mapping[str, Any]
@@ -122,6 +122,7 @@ def _value_row(
     name: str, heading: str, label: str, here: Mapping[str, Any], beside: Mapping[str, Any] | None
 ) -> Row:
     error = here["se"] if here["units"] >= FEWEST else None
+    error = None if error is None else _widened(error, here["units"])
     margin = None if error is None else Z * error
     other: float | tuple[float, float] | None = None
     differs = False
@@ -130,10 +131,21 @@ def _value_row(
         other = low if low == high else (low, high)
         if error is not None:
             # an error that is not told is taken to be as here, but for the number of events
-            theirs = beside.get("se") or error * math.sqrt(here["units"] / beside["units"])
+            known = beside.get("se")
+            share = math.sqrt(here["units"] / beside["units"])
+            theirs = _widened(known, beside["units"]) if known else error * share
             beyond = max(low - here["value"], here["value"] - high)
             differs = beyond > Z * math.hypot(error, theirs)
     return Row(heading, name, label, None, here["value"], margin, None, other, differs)
+
+
+def _widened(error: float, n: int) -> float:
+    """Return a bootstrap's error over n events, so that 1.96 of it hold 95 % of means.
+
+    It has the spread of the events themselves, not of what they were drawn from, and takes that to
+    be known.
+    """
+    return error * math.sqrt(n / max(n - 1, 1)) * widened(n)
 
 
 def data_table(here: Statistics, beside: Statistics = PHASE) -> str:

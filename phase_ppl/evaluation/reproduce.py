@@ -384,13 +384,16 @@ def _of_tags(tags: Tags) -> dict[str, Figure]:
 
 
 def _of_likeness(likeness: Likeness) -> dict[str, Figure]:
+    from scipy.special import stdtrit  # slow to import
+
     found: dict[str, Figure] = {}
     pairs = zip(("played", "generated"), likeness.means("videos").values(), strict=True)
     for name, means in pairs:
         value = float(means.mean())
         found[name] = {"value": value, "ci_low": None, "ci_high": None}
         if len(means) > 1:
-            half = 1.96 * float(means.std(ddof=1)) / len(means) ** 0.5
+            n = len(means)
+            half = float(stdtrit(n - 1, 0.975) * means.std(ddof=1)) / n**0.5
             found[name] |= {"ci_low": value - half, "ci_high": value + half}
     return found
 

@@ -10,7 +10,7 @@ import pytest
 
 import phase_ppl
 from phase_ppl.analysis.data_table import Row, data_table, goal_grid, rows, shares_differ
-from phase_ppl.dataset.statistics import PHASE, statistics
+from phase_ppl.dataset.statistics import PHASE, standard_error, statistics
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
@@ -104,6 +104,21 @@ def test_a_value_is_held_against_bounds_where_no_more_is_known() -> None:
     assert not at_rest(0.35, 0.02).stands_out
     assert not at_rest(0.9, None).stands_out
     assert not at_rest(0.9, 0.01, units=9).stands_out
+
+
+def test_margins_of_means_of_few_events_hold_as_often_as_they_say() -> None:
+    rng, n, runs = np.random.default_rng(0), 10, 300
+    inside, apart = 0, 0
+    there = {"tables": {}, "values": {"at_rest": {"value": 0.0, "se": 0.0001, "units": 1000}}}
+    for _ in range(runs):
+        found = rng.normal(size=n)
+        told = {"value": found.mean(), "se": standard_error(list(found[:, None]), np.mean)}
+        here = {"tables": {}, "values": {"at_rest": {**told, "units": n}}}
+        (row,) = rows(here, there)
+        assert row.margin is not None
+        inside, apart = inside + (abs(row.value) < row.margin), apart + row.stands_out
+    assert inside / runs == pytest.approx(0.95, abs=0.025)
+    assert apart == runs - inside
 
 
 def test_labels_of_either_set_have_a_row() -> None:

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 import phase_ppl as ppl
@@ -87,6 +88,17 @@ def test_every_printed_number_has_its_place_and_lies_in_its_interval() -> None:
     assert len(known) == len(PRINTED)
     assert known[SIMPLE, "goals right, competing"] == (0.59, 0.41, 0.77)
     assert known[SIMPLE, "r with people, goals"] == (0.82, 0.78, 0.85)
+
+
+def test_the_mean_rating_of_few_videos_has_the_interval_of_student() -> None:
+    rows = [
+        {"participant": f"{group}{rating}", "video": f"{group}{rating}", "group": group,
+         "rating": rating}
+        for group in ("played", "generated") for rating in (3, 4, 5)
+    ]  # fmt: skip
+    found = module._of_likeness(ppl.Likeness(pd.DataFrame(rows)))["played"]
+    half = 4.3027 / 3**0.5
+    assert found == pytest.approx({"value": 4, "ci_low": 4 - half, "ci_high": 4 + half}, abs=1e-4)
 
 
 def test_profiles_ask_more_and_more() -> None:
