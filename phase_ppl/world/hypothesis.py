@@ -326,7 +326,9 @@ class Roles:
                 )
             stated[agent] = index
         towards: list[tuple[int, int] | None] = [None] * len(agents)
-        for pair, word in (relation or {}).items():
+        told = {} if relation is None else relation
+        instance_of("relation", told, Mapping, "a mapping of (who, whom) to 'help' or 'hinder'")
+        for pair, word in told.items():
             if not isinstance(pair, tuple) or len(pair) != 2:
                 raise InvalidSettingError(f"relation of {shown(pair)}, expected (who, whom)")
             who, whom = (world.agent(name) for name in pair)

@@ -162,9 +162,15 @@ class World:
                 f"arena={arena}, expected x_min, x_max, y_min, y_max with sides of "
                 f"{SIDES[0]:g} to {SIDES[1]:g} units"
             )
-        given = dict(self.colours or {})
-        places = self.landmarks
+        given, places = self._given_colours(), self.landmarks
         if not isinstance(places, Mapping):  # those of another world
+            if not isinstance(places, (list, tuple)) or not all(
+                isinstance(p, Landmark) for p in places
+            ):
+                raise InvalidSettingError(
+                    f"landmarks={shown(places)}, expected a mapping of names to (x, y) or "
+                    "(x, y, half the side)"
+                )
             given = {one.name: one.colour for one in places} | given
             places = {one.name: one[1:4] for one in places}
         places = {name: self._place(name, place) for name, place in places.items()}
@@ -190,6 +196,8 @@ class World:
         touchable = self.entities if self.touchable is None else tuple(self.touchable)
         for name in touchable:
             self.entity(name)
+            if touchable.count(name) > 1:
+                raise InvalidSettingError(f"touchable has {name!r} twice, expected it once")
         set_field("touchable", touchable)
         walls = finite_array("walls", self.walls, (None, 2, 2))
         set_field("walls", tuple(tuple(map(tuple, wall)) for wall in walls.tolist()))
@@ -214,22 +222,36 @@ class World:
             one.check(self)
         return tuple(self.predicates)
 
+    def _given_colours(self) -> dict[str, Any]:
+        """Return the colours that were said, by name."""
+        try:
+            return dict(self.colours or {})
+        except (TypeError, ValueError):
+            raise InvalidSettingError(
+                f"colours={shown(self.colours)}, expected a mapping of names to (red, green, blue)"
+            ) from None
+
     def _place(self, name: str, place: object) -> tuple[float, float, float]:
         """Return x, y and half-width of a landmark."""
-        n = len(place) if isinstance(place, Sequence) else 2
-        x, y, *half = _numbers(f"landmark {name!r}", place, (3 if n == 3 else 2,))
+        n = len(place) if isinstance(place, (Sequence, np.ndarray)) else 0
+        if n not in (2, 3):
+            raise InvalidSettingError(
+                f"landmark {name!r} is {shown(place)}, expected (x, y) or (x, y, half the side)"
+            )
+        x, y, *half = _numbers(f"landmark {name!r}", place, (n,))
         x0, x1, y0, y1 = self.arena
         if not (x0 <= x <= x1 and y0 <= y <= y1):
             raise InvalidSettingError(
                 f"landmark {name!r} is at ({x:g}, {y:g}), outside the arena x {x0:g}..{x1:g}, "
                 f"y {y0:g}..{y1:g}"
             )
-        half_width = number_or_nan(half[0] if half else self.half_width)
+        said = half[0] if half else self.half_width
+        half_width = number_or_nan(said)
         most = min(x1 - x0, y1 - y0) / 4
         if not 0 < half_width <= most:
+            text = shown(said) if math.isnan(half_width) else f"{half_width:g}"
             raise InvalidSettingError(
-                f"landmark {name!r} has the half-width {half_width:g}, expected one in "
-                f"(0, {most:g}]"
+                f"landmark {name!r} has the half-width {text}, expected one in (0, {most:g}]"
             )
         return x, y, half_width
 
@@ -416,7 +438,9 @@ class World:
     ) -> Scene:
         """Return a scene with everybody somewhere, of some size of the original world's.
 
-        Nobody overlaps anybody or a wall, and items lie where an agent can get.
+        Nobody overlaps anybody or a wall, and items lie where an agent can get. Where walls close
+        a part off that no landmark is in, as beside an L-shaped flat, nobody is there but whom
+        ``rooms`` puts there.
 
         Args:
             seed: the same seed gives the same scene; or a generator.
@@ -437,11 +461,23 @@ class World:
         x0, x1, y0, y1 = self.arena
         walls = finite_array("walls", self.walls if walls is None else walls, (None, 2, 2))
         plan = Rooms.from_walls(walls, self.arena, self.quadrants)  # refuses impossible ones
-        sizes = [size for size in SIZES if size <= min(x1 - x0, y1 - y0) / 4]
+        most = min(x1 - x0, y1 - y0) / 4
+        sizes = [size for size in SIZES if size <= most]
+        ends = {self._room(name, plan) for name in self.landmark_names}
+        closed_off = [
+            room for room in range(len(plan)) if all(plan.route(room, end) is None for end in ends)
+        ]
         within = {self.entity(name): self._room(room, plan) for name, room in (rooms or {}).items()}
         beside = self._beside(near or {})
+        free = [one for one in range(n) if one not in {*within, *dict(beside)}]
         fixed = dict(size) if isinstance(size, Mapping) else dict.fromkeys(self.entities, size)
         given = {self.entity(name): one for name, one in fixed.items() if one is not None}
+        for one, value in given.items():
+            if not MIN_RADIUS <= number_or_nan(value) <= most:
+                raise InvalidSettingError(
+                    f"size of the {self.entities[one]} is {shown(value)}, expected one in "
+                    f"[{MIN_RADIUS:g}, {most:g}]"
+                )
         for _ in range(_TRIES):
             start = np.column_stack(
                 [rng.uniform(x0, x1, n), rng.uniform(y0, y1, n), rng.uniform(-np.pi, np.pi, n)]
@@ -466,6 +502,8 @@ class World:
                 if within.get(one, plan.room_of(centre)) != plan.room_of(start[one, :2]):
                     break
             else:
+                if np.isin(plan.room_of(start[free, :2]), closed_off).any():
+                    continue
                 try:
                     scene = Scene(start, radius, walls, world=self)
                 except InvalidEventError:  # an item in a closed room, or somebody outside
@@ -662,7 +700,8 @@ class Scene:
             )
         width, height = arena[1] - arena[0], arena[3] - arena[2]
         if width <= 0 or height <= 0 or (self.world == PHASE and abs(width - height) > 1e-6):
-            raise InvalidEventError(f"scene.arena {self.arena} is not a square x0, x1, y0, y1")
+            kind = "a square" if self.world == PHASE else "a rectangle"
+            raise InvalidEventError(f"scene.arena {self.arena} is not {kind} x0, x1, y0, y1")
         most = min(width, height) / 4
         if (self.radius < MIN_RADIUS).any() or (self.radius > most).any():
             raise InvalidEventError(

@@ -26,6 +26,7 @@ from phase_ppl.world.goals import (
     opposed_goal,
     shared_goal,
 )
+from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import UNREACHABLE, Rooms
 from phase_ppl.world.scene import PHASE, Scene, World
@@ -170,6 +171,15 @@ def test_a_random_scene_has_everybody_where_it_is_said() -> None:
     assert sorted(rooms.borders(room) for room in range(6))[0] == (0.0, 12.0, 0.0, 12.0)
 
 
+def test_nobody_starts_beside_a_floor_plan_that_does_not_fill_the_arena() -> None:
+    world = house(walls=[((20, 10), (36, 10)), ((20, 10), (20, 24))], landmarks={"home": (4, 4)})
+    for seed in range(20):
+        x, y = world.random_scene(seed).start[:, :2].T
+        assert not ((x > 20) & (y > 10)).any()
+    told = world.random_scene(0, rooms={"red agent": (30, 20)})
+    assert told.rooms.room_of(told.start[0, :2]) == 1
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -180,7 +190,7 @@ def test_a_random_scene_has_everybody_where_it_is_said() -> None:
         ({"near": {"red agent": "hme"}}, "unknown agent, item or landmark 'hme'"),
         ({"near": {"red agent": "pink ball", "pink ball": "red agent"}}, "are near themselves"),
         ({"size": {"red": 1.0}}, "unknown agent or item 'red'"),
-        ({"size": 40.0}, "no place was found for everybody"),
+        ({"size": 40.0}, r"size of the red agent is 40.0, expected one in \[0.01, 6\]"),
     ],
 )
 def test_a_random_scene_that_cannot_be_is_refused(options: dict[str, Any], message: str) -> None:
@@ -278,6 +288,20 @@ WRONG: dict[str, tuple[Any, str]] = {
      "landmark 'home'[1] is nan"),
     "a landmark too large": (lambda: house(landmarks={"home": (4, 4, 7)}),
      "half-width 7, expected one in (0, 6]"),
+    "a landmark of four numbers": (lambda: house(landmarks={"home": (4, 4, 2, 2)}),
+     "landmark 'home' is (4, 4, 2, 2), expected (x, y) or (x, y, half the side)"),
+    "landmarks without names": (lambda: house(landmarks=[(4, 4)]),
+     "landmarks=[(4, 4)], expected a mapping of names to (x, y)"),
+    "no landmarks at all": (lambda: house(landmarks=None), "landmarks=None, expected a mapping"),
+    "a half-width in words": (lambda: house(half_width="wide"), "has the half-width 'wide'"),
+    "colours without names": (lambda: house(colours=[(1, 2, 3)]),
+     "colours=[(1, 2, 3)], expected a mapping of names to (red, green, blue)"),
+    "touching somebody twice": (lambda: house(touchable=["ball", "ball"]),
+     "touchable has 'ball' twice"),
+    "a relation without names": (
+        lambda: Roles.of(house(), {"red agent": "ball to home"}, "help"),
+        "relation='help', expected a mapping of (who, whom) to 'help' or 'hinder'",
+    ),
     "an arena of no size": (lambda: house(arena=(0, 0, 0, 24)), "with sides of 4 to 60 units"),
     "a huge arena": (lambda: house(arena=(0, 100, 0, 24)), "with sides of 4 to 60 units"),
     "an arena of three": (lambda: house(arena=(0, 36, 0)), "arena has shape (3,), expected (4,)"),
