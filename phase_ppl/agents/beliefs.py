@@ -271,6 +271,23 @@ def update(
                 settled |= 1 << entity
 
 
+def _closed_off(model: WorldModel, own: FloatArray) -> BoolArray | None:
+    """Return which cells are no part of the floor plan, as beside an L-shaped flat; None: none.
+
+    No way leads there, neither from where the agent is nor from a landmark.
+    """
+    rooms, layout = model.scene.rooms, model.layout
+    closed = rooms.closed_off([own, *layout.landmarks])
+    if not closed:
+        return None
+    column, row = np.meshgrid(np.arange(layout.columns), np.arange(layout.rows))
+    found = np.ones(layout.rows * layout.columns, np.bool_)
+    for across, down in ((0.01, 0.01), (0.01, 0.99), (0.99, 0.01), (0.99, 0.99)):
+        x, y = layout.origin[0] + column + across, layout.origin[1] - row - down
+        found &= np.isin(rooms.room_of(np.stack([x, y], axis=-1)), closed).ravel()
+    return found
+
+
 class Perception:
     """The belief particles of one agent, kept up to date with what it sees, whatever its goal.
 
@@ -300,6 +317,7 @@ class Perception:
         )
         self.scratch = compiled.make_scratch(len(bodies), n_agents)
         self._last_action: Action | None = None
+        self._closed_off = _closed_off(model, bodies[agent, :2])
 
     def done(self, action: Action) -> None:
         """Say what the agent has just executed, which its next prediction starts from."""
@@ -323,6 +341,8 @@ class Perception:
             beliefs.cells,
             beliefs.observed,
         )
+        if self._closed_off is not None:  # nothing need be looked for there
+            beliefs.visible[self._closed_off] = True
         if self.config.true_state:
             beliefs.bodies[:], beliefs.held[:], beliefs.weld[:] = bodies, held, weld
             return

@@ -158,8 +158,8 @@ def room_name(scene: Scene, room: int) -> str:
         return ROOMS[room]
     inside = np.flatnonzero(scene.rooms.room_of(scene.landmark_centres) == room)
     if not len(inside):
-        x, y = scene.rooms.points(0.0)[room]
-        return f"room at ({x:g}, {y:g})"
+        x0, x1, y0, y1 = scene.rooms.borders(room)
+        return f"room at ({(x0 + x1) / 2:g}, {(y0 + y1) / 2:g})"
     return f"room of the {scene.world.landmark_names[inside[0]]}"
 
 

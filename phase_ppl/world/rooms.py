@@ -199,6 +199,13 @@ class Rooms:
 
         return min(ways(start), key=self._way_order) if start in away else None
 
+    def closed_off(self, places: Sequence[FloatArray] | FloatArray) -> list[int]:
+        """Return the rooms from which no way leads to any of ``places``, (n, 2) points."""
+        ends = set(self.room_of(np.asarray(places, float)).tolist())
+        return [
+            room for room in range(len(self)) if all(self.route(room, end) is None for end in ends)
+        ]
+
     def _way_order(self, doors: tuple[int, ...]) -> tuple[float, tuple[int, ...]]:
         """Sort key of a way; equally long ways are told apart alike in both directions."""
         points = self.door_position[list(doors)]

@@ -463,10 +463,7 @@ class World:
         plan = Rooms.from_walls(walls, self.arena, self.quadrants)  # refuses impossible ones
         most = min(x1 - x0, y1 - y0) / 4
         sizes = [size for size in SIZES if size <= most]
-        ends = {self._room(name, plan) for name in self.landmark_names}
-        closed_off = [
-            room for room in range(len(plan)) if all(plan.route(room, end) is None for end in ends)
-        ]
+        closed_off = plan.closed_off(np.array([(one.x, one.y) for one in self.landmarks]))
         within = {self.entity(name): self._room(room, plan) for name, room in (rooms or {}).items()}
         beside = self._beside(near or {})
         free = [one for one in range(n) if one not in {*within, *dict(beside)}]

@@ -18,7 +18,7 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import Scene, World
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 
 GOALS = (goal_index("Get blue item to red lm"), goal_index("Get green agent to red lm"))
@@ -93,6 +93,20 @@ def test_cells_once_seen_stay_excluded_when_the_agent_looks_away() -> None:
         perceive(agent, looking(angle), times=3)
     # up, right and left have been looked at: everything unseen lies below
     assert np.mean(agent.beliefs.bodies[:, 2, 1] < 12.0) > 0.95
+
+
+def test_nothing_is_believed_beside_a_floor_plan_that_does_not_fill_the_arena() -> None:
+    flat = World(
+        ["cook"], ["pan"], {"stove": (5, 5)}, (0, 30, 0, 26),
+        walls=[((20.5, 12.5), (30, 12.5)), ((20.5, 12.5), (20.5, 26)), ((0, 12.5), (12, 12.5))],
+    )  # fmt: skip
+    where = flat.scene(start={"cook": (26, 3), "pan": (18, 22)})
+    model = WorldModel.of(where, (450.0,), CONFIG)
+    agent = Agent(0, (flat.goal_index("pan to stove"),), model, CONFIG, np.random.default_rng(0))
+    perceive(agent, where, times=3)
+    x, y = agent.beliefs.bodies[:, 1, 0], agent.beliefs.bodies[:, 1, 1]
+    assert not ((x > 20.5) & (y > 12.5)).any()
+    assert len(np.unique(agent.beliefs.bodies[:, 1, :2].round(6), axis=0)) > 20
 
 
 def test_when_everything_has_been_seen_particles_are_still_consistent() -> None:
