@@ -199,11 +199,15 @@ def _median(seconds: FloatArray) -> str:
 
 
 def _entity(name: object, among: Sequence[str]) -> int:
-    """Return the number of an entity by its name, or by the first word of it."""
+    """Return the number of an entity by its name, or by the first word of one name only."""
     if isinstance(name, str):
-        for number, known in enumerate(among):
-            if name.strip().lower() in (known, known.split()[0]):
-                return number
+        said = name.strip().lower()
+        names = [known.lower() for known in among]
+        first_words = [known.split()[0] for known in names]
+        if said in names:
+            return names.index(said)
+        if first_words.count(said) == 1:
+            return first_words.index(said)
     raise unknown_name("entity", name, among)
 
 

@@ -79,6 +79,15 @@ def test_what_a_world_does_not_have_is_refused(given: dict[str, Any], words: str
         Change.of(TRIO, given, **said)
 
 
+def test_names_may_have_capitals_and_share_a_first_word() -> None:
+    world = ppl.World(["Anna", "small Ben"], ["small", "Big box"], {"home": (8, 8)})
+    for number, name in enumerate(world.entities):
+        assert Change.of(world, {}, remove=name).removed == (number,)
+    assert Change.of(world, {}, remove="big").removed == (3,)
+    with pytest.raises(PhasePPLError, match="unknown entity 'the'"):
+        Change.of(ppl.World(["the cat", "the dog"], [], {"home": (8, 8)}), {}, remove="the")
+
+
 def of_one_agent(frames: int) -> tuple[ppl.Event, str]:
     """Return an event of one agent, and its goal."""
     scene = ppl.worlds.SOLO.random_scene(0)
