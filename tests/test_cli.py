@@ -7,6 +7,7 @@ import inspect
 import json
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -439,6 +440,55 @@ def test_a_reference_has_options_as_kernels_have() -> None:
 def test_goals_are_listed(capsys: Capture) -> None:
     assert main(["goals"]) == 0
     assert capsys.readouterr().out.splitlines() == list(phase_ppl.GOALS)
+
+
+HUT = """
+import phase_ppl
+hut = phase_ppl.World(
+    ["Ann", "Ben"], ["pot"], {"fire": (4, 4)}, arena=(0, 16, 0, 12), name="hut",
+    predicates=[phase_ppl.Predicate("a chat", "Ann", "Ben", within=5)],
+)
+event = phase_ppl.simulate(
+    hut.scene(start={"Ann": (3, 9), "Ben": (12, 9), "pot": (12, 3)}, size=0.8),
+    goals={"Ann": "a chat", "Ben": "pot to fire"}, frames=3,
+)
+"""
+
+
+def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Capture) -> None:
+    source, kept, out = (tmp_path / name for name in ("hut.py", "hut.json", "new.json"))
+    source.write_text(HUT)
+    event = runpy.run_path(str(source))["event"]
+    phase_ppl.save_event(event, kept)
+    for world in (f"{source}:hut", str(kept)):
+        assert main(["goals", "--world", world]) == 0
+        assert capsys.readouterr().out.splitlines() == list(event.scene.world.goals)
+    assert "unknown world 'hut'" in fails(capsys, "goals", "--world", "hut")
+    told = ["simulate", str(kept), "--frames", "3", "--out", str(out)]
+    roles = ["--goal", "Ann=pot to fire", "--relation", "Ben=hinder=Ann", "--strength", "Ben=300"]
+    assert main([*told, *roles]) == 0
+    made = phase_ppl.load_event(out)
+    assert made.truth == phase_ppl.Roles.of(
+        event.scene.world, {"Ann": "pot to fire"}, {("Ben", "Ann"): "hinder"}, {"Ben": 300}
+    )
+    capsys.readouterr()
+    for wrong, message in {
+        ("--goal-red", "get to Ann", "--goal-green", "get to Ben"): "agents of 'hut' are Ann, Ben",
+        ("--goal", "Ann"): "--goal Ann: expected NAME=GOAL",
+        ("--goal", "Ann=a chat", "--goal-red", "a chat"): "either --goal-red and --goal-green, or",
+        ("--goal", "Ann=a chat", "--relation", "Ben=Ann"): "expected WHO=help=WHOM",
+        ("--goal", "Ann=a chat", "--strength", "Ben=big"): "--strength big: expected newtons",
+    }.items():
+        assert message in fails(capsys, *told, *wrong)
+
+
+def test_roles_of_phase_make_an_event_of_phase(tmp_path: Path) -> None:
+    out = tmp_path / "help.json"
+    goals = ["--goal", "red agent=get to green agent", "--relation", "green agent=hinder=red agent"]
+    assert main(["simulate", "collaborate", *goals, "--frames", "3", "--out", str(out)]) == 0
+    truth = phase_ppl.load_event(out).truth
+    assert isinstance(truth, phase_ppl.Truth)
+    assert truth.goal_green == "get away from red agent"
 
 
 def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: Capture) -> None:

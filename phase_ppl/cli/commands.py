@@ -36,7 +36,7 @@ COMMANDS: Final = {
         "print, draw and save the posterior over goals, relation and strengths of an event",
     ),
     "resume": ("infer", "go on with an interrupted run, or extend one"),
-    "goals": ("events", "list the 36 goals that an agent can have"),
+    "goals": ("events", "list the goals that an agent can have, 36 in PHASE"),
     "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
     "read-video": ("events", "read an event back from a film of it"),

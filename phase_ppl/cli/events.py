@@ -12,12 +12,14 @@ import numpy as np
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
+from phase_ppl.cli import own
 from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.dataset.load import EXPORTS, PHASE_PICKLE
 from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
 from phase_ppl.dataset.statistics import PHASE
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import check_output, writable_folder, write_json
@@ -29,7 +31,11 @@ _STRIP: Final = 6
 
 def add_to(commands: Any) -> None:
     """Add the commands."""
-    cli.command(commands, "goals", _goals, "phase-ppl goals")
+    goals = cli.command(commands, "goals", _goals, "phase-ppl goals")
+    says = (
+        f"{', '.join(phase_ppl.worlds.available())} (default PHASE), or an event file; {own.FILE}"
+    )
+    cli.add(goals, "--world NAME", says)
     _add_simulate(commands)
     _add_render(commands)
     _add_read_video(commands)
@@ -37,8 +43,17 @@ def add_to(commands: Any) -> None:
     _add_export(commands)
 
 
-def _goals(_: argparse.Namespace) -> int:
-    print("\n".join(phase_ppl.GOALS))
+def _goals(options: argparse.Namespace) -> int:
+    world = own.taken(options.world or "PHASE", "world")
+    if isinstance(world, str):
+        is_file = Path(world).suffix in EVENT_SUFFIXES
+        world = (
+            phase_ppl.load_events(world)[0].scene.world
+            if is_file
+            else phase_ppl.worlds.named(world)
+        )
+    instance_of("--world", world, phase_ppl.World, "a phase_ppl.World")
+    print("\n".join(world.goals))
     return 0
 
 
@@ -51,9 +66,15 @@ def _add_simulate(commands: Any) -> None:
         "--goal-green 'get to red agent' --out simulated.mp4",
     )
     for agent in ("red", "green"):
-        cli.add(parser, f"--goal-{agent} GOAL", required=True)
+        cli.add(parser, f"--goal-{agent} GOAL", "in PHASE")
         cli.add(parser, f"--alpha-{agent} A", "-1, 0 or 1", int, 0, choices=(-1, 0, 1))
         cli.add(parser, f"--strength-{agent} NEWTON", "default 450", float, 450.0)
+    says = "in any world, of each agent that neither helps nor hinders"
+    cli.add(parser, "--goal NAME=GOAL", says, action="append", default=[])
+    says = "who helps or hinders whom, as in 'Ann=help=Ben'"
+    cli.add(parser, "--relation WHO=WORD=WHOM", says, action="append", default=[])
+    says = "of an agent; default 450"
+    cli.add(parser, "--strength NAME=NEWTON", says, action="append", default=[])
     cli.share(parser, "planner")
     cli.add(parser, "--frames T", "default: as long as the event", cli.whole(2))
     cli.add(parser, "--overlapping", "though bodies overlap at the start")
@@ -64,13 +85,7 @@ def _simulate(options: argparse.Namespace) -> int:
     suffix = cli.check_suffix(options.out, (*EVENT_SUFFIXES, *FILM_SUFFIXES))
     event = cli.load(options)
     writable_folder(options.out.parent)
-    hypothesis = phase_ppl.Hypothesis(
-        goal_red=options.goal_red,
-        goal_green=options.goal_green,
-        alpha=(options.alpha_red, options.alpha_green),
-        strength_red=options.strength_red,
-        strength_green=options.strength_green,
-    )
+    hypothesis = _roles(options, event)
     simulated = phase_ppl.simulate(
         event.scene,
         hypothesis,
@@ -86,6 +101,52 @@ def _simulate(options: argparse.Namespace) -> int:
         phase_ppl.render.video(simulated, options.out)
     print(f"{hypothesis}\n{simulated.observation.n_frames} frames written to {options.out}")
     return 0
+
+
+def _roles(options: argparse.Namespace, event: Event) -> phase_ppl.Hypothesis | phase_ppl.Roles:
+    """Return who wants what."""
+    named = options.goal, options.relation, options.strength
+    of_phase = options.goal_red, options.goal_green
+    if any(named):
+        if any(of_phase):
+            raise InvalidSettingError("give either --goal-red and --goal-green, or --goal")
+        goals = {name: goal for name, goal in (_parts(one, "goal", 2) for one in options.goal)}
+        told = (_parts(one, "relation", 3) for one in options.relation)
+        strengths = (_parts(one, "strength", 2) for one in options.strength)
+        return phase_ppl.Roles.of(
+            event.scene.world,
+            goals,
+            {(who, whom): word for who, word, whom in told},
+            {name: _newtons(force) for name, force in strengths},
+        )
+    if event.scene.world != phase_ppl.worlds.PHASE or None in of_phase:
+        raise InvalidSettingError(
+            "expected --goal-red and --goal-green, or, in any world, --goal NAME=GOAL; the agents "
+            f"of {event.scene.world.name!r} are {', '.join(event.scene.world.agents)}"
+        )
+    return phase_ppl.Hypothesis(
+        goal_red=options.goal_red,
+        goal_green=options.goal_green,
+        alpha=(options.alpha_red, options.alpha_green),
+        strength_red=options.strength_red,
+        strength_green=options.strength_green,
+    )
+
+
+def _newtons(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidSettingError(f"--strength {text}: expected newtons, a number") from None
+
+
+def _parts(text: str, option: str, n: int) -> tuple[str, ...]:
+    """Return what stands between the equals signs of an option."""
+    parts = tuple(part.strip() for part in text.split("="))
+    if len(parts) != n:
+        form = "NAME=GOAL" if option == "goal" else "NAME=NEWTON" if n == 2 else "WHO=help=WHOM"
+        raise InvalidSettingError(f"--{option} {text}: expected {form}")
+    return parts
 
 
 def _add_render(commands: Any) -> None:

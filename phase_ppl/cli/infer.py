@@ -46,7 +46,7 @@ def add_to(commands: Any) -> None:
     cli.add(infer, "--preset NAME", cli.PRESET, default="default")
     says = (
         "simple: whole simulations, sampled (the default in PHASE); stepwise: every frame given "
-        "those before it, over all hypotheses (in other worlds the only one)"
+        "those before it, over all hypotheses (the default in other worlds)"
     )
     cli.add(infer, "--model", says, choices=("simple", "stepwise"))
     own.add_model(infer)
@@ -107,8 +107,8 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 def _infer(options: argparse.Namespace) -> int:
     event = cli.load(options)
-    told = options.model, options.likelihood, options.kernel
-    if event.scene.world != PHASE and told == (None, None, None):
+    told = options.model, options.likelihood, options.kernel, phase_ppl.preset(options.preset)
+    if event.scene.world != PHASE and not any(told):
         options.model = "stepwise"
     stepwise = _is_stepwise(options)
     if options.watch and (not stepwise or options.kernel is not None):
@@ -126,7 +126,8 @@ def _infer(options: argparse.Namespace) -> int:
         model, of_kernel = _model_of(options, stepwise)
         own_ones = {"event": event, "model": model, "checkpoint": None if exact else kept}
         given = cli.arguments(phase_ppl.infer, options, **own_ones, **of_kernel, **_kernel(options))
-        run = functools.partial(phase_ppl.infer, **completed(options.preset, given))
+        world = event.scene.world
+        run = functools.partial(phase_ppl.infer, **completed(options.preset, given, world))
         return _finish(run, event, out, kept, options)
 
 

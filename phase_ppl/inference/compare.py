@@ -239,7 +239,9 @@ class Reference:
             return cls(None, True, None, budget, weights, per_pair)
         long = dataclasses.replace(budget, amount=LONG * budget.amount)
         spec = LONG_RUN if reference is None else reference
-        run = entry_of("reference", spec, chains, settings, own_length=True)
+        run = entry_of(
+            "reference", spec, chains, settings, own_length=True, world=event.scene.world
+        )
         if not run.length:
             run = dataclasses.replace(run, length={"budget": long})
         return cls(None, reference is None and event.scene.world == PHASE, run, long, weights)
@@ -471,7 +473,7 @@ def compare(
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     instance_of("budget", budget, Budget, BUDGETS)
-    chosen = entries(kernels, chains, settings)
+    chosen = entries(kernels, chains, settings, event.scene.world)
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
     for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
         entry.check(event, model, budget)

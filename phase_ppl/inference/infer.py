@@ -95,7 +95,7 @@ def infer(
     Args:
         event: what to explain.
         model: prior, simulator and likelihood; by default the paper's. Of an event of another
-            world than PHASE, if no kernel is named either, the closed loop's.
+            world than PHASE, if neither a kernel nor settings are given, the closed loop's.
         kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
             makes a NumPyro kernel from the program of the event, or an instance of one of ours;
             by default "local_mh", which is SIMPLE, and none for a stepwise likelihood.
@@ -160,8 +160,9 @@ def infer(
     given = {name: value for name, value in vars(options).items() if name not in _NOT_OF_SAMPLING}
     given |= {"chains": chains, "settings": settings, **kernel_options}
     check_event(event)
+    of_simple = kernel is not None or settings is not None
     settings = SimpleSettings.of(event.scene.world) if settings is None else settings
-    if model is None and kernel is None and event.scene.world != PHASE:
+    if model is None and not of_simple and event.scene.world != PHASE:
         from phase_ppl.models.stepwise import StepwiseLikelihood
 
         model = Model(likelihood=StepwiseLikelihood())

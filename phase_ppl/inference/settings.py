@@ -179,7 +179,7 @@ SETTINGS: Final = tuple(field.name for field in dataclasses.fields(SimpleSetting
 _OF_ITS_KERNEL: Final = ("kernel", "rule", "weights", "iterations", "chains")
 
 
-def preset(name: str) -> dict[str, Any]:
+def preset(name: str, world: World = PHASE) -> dict[str, Any]:
     """Return arguments of :func:`phase_ppl.infer`, and of the model "simple", by one word.
 
     >>> ppl.infer(event, **ppl.preset("as_printed"))
@@ -188,22 +188,27 @@ def preset(name: str) -> dict[str, Any]:
     Args:
         name: "as_printed", "as_intended", "default", "guided" or "raced"; what differs stands in
             the page of deviations of the documentation.
+        world: of the events; in another than PHASE strengths are proposed by the analytic rule.
 
     Raises:
         UnknownNameError: there is no such preset.
     """
     if name not in PRESETS:
         raise unknown_name("preset", name, PRESETS)
-    return dict(PRESETS[name])
+    found = dict(PRESETS[name])
+    if "settings" in found:
+        strength = SimpleSettings.of(world).strength
+        found["settings"] = dataclasses.replace(found["settings"], strength=strength)
+    return found
 
 
-def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def completed(name: str, given: Mapping[str, Any], world: World = PHASE) -> dict[str, Any]:
     """Return what is given and not None, and of a preset the rest.
 
     Another kernel takes the place of the preset's with all that is of it, another length that of
     its iterations; single settings of SIMPLE, such as ``beta=0.1``, change those of the preset.
     """
-    usual = preset(name)
+    usual = preset(name, world)
     told = {argument: value for argument, value in given.items() if value is not None}
     if told.get("kernel", usual.get("kernel")) != usual.get("kernel"):
         usual = {name: v for name, v in usual.items() if name not in _OF_ITS_KERNEL}
@@ -213,5 +218,6 @@ def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     if single and "settings" in told:
         raise InvalidSettingError(f"give either settings or {', '.join(single)}")
     if single:
-        told["settings"] = dataclasses.replace(usual.get("settings", SimpleSettings()), **single)
+        settings = usual.get("settings", SimpleSettings.of(world))
+        told["settings"] = dataclasses.replace(settings, **single)
     return {**usual, **told}

@@ -243,9 +243,6 @@ def simulate(
         if hypothesis is not None:
             raise InvalidSettingError("both a hypothesis and goals are given; one says it all")
         hypothesis = roles
-        if scene.world == PHASE:
-            (red, green), (one, other) = roles.effective_goals, roles.strengths
-            hypothesis = Hypothesis(red, green, (0, 0), one, other)
     elif relation is not None or strength != STRENGTH:
         raise InvalidSettingError("relation and strength go with goals=; a hypothesis has its own")
     instance_of("hypothesis", hypothesis, (Hypothesis, Roles), "a phase_ppl.Hypothesis, or goals=")
@@ -255,6 +252,9 @@ def simulate(
             f"the hypothesis is of the world {hypothesis.world.name}, the scene of "
             f"{scene.world.name}: give goals="
         )
+    if isinstance(hypothesis, Roles) and scene.world == PHASE:
+        (red, green), (one, other) = hypothesis.effective_goals, hypothesis.strengths
+        hypothesis = Hypothesis(red, green, (0, 0), one, other)
     seed = whole_number("seed", seed, 0)
     frames = whole_number("frames", frames, MIN_FRAMES)
     check_memory(f"frames={frames}", _FRAME_BYTES * frames)

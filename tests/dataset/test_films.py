@@ -146,6 +146,14 @@ def test_a_film_of_another_scene_is_refused(phase: tuple[Event, Path]) -> None:
             ppl.read_video(path, scene, progress=False)
 
 
+def test_a_layout_may_have_goals_about_rooms(tmp_path: Path) -> None:
+    world = dataclasses.replace(TRIO, predicates=[ppl.Predicate("in", "blue ball", room="barn")])
+    event = moving(world.random_scene(0))
+    reading = ppl.read_video(film(event, tmp_path / "rooms.mp4"), layout=world, progress=False)
+    assert reading.event.scene.world == world
+    assert off(reading, event)[0] < 0.2
+
+
 def test_a_film_of_another_world_is_refused(phase: tuple[Event, Path]) -> None:
     world = ppl.World(["red agent", "grey agent"], [], {"home": (8, 8)}, name="small")
     with pytest.raises(InvalidEventError, match=r"the colour of the grey agent, \(130, 130, 130\)"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 from pathlib import Path
@@ -111,6 +112,25 @@ def test_compare_takes_presets_for_kernels() -> None:
     assert guided.settings == ppl.SimpleSettings(proposal="closed_loop")
     assert raced.chains == 30
     assert not printed.length
+
+
+def test_presets_know_other_worlds_by_what_was_not_learned_in_phase() -> None:
+    solo = ppl.worlds.SOLO
+    for name in ("as_printed", "as_intended", "guided"):
+        ppl.preset(name, solo)["settings"].check_world(solo)
+    changed = completed("default", {"eta": 0.2}, solo)["settings"]
+    assert changed == dataclasses.replace(ppl.SimpleSettings.of(solo), eta=0.2)
+    guided = entries(["guided"], 4, ppl.SimpleSettings.of(solo), solo)[0]
+    assert guided.settings == ppl.SimpleSettings(proposal="closed_loop", strength="analytic")
+
+
+def test_settings_of_simple_ask_for_it_in_any_world() -> None:
+    scene = ppl.worlds.SOLO.random_scene(0)
+    event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=3)
+    guided = ppl.preset("guided", scene.world)
+    model = {"chains": 2, "iterations": 1, "workers": 1, "progress": False}
+    post = ppl.infer(event, **guided, **model)
+    assert isinstance(post, ppl.Posterior)
 
 
 def test_a_run_that_goes_on_keeps_its_weights(tmp_path: Path) -> None:

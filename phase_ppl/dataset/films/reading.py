@@ -149,7 +149,7 @@ def read_video(
             told apart, or a setting that cannot be.
         UnknownNameError: there is no ready-made world of that name.
     """
-    given = _given(scene, layout)
+    given, world = _given(scene, layout)
     nonnegative_number("start", start)
     whole_number("max_gap", max_gap, 0)
     if frames_per_step is not None and not 1 <= number_or_nan(frames_per_step) < math.inf:
@@ -179,7 +179,7 @@ def read_video(
     given = dataclasses.replace(given, radius=radius)
     track, confidence = _closed(found, given, moments / (film.fps or math.nan), max_gap, known)
     if scene is None:
-        scene = dataclasses.replace(given, start=track[0])
+        scene = dataclasses.replace(given, start=track[0], world=world)
         if scene.world == PHASE:
             scene = dataclasses.replace(scene, turning=observed_turning(track, scene.radius))
     else:
@@ -188,13 +188,17 @@ def read_video(
     return VideoReading(event, confidence, pictures)
 
 
-def _given(scene: Scene | None, layout: str | World | None) -> Scene:
-    """Return the scene, or one of the layout in which nobody has a place yet."""
+def _given(scene: Scene | None, layout: str | World | None) -> tuple[Scene, World]:
+    """Return the scene, or one of the layout in which nobody has a place yet; and the world.
+
+    Goals of one's own may be about rooms, and there are none before walls are found: the scene of
+    a layout has none of these.
+    """
     if (scene is None) == (layout is None):
         raise InvalidSettingError("give either the scene= that the film shows, or its layout=")
     if scene is not None:
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
-        return scene
+        return scene, scene.world
     if isinstance(layout, str):
         known = {name.lower(): world for name, world in worlds.available().items()}
         if layout.lower() not in known:
@@ -205,7 +209,8 @@ def _given(scene: Scene | None, layout: str | World | None) -> Scene:
     x0, x1, y0, y1 = layout.arena
     start = np.tile([(x0 + x1) / 2, (y0 + y1) / 2, 0.0], (len(layout.entities), 1))
     size = min(x1 - x0, y1 - y0) / 16
-    return Scene(start, np.full(len(layout.entities), size), [], world=layout)  # type: ignore[arg-type]
+    radius, plain = np.full(len(start), size), dataclasses.replace(layout, predicates=())
+    return Scene(start, radius, [], world=plain), layout  # type: ignore[arg-type]
 
 
 def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatArray:
