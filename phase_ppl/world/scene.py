@@ -475,6 +475,7 @@ class World:
                     f"size of the {self.entities[one]} is {shown(value)}, expected one in "
                     f"[{MIN_RADIUS:g}, {most:g}]"
                 )
+        why = InvalidSettingError(f"no place was found for everybody in {_TRIES} tries")
         for _ in range(_TRIES):
             start = np.column_stack(
                 [rng.uniform(x0, x1, n), rng.uniform(y0, y1, n), rng.uniform(-np.pi, np.pi, n)]
@@ -505,9 +506,12 @@ class World:
                     scene = Scene(start, radius, walls, world=self)
                 except InvalidEventError:  # an item in a closed room, or somebody outside
                     continue
+                except InvalidSettingError as error:  # a goal that bodies of such sizes cannot have
+                    why = error
+                    continue
                 if not deepest_overlap(scene)[1]:
                     return scene
-        raise InvalidSettingError(f"no place was found for everybody in {_TRIES} tries")
+        raise why
 
     def _room(self, given: object, rooms: Rooms) -> int:
         """Return the number of a room, by it, or by a landmark or a point in it."""

@@ -172,7 +172,7 @@ def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path
     ("model", "more", "message"),
     [
         *((name, {}, f"'{name}' knows the world PHASE only, not 'trio'")
-          for name in ("majority", "vlm", "socialgnn", "no_physics")),
+          for name in ("majority", "vlm", "socialgnn")),
         ("last_frame", {"observer": "people"}, "an observer of people knows the world PHASE"),
     ],
 )  # fmt: skip
@@ -181,6 +181,17 @@ def test_what_is_of_phase_is_refused(
 ) -> None:
     with pytest.raises(InvalidSettingError, match=message):
         ppl.evaluate(events, model, **more, **ONE_PROCESS)
+
+
+LESIONS = ("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight")
+
+
+@pytest.mark.parametrize("model", [*LESIONS, "no_social_goals"])
+def test_lesions_of_simple_are_asked_about_any_world(model: str) -> None:
+    scene = SOLO.random_scene(0)
+    event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=4, id="solo")
+    found = ppl.evaluate([event], model, chains=2, iterations=1, **ONE_PROCESS)
+    assert found.predictions["solo"].probabilities["goal_red"].sum() == pytest.approx(1)
 
 
 STUDY = f"""participant,video,goal_red,goal_green,goal_purple,relation_red_green,relation_red_purple

@@ -170,3 +170,12 @@ def test_what_cannot_be_gets_one_clear_line(case: str) -> None:
     with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
         make()
     assert "\n" not in str(raised.value)
+
+
+def test_random_scenes_have_sizes_that_leave_every_goal_possible() -> None:
+    near = nursery(Predicate("toys together", "ball", "doll", within=3))  # larger ones touch at 3.2
+    for seed in range(30):
+        scene = near.random_scene(seed)
+        assert scene.radius[2:].sum() <= 2.5
+    with pytest.raises(PhasePPLError, match="'toys together': 3 units are too few"):
+        near.random_scene(0, size=1.6)

@@ -201,7 +201,7 @@ def _without(changed: str) -> MoreOptions:
     return more_options
 
 
-@register_model("no_physics", more_options=_without("simulator"))
+@register_model("no_physics", more_options=_without("simulator"), any_world=True)
 def no_physics(*, planner: Any = None, speed: float | None = None, **options: Any) -> Predict:
     """SIMPLE without physics: agents and items move along paths at a constant speed.
 
@@ -217,7 +217,7 @@ def no_physics(*, planner: Any = None, speed: float | None = None, **options: An
     return simple(simulator=simulator, **options)
 
 
-@register_model("noisy_physics", more_options=_without("simulator"))
+@register_model("noisy_physics", more_options=_without("simulator"), any_world=True)
 def noisy_physics(
     *,
     planner: Any = None,
@@ -241,25 +241,25 @@ def noisy_physics(
     return simple(simulator=simulator, **options)
 
 
-@register_model("full_observation", more_options=_without("simulator"))
+@register_model("full_observation", more_options=_without("simulator"), any_world=True)
 def full_observation(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with full observation: agents see everything at all times."""
     return simple(planner=_planner(planner, options, full_observation=True), **options)
 
 
-@register_model("true_state", more_options=_without("simulator"))
+@register_model("true_state", more_options=_without("simulator"), any_world=True)
 def true_state(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE without belief particles: agents plan on the true state, whatever they have seen."""
     return simple(planner=_planner(planner, options, true_state=True), **options)
 
 
-@register_model("no_cost_weight", more_options=_without("simulator"))
+@register_model("no_cost_weight", more_options=_without("simulator"), any_world=True)
 def no_cost_weight(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with lambda = 0: subgoals are chosen by their probability, whatever they cost."""
     return simple(planner=_planner(planner, options, cost_weight=0.0), **options)
 
 
-@register_model("no_social_goals", more_options=_without("prior"))
+@register_model("no_social_goals", more_options=_without("prior"), any_world=True)
 def no_social_goals(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with alpha = 0: nobody helps or hinders; goals agree or clash by chance only."""
     _refuse(options, "prior")
