@@ -57,6 +57,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 from phase_ppl.world.identity import differences
+from phase_ppl.world.scene import check_is_phase
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawn
@@ -197,6 +198,8 @@ def reproduce(
         _same_as_before(folder / ASKED, given, resume)
         events, real, note = _events(folder, videos, profile, slots, progress, say)
         events = judged(list(events), judgments)
+        for event in events:
+            check_is_phase(event.scene.world, "reproduce")
         write_json(folder / ASKED, given)
         known = {label: model_info(one.model) for label, one in asked.items()}
         missing = {

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 import time
@@ -41,6 +42,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import differences, versions
 from phase_ppl.world.progress import Bar, counted
+from phase_ppl.world.scene import check_is_phase
 
 TRAINING, VALIDATION, TEST = "train", "validation", "test"
 """Splits of the set: networks learn from the first, the second says when to stop; where there is
@@ -86,11 +88,13 @@ def train_socialgnn(
         InvalidEventError: ``data`` holds no generated set, or none of a split.
         OutputError: ``out`` cannot be written, or holds a training of something else.
     """
-    needs_torch()
     settings = settings or TrainingSettings.of("extended")
     n_seeds = whole_number("seeds", seeds, maximum=_MOST_SEEDS)
     wanted = range(whole_number("seed", seed, 0), seed + n_seeds)
     found = GeneratedEvents(data)
+    for event in itertools.islice(found, 1):
+        check_is_phase(event.scene.world, "SocialGNN")
+    needs_torch()
     splits = {name: list(found.split(name)) for name in (TRAINING, VALIDATION)}
     if any(entry["split"] == TEST for entry in found.entries):
         splits[TEST] = list(found.split(TEST))

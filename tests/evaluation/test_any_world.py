@@ -183,6 +183,18 @@ def test_what_is_of_phase_is_refused(
         ppl.evaluate(events, model, **more, **ONE_PROCESS)
 
 
+def test_the_papers_numbers_and_trainings_are_of_phase(tmp_path: Path) -> None:
+    file = tmp_path / "videos.json"
+    scene = SOLO.random_scene(0)
+    event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=3, id="solo")
+    ppl.save_events([event], file)
+    with pytest.raises(InvalidSettingError, match="reproduce knows the world PHASE only"):
+        ppl.reproduce(tmp_path / "paper", videos=file, progress=False)
+    ppl.generate(tmp_path / "set", n=1, world=SOLO, frames=24, seed=0, **ONE_PROCESS)
+    with pytest.raises(InvalidSettingError, match="SocialGNN knows the world PHASE only"):
+        ppl.train_socialgnn(tmp_path / "set", tmp_path / "gnn")
+
+
 LESIONS = ("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight")
 
 

@@ -81,7 +81,9 @@ def confusion(source: Source, path: PathLike | None = None) -> Figure:
     true = scenarios_of(results)
     shown = [(o, counts) for o in results.measured if (counts := _counts(o, true)).any()]
     if not shown:
-        raise NothingToDrawError("nobody answered the goals of an event whose scenario is known")
+        raise NothingToDrawError(
+            "nobody answered the goals of an event of the world PHASE whose scenario is known"
+        )
     n_columns = min(len(shown), 3 if len(shown) <= 6 else 4)
     n_rows = -(-len(shown) // n_columns)
     note = "numbers: events; shade: share of the row"
