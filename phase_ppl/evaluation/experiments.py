@@ -25,6 +25,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import warnings
 from collections.abc import Mapping
 from typing import Any, Final, Literal
 
@@ -219,12 +220,13 @@ class Likeness:
         difference = float(first.mean() - second.mean())
         p = low = high = None
         if not np.ptp(first) == 0 == np.ptp(second):
-            found = stats.ttest_ind(first, second, equal_var=False)
-            low, high = map(float, found.confidence_interval(0.9))
-            tests = [
-                stats.ttest_ind(first + shift, second, equal_var=False, alternative=alternative)
-                for shift, alternative in ((margin, "greater"), (-margin, "less"))
-            ]
+            with warnings.catch_warnings(action="ignore"):  # one group may be all alike
+                found = stats.ttest_ind(first, second, equal_var=False)
+                low, high = map(float, found.confidence_interval(0.9))
+                tests = [
+                    stats.ttest_ind(first + shift, second, equal_var=False, alternative=alternative)
+                    for shift, alternative in ((margin, "greater"), (-margin, "less"))
+                ]
             p = float(max(test.pvalue for test in tests))
         return {
             "difference": difference,

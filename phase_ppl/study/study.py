@@ -36,7 +36,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, Outpu
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, existing_file, locked, writable_folder, write_bytes
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.scene import check_is_phase
 
 EVENTS: Final = "events.json"
@@ -113,7 +113,7 @@ class Study:
         Raises:
             UnknownNameError: there is no such kind.
             InvalidSettingError: events are of several worlds; or of another than PHASE, and it is
-                a study of play or likeness.
+                a study of play.
             InvalidEventError: events have no truth where it is needed, or no counterpart.
             OutputError: the folder is not empty, or cannot be written.
         """
@@ -356,7 +356,8 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
         groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}
     if kind in ("likeness", "play"):
         for event in found:
-            check_is_phase(event.scene.world, f"a study of {kind}")
+            if kind == "play":
+                check_is_phase(event.scene.world, "a study of play")
             _check_truth(event, kind)
     if kind != "likeness":
         several = [groups.get(event.id) for event in found]
@@ -375,7 +376,11 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
 
 def _check_truth(event: Event, kind: str) -> None:
     truth = event.truth
-    if truth is None or truth.strength_red is None or truth.strength_green is None:
+    told = isinstance(truth, Roles) or None not in (
+        getattr(truth, "strength_red", None),
+        getattr(truth, "strength_green", None),
+    )
+    if not told:
         raise InvalidEventError(
             f"event {event.id!r} does not say its goals and strengths; a study of {kind} needs them"
         )
@@ -404,7 +409,8 @@ def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> 
 def _counterpart(event: Event, left: list[Event]) -> Event:
     """Take the counterpart of an event out of those that are left."""
     for place, other in enumerate(left):
-        if other.truth is not None and _are_alike(_setting(event), _setting(other)):
+        same_world = other.scene.world == event.scene.world
+        if same_world and other.truth is not None and _are_alike(_setting(event), _setting(other)):
             return left.pop(place)
     raise InvalidEventError(
         f"event {event.id!r} has no counterpart (any more) of the same scene, goals and strengths"
@@ -414,8 +420,11 @@ def _counterpart(event: Event, left: list[Event]) -> Event:
 def _setting(event: Event) -> list[Any]:
     """Return scene, goals and strengths of an event, in numbers."""
     scene, truth = event.scene, event.truth
-    goals = goal_index(truth.goal_red), goal_index(truth.goal_green)
-    strengths = np.array([truth.strength_red, truth.strength_green], float)
+    if isinstance(truth, Roles):
+        goals, strengths = truth.effective_goals, np.array(truth.strengths)
+    else:
+        goals = goal_index(truth.goal_red), goal_index(truth.goal_green)
+        strengths = np.array([truth.strength_red, truth.strength_green], float)
     return [scene.start, scene.radius, scene.walls, scene.landmark_centres, scene.arena, goals,
             strengths]  # fmt: skip
 
@@ -430,14 +439,15 @@ def _are_alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
 def _simulated(event: Event, seed: int) -> Event:
     from phase_ppl.simulator.joint import simulate  # planner and physics
 
-    truth = event.truth
+    hypothesis = truth = event.truth
     try:
-        hypothesis = Hypothesis(
-            truth.goal_red,
-            truth.goal_green,
-            strength_red=truth.strength_red,
-            strength_green=truth.strength_green,
-        )
+        if not isinstance(truth, Roles):
+            hypothesis = Hypothesis(
+                truth.goal_red,
+                truth.goal_green,
+                strength_red=truth.strength_red,
+                strength_green=truth.strength_green,
+            )
     except InvalidSettingError as error:
         raise InvalidEventError(f"event {event.id!r}: {error}") from None
     return simulate(

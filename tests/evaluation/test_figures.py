@@ -271,6 +271,15 @@ def test_ratings_without_any_difference_show_nothing() -> None:
     assert figures.likeness(Likeness(pd.DataFrame(rows))).axes
 
 
+def test_one_group_may_be_all_alike() -> None:
+    rows = [{"participant": f"{g}{k}", "video": f"{g}v", "group": g, "rating": rating}
+            for g, given in (("played", (4, 4, 4)), ("generated", (3, 4, 5)))
+            for k, rating in enumerate(given)]  # fmt: skip
+    found = Likeness(pd.DataFrame(rows)).equivalence()  # warnings are errors here
+    assert found["ci_low"] == pytest.approx(-found["ci_high"])
+    assert 0 < found["p"] < 0.5
+
+
 def test_the_summary_has_deviations_of_videos_and_of_people() -> None:
     found = ratings(4.0, 3.0).summary()
     assert list(found.index) == ["played", "generated"]

@@ -20,8 +20,8 @@ from phase_ppl.study import plan
 from phase_ppl.study.clips import clip_names, make_clips
 from phase_ppl.study.settings import Settings, template
 from phase_ppl.study.simulate import serving, simulate
-from phase_ppl.study.study import Study
-from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
+from phase_ppl.study.study import Study, counterparts
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import Roles
 from tests.browser import needs_browser, running_browser
@@ -178,12 +178,11 @@ def test_the_template_is_of_the_world(world: ppl.World, kind: str) -> None:
 # --- what is refused ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["play", "likeness"])
-def test_what_other_worlds_cannot_have_is_named(kind: str, tmp_path: Path) -> None:
+def test_what_other_worlds_cannot_have_is_named(tmp_path: Path) -> None:
     with pytest.raises(
-        InvalidSettingError, match=f"a study of {kind} knows the world PHASE only, not 'solo'"
+        InvalidSettingError, match="a study of play knows the world PHASE only, not 'solo'"
     ):
-        Study.new(tmp_path / "study", still_events(ppl.worlds.SOLO), kind)
+        Study.new(tmp_path / "study", still_events(ppl.worlds.SOLO), "play")
     assert not (tmp_path / "study").exists()
 
 
@@ -234,6 +233,32 @@ def test_an_export_has_the_worlds_names(make: Any, world: ppl.World, tmp_path: P
     (event, _) = ppl.load_events(out / "events.json")
     assert event.scene.world == world
     assert true_answers(event) == given
+
+
+@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
+def test_likeness_is_asked_of_events_and_of_what_the_planner_makes_of_their_goals(
+    make: Any, world: ppl.World, tmp_path: Path
+) -> None:
+    study = make(world, "likeness")
+    played, made = list(study.events.values())[:2], list(study.events.values())[2:]
+    for one, other in zip(played, made, strict=True):
+        assert other.id == f"{one.id}-generated"
+        assert other.truth == one.truth
+        assert np.array_equal(other.scene.start, one.scene.start)
+    assert [event.id for event in counterparts(played, made[::-1])] == [one.id for one in made]
+    elsewhere = [dataclasses.replace(made[0], truth=made[1].truth, scene=made[1].scene)]
+    with pytest.raises(InvalidEventError, match="has no counterpart"):
+        counterparts(played[:1], elsewhere)
+    *_, last = plan.questions(study.settings, "trial-1")
+    assert ("a person" in last["legend"]) is (len(world.agents) == 1)
+    sure = {
+        name: Prediction(name, answers=true_answers(event), world=world)
+        for name, event in study.events.items()
+    }
+    given: dict[str, Any] = {"lapse": 0, "drop_outs": 0, "progress": False}
+    simulate(study, tmp_path / "out", 4, predictions=sure, **given)
+    found = ppl.load_likeness(tmp_path / "out" / "likeness.csv")
+    assert found.table["group"].value_counts().to_dict() == {"played": 4, "generated": 4}
 
 
 @pytest.mark.parametrize("accepted", ["friendly", "adversarial"])
