@@ -77,10 +77,8 @@ def on_the_processor(worlds: Worlds, params: Params, scratch: Scratch) -> None:
 def moving(scene: Scene, params: Params, n: int, steps: int) -> Worlds:
     """Return ``n`` states of random motion that began with ``scene``, and further actions."""
     rng = np.random.default_rng(0)
-    bodies, held, weld = (
-        np.repeat(x[None], n, axis=0)
-        for x in compiled.from_state(State.at_start(scene), scene.radius)
-    )
+    start: tuple[Any, ...] = compiled.from_state(State.at_start(scene), scene.radius)
+    bodies, held, weld = (np.repeat(x[None], n, axis=0) for x in start)
     before = rng.integers(0, N_ACTIONS, (n, AHEAD, N_AGENTS))
     on_the_processor(Worlds(bodies, held, weld, before), params, compiled.make_scratch())
     return Worlds(bodies, held, weld, rng.integers(0, N_ACTIONS, (n, steps, N_AGENTS)))
@@ -139,7 +137,7 @@ def on_the_gpu(kernel: Any, worlds: Worlds, params: Params, timed: int) -> tuple
     """Return the worlds after their actions, and the least seconds of so many runs."""
     given = [np.ascontiguousarray(np.moveaxis(x, 0, -1)) for x in worlds]
     actions = cuda.to_device(given.pop())
-    kept = Params(*(cuda.to_device(x) if isinstance(x, np.ndarray) else x for x in params))
+    kept = Params._make(cuda.to_device(x) if isinstance(x, np.ndarray) else x for x in params)
     blocks = -(-len(worlds.bodies) // THREADS)
     seconds = math.inf
     for _ in range(1 + timed):  # the first compiles
@@ -150,13 +148,13 @@ def on_the_gpu(kernel: Any, worlds: Worlds, params: Params, timed: int) -> tuple
         cuda.synchronize()
         seconds = min(seconds, time.perf_counter() - clock)
     after = [np.moveaxis(x.copy_to_host(), -1, 0) for x in states]
-    return Worlds(*after, worlds.actions), seconds
+    return Worlds._make([*after, worlds.actions]), seconds
 
 
 def compared(kernel: Any, worlds: Worlds, params: Params) -> dict[str, float]:
     """Return how far poses and velocities are from the processor's, after the actions."""
     theirs, _ = on_the_gpu(kernel, worlds, params, 0)
-    ours = Worlds(*(x.copy() for x in worlds))
+    ours = Worlds._make(x.copy() for x in worlds)
     on_the_processor(ours, params, compiled.make_scratch())
     apart = np.abs(ours.bodies - theirs.bodies).max(axis=(1, 2))
     return {
@@ -174,7 +172,7 @@ def measure(scene: Scene, kernel: Any, counts: Sequence[int], steps: int) -> dic
     few = moving(scene, params, COMPARED, steps)
     scratch, seconds = compiled.make_scratch(), math.inf
     for _ in range(REPEATS):
-        copied = Worlds(*(x.copy() for x in few))
+        copied = Worlds._make(x.copy() for x in few)
         clock = time.perf_counter()
         on_the_processor(copied, params, scratch)
         seconds = min(seconds, time.perf_counter() - clock)
