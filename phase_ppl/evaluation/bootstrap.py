@@ -5,7 +5,9 @@ where all answers are right it shows none. Shares of right answers (:func:`propo
 have Clopper and Pearson's interval, which covers at least as often as it says, for as many
 independent answers as the given ones are worth (Korn and Graubard 1998, Survey Methodology 24);
 differences of shares are resampled with one more event that speaks for either side (after Bonett
-and Price 2012, Journal of Educational and Behavioral Statistics 37).
+and Price 2012, Journal of Educational and Behavioral Statistics 37). Of everything else the
+percentiles are those further out that make the interval of a mean of normal numbers Student's
+(Hesterberg 2015, The American Statistician 69, "expanded percentiles").
 
 A resample of n events is a vector of n weights: how often each event was drawn. Every figure is a
 function of weighted sums over events, so that one matrix of weights, whose first row is the data
@@ -123,7 +125,7 @@ def figure(values: FloatArray, n: int) -> Figure | None:
     """
     if not np.isfinite(values[0]):
         return None
-    low, high = interval(values) if n > 1 else (None, None)
+    low, high = interval(values, LEVEL, n) if n > 1 else (None, None)
     return {"value": float(values[0]), "ci_low": low, "ci_high": high}
 
 
@@ -189,12 +191,20 @@ def _effective_shares(given: FloatArray) -> float:
     return float(max(worth * (z / special.stdtrit(n - 1, (1 + LEVEL) / 2)) ** 2, 1.0))
 
 
-def interval(values: FloatArray, level: float = LEVEL) -> tuple[float | None, float | None]:
-    """Return the percentile interval of ``values[1:]``; None, None where none is finite."""
+def interval(
+    values: FloatArray, level: float = LEVEL, n: int | None = None
+) -> tuple[float | None, float | None]:
+    """Return the percentile interval of ``values[1:]``; None, None where none is finite.
+
+    Expanded as for resamples of ``n`` events, None: of as many as one likes.
+    """
     finite = values[1:][np.isfinite(values[1:])]
     if not finite.size:
         return None, None
-    low, high = np.quantile(finite, [(1 - level) / 2, (1 + level) / 2])
+    tail = (1 - level) / 2
+    if n is not None:
+        tail = float(special.ndtr(special.stdtrit(n - 1, tail) * np.sqrt(n / (n - 1))))
+    low, high = np.quantile(finite, [tail, 1 - tail])
     return float(low), float(high)
 
 
@@ -207,10 +217,10 @@ def difference(
     (:func:`with_two`).
 
     p is twice the share of resamples (the data among them) in which the difference is not above
-    0, or not below 0, whichever is smaller, so that it is below 0.05 where the interval is on one
-    side of 0; but at least 2 ** (1 - n): resamples of a few events that agree all agree, while the
-    signs of n differences are all alike by chance that often. None, like the interval, with one
-    event.
+    0, or not below 0, whichever is smaller, expanded as the interval is, so that it is below 0.05
+    where that is on one side of 0; but at least 2 ** (1 - n): resamples of a few events that agree
+    all agree, while the signs of n differences are all alike by chance that often. None, like the
+    interval, with one event.
     """
     values = one - other
     # what is equal but for rounding is equal
@@ -223,7 +233,10 @@ def difference(
         found["ci_low"], found["ci_high"] = interval(values)
     drawn = values[1:][np.isfinite(values[1:])]
     tail = min((drawn <= _CONSTANT).sum(), (drawn >= -_CONSTANT).sum()) + 1
-    p = min(1.0, max(float(2 * tail / (drawn.size + 1)), 2.0 ** (1 - n)))
+    p = min(1.0, float(2 * tail / (drawn.size + 1)))
+    if not of_shares and n > 1:
+        p = float(2 * special.stdtr(n - 1, special.ndtri(p / 2) * np.sqrt((n - 1) / n)))
+    p = max(p, 2.0 ** (1 - n))
     return {**found, "p": p if n > 1 and drawn.size else None}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from phase_ppl.evaluation.bootstrap import Figure, difference, resampled, weighted_mean
+from phase_ppl.evaluation.bootstrap import Figure, difference, figure, resampled, weighted_mean
 from phase_ppl.evaluation.differences import _tested
 
 N = 50
@@ -54,6 +54,23 @@ def test_models_that_are_equally_good_differ_in_one_of_twenty_cases(n: int, apar
         assert abs(p - 0.05) < 0.01 or (p < 0.05) == (low > 0 or high < 0)  # type: ignore[operator]
         rejected += chance * (p <= 0.05)  # type: ignore[operator]
     assert rejected <= 0.05
+
+
+@pytest.mark.parametrize("n", [10, 20])
+def test_means_of_few_events_lie_in_their_intervals_as_often_as_these_say(n: int) -> None:
+    rng, runs = np.random.default_rng(1), 1000
+    inside = apart = 0
+    for seed in range(runs):
+        one, other = rng.normal(size=(2, n))
+        weights = resampled(n, seed, 400)
+        of_one, of_other = weighted_mean(weights, one), weighted_mean(weights, other)
+        found, differ = figure(of_one, n), difference(of_one, of_other, n)
+        assert found is not None
+        assert differ is not None
+        inside += found["ci_low"] < 0 < found["ci_high"]  # type: ignore[operator]
+        apart += differ["p"] <= 0.05  # type: ignore[operator]
+    assert inside / runs == pytest.approx(0.95, abs=0.02)
+    assert apart / runs < 0.065
 
 
 def test_models_that_agree_on_few_events_are_not_known_to_agree() -> None:
