@@ -150,7 +150,7 @@ def _tables(
             [*models, among],
         )
     yield (
-        "doubt about relations (intervals over events and raters; people: r of one with the rest)",
+        "doubt about relations (people: r of one with the rest)",
         {
             "r": "doubt.relation_r",
             "r given truth": "doubt.relation_r_given_truth",

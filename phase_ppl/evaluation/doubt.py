@@ -6,11 +6,11 @@ people judged and for which the model has probabilities. A *figure* is as in
 else:
 
 ==========================  ======================================================================
-``relation_r``,             r of model and people, as under ``human``, with intervals over events
-``relation_r_given_truth``  AND raters (two-way bootstrap, Owen 2007, Annals of Applied Statistics
-                            1): where it is known who answered what, people are resampled,
-                            elsewhere the ratings of each event. Resampling raters adds their
-                            noise a second time, by which the intervals are moved back
+``relation_r``,             r of model and people, as under ``human``, with intervals over events;
+``relation_r_given_truth``  where it is known who answered what also over people (two-way bootstrap,
+                            Owen 2007, Annals of Applied Statistics 1). Resampling people adds
+                            their noise a second time, by which the intervals are moved back, and
+                            for which they are too wide, up to twofold
 ``log_score_gap``           people's own log score minus the model's [nats]. Theirs is in-sample: a
                             model that knew how people answer would be some 1 / n behind n raters
 ``brier``                   mean over people of the squared distance of the model's probabilities
@@ -82,21 +82,23 @@ def doubt(
     counts = np.array([one.counts["relation"] for one in judged])
     names = [name for name, is_there in zip(ids, there, strict=True) if is_there]
     rng = np.random.default_rng([seed, _STREAM])
-    drawn = people_drawn(judged, counts, known.by_participant, rng, resamples)
+    drawn = people_drawn(judged, counts, rng, resamples) if known.by_participant else None
     weights = resampled(len(p), seed, resamples)
     gap = negative_entropy(people) - log_score(p, people)
     brier = (p**2).sum(axis=1) - 2 * (p * people).sum(axis=1) + 1
     bins = calibration(p, people)
 
-    def two_way(groups: IntArray | None) -> Figure | None:
+    def r(groups: IntArray | None) -> Figure | None:
+        if drawn is None:  # an event's ratings are its own, and resampled with it
+            return figure(correlation(weights, p, people, groups), len(p))
         value = correlation(weights[:1], p, people, groups)
         among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
         moved = correlation(weights[1:], p, drawn, groups) + value - _mean(among_raters)
         return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
 
     return {
-        "relation_r": two_way(None),
-        "relation_r_given_truth": two_way(same_truth(truth, len(RELATIONS))),
+        "relation_r": r(None),
+        "relation_r_given_truth": r(same_truth(truth, len(RELATIONS))),
         "log_score_gap": figure(weighted_mean(weights, gap), len(p)),
         "brier": figure(weighted_mean(weights, brier), len(p)),
         "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
@@ -126,28 +128,24 @@ def same_truth(truth: IntArray, n_answers: int) -> IntArray:
 
 
 def people_drawn(
-    judged: Sequence[Any], counts: IntArray, by_participant: bool, rng: np.random.Generator, n: int
+    judged: Sequence[Any], counts: IntArray, rng: np.random.Generator, n: int
 ) -> FloatArray:
-    """Return (resample, event, answer) shares of resampled raters.
+    """Return (resample, event, answer) shares of resampled people.
 
-    People with names are resampled as wholes, so that whoever is generous is so everywhere; an
-    event that loses all of its raters keeps its shares.
+    They are resampled as wholes, so that whoever is generous is so everywhere; an event that loses
+    all of its raters keeps its shares.
     """
-    if by_participant:
-        rows = [
-            (event, who, RELATIONS.index(given["relation"]))
-            for event, one in enumerate(judged)
-            for who, given in one.responses.items()
-            if "relation" in given
-        ]
-        place = {who: i for i, who in enumerate(dict.fromkeys(who for _, who, _ in rows))}
-        times = rng.multinomial(len(place), np.full(len(place), 1 / len(place)), size=n)
-        found = np.zeros((n, *counts.shape))
-        for event, who, answer in rows:
-            found[:, event, answer] += times[:, place[who]]
-    else:
-        total = counts.sum(axis=1)
-        found = rng.multinomial(total, counts / total[:, None], size=(n, len(counts))).astype(float)
+    rows = [
+        (event, who, RELATIONS.index(given["relation"]))
+        for event, one in enumerate(judged)
+        for who, given in one.responses.items()
+        if "relation" in given
+    ]
+    place = {who: i for i, who in enumerate(dict.fromkeys(who for _, who, _ in rows))}
+    times = rng.multinomial(len(place), np.full(len(place), 1 / len(place)), size=n)
+    found = np.zeros((n, *counts.shape))
+    for event, who, answer in rows:
+        found[:, event, answer] += times[:, place[who]]
     found = np.where(found.sum(axis=-1, keepdims=True) > 0, found, counts)
     return np.asarray(found / found.sum(axis=-1, keepdims=True))
 

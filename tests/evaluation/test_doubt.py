@@ -45,6 +45,20 @@ def test_r_is_that_of_the_metrics_and_given_truth_only_what_is_left() -> None:
     assert of_truth["relation_r_given_truth"] is None
 
 
+def test_intervals_of_r_are_as_wide_as_it_varies_between_sets_of_videos() -> None:
+    rng = np.random.default_rng(0)
+    values, widths = [], []
+    for _ in range(40):
+        p = rng.dirichlet(np.ones(3), 40)
+        votes = [rng.multinomial(12, 0.6 * one + 0.4 * rng.dirichlet(np.ones(3))) for one in p]
+        judged = [make_event(f"e{i}", COLLABORATIVE, v.tolist()) for i, v in enumerate(votes)]
+        found = doubt_of(judged, predictions(p))
+        assert found is not None
+        values.append(found["relation_r"]["value"])
+        widths.append(found["relation_r"]["ci_high"] - found["relation_r"]["ci_low"])
+    assert 0.75 < np.mean(widths) / (2 * 1.96 * np.std(values)) < 1.35
+
+
 def test_brier_and_calibration_by_hand() -> None:
     event = make_event("e0", COLLABORATIVE, [2, 1, 1])
     found = doubt_of([event], predictions([[0.5, 0.5, 0.0]]))

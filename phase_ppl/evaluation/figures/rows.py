@@ -393,8 +393,8 @@ def people(source: Source, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of relations against people's shares, and how near r can come.
 
     For each model a row: probabilities against shares; the same less the mean over events of the
-    same true relation; and both correlations with their intervals over events and raters, beside
-    what halves of the people reach, as they are (grey line) and for all raters (dashed).
+    same true relation; and both correlations with their intervals, beside what halves of the people
+    reach, as they are (grey line) and for all raters (dashed).
 
     Raises:
         NothingToDrawError: nobody judged relations to which a model gives probabilities.
