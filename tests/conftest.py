@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 LONGEST = ("test_readme.py", "test_cli.py")
 """Files of tests of which one alone can take most of a minute."""
@@ -39,6 +40,10 @@ if metadata.version("jaxlib").startswith("0.10."):
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(COMPILED))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+# how long an example takes is the machine's affair
+settings.register_profile("any_pace", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any_pace")
 
 # a shell that runs something in the background has it ignore Ctrl-C, which is then tested in vain
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

@@ -315,7 +315,6 @@ stamps = st.from_regex(r"D[0-9]{6}_[0-9]{7}_E[0-9]{1,2}(\.[0-3])?", fullmatch=Tr
 
 
 @given(id=ids | stamps, place=places, truth=truths)
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 def test_a_name_that_is_written_says_the_same_when_read(
     id: str, place: Place, truth: Truth | None
 ) -> None:
