@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 from common import write
+from speed.scenes import STRENGTHS, crowded
 
 import phase_ppl as ppl
 from phase_ppl.physics import compiled
@@ -38,20 +39,12 @@ except ImportError as error:
     sys.exit(f"skipped: numba has no CUDA target here ({error})")
 
 THREADS = 64  # of a block; 32 to 256 are as fast
-STRENGTHS = (450.0, 300.0)
 AHEAD = 20  # random steps before what is measured, so that worlds differ
 COMPARED = 2_000  # worlds, of which this machine's processor advances each too
 CLOSE = 1e-9
 REPEATS = 5
 N_BODIES, N_AGENTS, N_COLUMNS = len(ENTITIES), len(AGENTS), BIAS_SPIN + 1
 N_CORNERS, N_CONTACTS = 4, CONTACTS_PER_BODY * len(ENTITIES)
-
-
-def crowded() -> Scene:
-    """Return four bodies close together in one room."""
-    walls = [[[16, 12], [16, 22]], [[16, 12], [11, 12]], [[16, 12], [16, 7]], [[16, 12], [21, 12]]]
-    start = [[13.0, 14.0, 0.3], [10.0, 16.5, -1.2], [13.2, 16.4, 0.0], [9.5, 14.2, 0.0]]
-    return Scene(np.array(start), np.array([0.8, 1.2, 0.8, 1.01]), np.array(walls, np.float64))
 
 
 class Worlds(NamedTuple):

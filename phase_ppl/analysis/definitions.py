@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.analysis.query import conditions
+from phase_ppl.world.arrays import alike
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.files import existing_file
 
@@ -93,9 +93,7 @@ def defined(
             "lambda h: h.goal_red == h.goal_green, or conditions in words, such as "
             "'goal_red = goal_green'"
         )
-    table = pd.DataFrame({column: columns[column] for column in quantities})
-    number = table.groupby(list(table), sort=False, dropna=False).ngroup().to_numpy()
-    _, first = np.unique(number, return_index=True)
+    number, first = alike([columns[column] for column in quantities])
     views = [Named(quantities, columns, int(row)) for row in first]
     results = [_value(name, definition, view) for view in views]
     kinds = {type(result): view for result, view in zip(results, views, strict=True)}

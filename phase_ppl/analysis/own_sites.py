@@ -23,7 +23,7 @@ from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
 from phase_ppl.analysis.weights import Rows, log_sum_exp
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import FloatArray, IntArray, alike
 from phase_ppl.world.space import HypothesisSpace
 
 _GROUPS: Final = 20
@@ -104,11 +104,8 @@ class WithSites(Hypotheses):
         return self._first(names), self._first([name for name in names if name not in strengths])
 
     def _first(self, names: Sequence[str]) -> IntArray:
-        import pandas as pd  # slow to import
-
-        table = pd.DataFrame({name: self._rows.values[name] for name in names})
-        place = table.groupby(list(table), sort=False).ngroup().to_numpy()
-        return np.unique(place, return_index=True)[1][place]
+        kind, first = alike([self._rows.values[name] for name in names])
+        return first[kind]
 
     def __repr__(self) -> str:
         how = "all values" if self.summed else f"{len(self.table.weights)} draws"

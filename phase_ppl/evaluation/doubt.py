@@ -9,8 +9,8 @@ else:
 ``relation_r``,             r of model and people, as under ``human``, with intervals over events;
 ``relation_r_given_truth``  where it is known who answered what also over people (two-way bootstrap,
                             Owen 2007, Annals of Applied Statistics 1). Resampling people adds
-                            their noise a second time, by which the intervals are moved back, and
-                            for which they are too wide, up to twofold
+                            their noise a second time: intervals are moved back by what it does to
+                            the mean, and are too wide, up to twofold
 ``log_score_gap``           people's own log score minus the model's [nats]. Theirs is in-sample: a
                             model that knew how people answer would be some 1 / n behind n raters
 ``brier``                   mean over people of the squared distance of the model's probabilities

@@ -25,7 +25,7 @@ from numpyro.infer.inspect import get_dependencies
 from phase_ppl.models.density import NO_DENSITY, remembered, single_sites, trace_log_density
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, alike
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, effective_table
@@ -67,16 +67,12 @@ def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> 
     # what is averaged depends on some of the sites only, which have fewer combinations
     relevant = {*mixed}.union(*(depends[name] for name in (*mixed, *above)))
     columns = {name: np.asarray(sites[name]) for name in names if name in relevant}
-    import pandas as pd  # slow to import
-
-    table = pd.DataFrame(np.column_stack([one.reshape(n, -1) for one in columns.values()]))
-    place = table.groupby(list(table), sort=False).ngroup().to_numpy()
-    _, first = np.unique(place, return_index=True)
+    kind, first = alike([part for one in columns.values() for part in one.reshape(n, -1).T])
     n_draws = 2 ** int(math.log2(_DENSITIES / len(first))) if len(first) < _DENSITIES else 0
     n_draws = min(max(n_draws, _LEAST_DRAWS), _MOST_DRAWS)
     density = _averaged(prior, mixed, above, n_draws)
     chunk = max(1, _CHUNK * _LEAST_DRAWS // n_draws)
-    found = _of_rows(density, {name: one[first] for name, one in columns.items()}, chunk)[place]
+    found = _of_rows(density, {name: one[first] for name, one in columns.items()}, chunk)[kind]
     return found + _of_rows(_density(prior, apart), sites, _CHUNK) if apart else found
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -78,14 +78,14 @@ events = st.builds(
 )
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=60)
 @given(events)
 def test_writing_and_reading_changes_nothing(event: Event) -> None:
     assert_same(event_from_record(json.loads(to_text(event_record(event)))), event)
     assert_same(event_from_dataset(event_dataset(event)), event)
 
 
-@settings(max_examples=6, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=6)
 @given(events)
 def test_a_netcdf_file_gives_the_same_event_back(event: Event) -> None:
     with tempfile.TemporaryDirectory() as folder:
