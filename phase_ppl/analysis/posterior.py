@@ -228,9 +228,9 @@ class Posterior(EventPosterior):
     def over_time(self) -> xr.Dataset:
         """Return the marginals on ever more of the video, in hindsight.
 
-        See :data:`HINDSIGHT`. At the last frame they are those of weights ``"importance"``,
-        whatever the weighting in use; of kernels that need ``"stratified"``, of those, and where
-        proposals have no density that is known, of ``"visited"``. Nothing is simulated.
+        See :data:`HINDSIGHT`. At the last frame they are those of weights ``"stratified"``,
+        whatever the weighting in use; where proposals have no density that is known, of
+        ``"visited"``. Nothing is simulated.
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of

@@ -155,12 +155,17 @@ def untried(tree: xr.DataTree) -> float:
     found = prior_of_goals(tree, tried)
     if found is None:
         return float("nan")
-    constant, total = tree["constant_data"].dataset, 1.0
-    if "log_prior_company" in constant:
-        own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
-        total = space_of_tree(tree).possible_share(own, company)
     # rounded sums of all may be a little above 1
-    return max(0.0, 1.0 - float(found.sum()) / total)
+    return max(0.0, 1.0 - float(found.sum()) / possible_mass(tree))
+
+
+def possible_mass(tree: xr.DataTree) -> float:
+    """Return the prior mass of all effective goals: 1, or less where some cannot be."""
+    constant = tree["constant_data"].dataset
+    if "log_prior_company" not in constant:
+        return 1.0
+    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+    return space_of_tree(tree).possible_share(own, company)
 
 
 def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:

@@ -11,25 +11,25 @@ Every query is a sum over such a table. Which weighting is valid when:
 ``"stratified"``
     Every completed simulation of known proposal density, accepted or not: its pair of effective
     goals weighs P(pair) times the mean likelihood of the pair's simulations, each of which counts
-    in it by P(h) / Q(h) (post-stratification: importance sampling where the share of each stratum
-    is not estimated by how often it was drawn, since the prior says it). It does not matter how it
-    was chosen which pairs are simulated, and how often: any rule that looks at the results so far
-    will do. Consistent as the simulations of every pair grow; a pair without any counts as
-    impossible, and how much of the prior that is is known. Until then biased towards what is
-    proposed often: of pairs simulated once or twice P / Q hardly counts. The weights P / Q within a
-    pair, and then those of all, are truncated as under "importance".
+    in it by P(h) / Q(h), with Q the density of the proposal that it was drawn from, given all that
+    was done before (post-stratification: importance sampling where the share of a stratum is not
+    estimated by how often it was drawn, since the prior says it). Pairs that were proposed fewer
+    than five times are one stratum together, which stands for all that was tried less, or never.
+    It does not matter how it was chosen to simulate a pair, so that rivals, which earlier results
+    called for, are strata of their own. The weights P / Q within a stratum, and then those of all,
+    are truncated at the square root of their number times their mean (Ionides 2008, JCGS 17:295),
+    and what is left once more, so that no simulation decides alone; it makes answers from few
+    simulations steadier and vanishes as they grow. Consistent, whatever the acceptance rule.
 ``"importance"``
-    Every completed simulation weighs P(h) L / Q(h), accepted or not, with Q the density of the
-    proposal that it was drawn from, given all that was done before (Rudolf & Sprungk 2020,
-    Electronic Journal of Statistics 14:857, on the proposals of a Markov chain). A simulation that
-    could have been stopped early and was not weighs more by the reciprocal of the probability of
-    that, so that those that were stopped are made up for. Weights are truncated at the square root
-    of their number times their mean (Ionides 2008, JCGS 17:295), and what is left once more, so
-    that no simulation decides alone; it makes answers from few simulations steadier and vanishes as
-    they grow. Consistent, whatever the acceptance rule; for kernels whose proposals have a density
-    that covers the prior (``local_mh``, ``prior_mh``, the local moves of ``mixture``). Rivals of
-    the answer that no proposal had, and that were simulated before it was given, weigh as under
-    "stratified"; they become fewer as proposals grow.
+    Every completed simulation weighs P(h) L / Q(h), accepted or not (Rudolf & Sprungk 2020,
+    Electronic Journal of Statistics 14:857, on the proposals of a Markov chain), truncated as
+    above. Consistent as well, and noisier. Rivals do not count.
+
+Of both: a simulation that could have been stopped early and was not weighs more by the reciprocal
+of the probability of that, so that those that were stopped are made up for. They are for kernels
+whose proposals have a density that covers the prior (``local_mh``, ``prior_mh``, the local moves of
+``mixture``).
+
 ``"visited"``
     Every pair of effective goals that was simulated weighs its prior times the mean likelihood of
     its simulations, whatever they were proposed from. Not the posterior, however long the run:
@@ -57,6 +57,7 @@ from phase_ppl.analysis.tree import (
     effective_goals,
     log_weight_of_draws,
     own_sites,
+    possible_mass,
     prior_of_goals,
     shape_of_draws,
     simulation_of_draw,
@@ -64,6 +65,10 @@ from phase_ppl.analysis.tree import (
 )
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+
+FEWEST_OF_PAIR: Final = 5
+"""Times that a pair of goals is to be proposed to be a stratum of its own: of pairs tried once or
+twice P / Q would hardly count."""
 
 MOST_GROUPS: Final = 32
 """Groups of chains that are left out, at most: more would hardly make errors surer."""
@@ -158,39 +163,62 @@ def visited(tree: xr.DataTree) -> Rows:
 
 
 def stratified(tree: xr.DataTree) -> Rows:
-    """Return every completed simulation, by P(pair) times its part of the pair's mean L."""
+    """Return every completed simulation, by its stratum's prior and part of the mean L there."""
     _check_proposals(tree, "stratified")
-    if prior_of_goals(tree, effective_goals(tree, "simulations")[:0]) is None:
+    if not _has_prior(tree):
         raise InvalidSettingError(
             "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
         )
     return _by_proposals(tree, "stratified", log_shares(tree))
 
 
-def log_shares(tree: xr.DataTree) -> FloatArray:
-    """Return (simulation,) the log of Q(h) P(pair) times a simulation's share of its pair's mean.
+def _has_prior(tree: xr.DataTree) -> bool:
+    """Whether a tree holds the prior of pairs of goals."""
+    return prior_of_goals(tree, effective_goals(tree, "simulations")[:0]) is not None
 
-    The share is P(h) / Q(h), truncated, of a sum of 1 over the simulations of the pair, those that
-    were stopped or failed too; NaN where Q is not known.
+
+def log_shares(tree: xr.DataTree) -> FloatArray:
+    """Return (simulation,) the log of Q(h) times the prior and a simulation's share of its stratum.
+
+    The share is P(h) / Q(h), truncated, of a sum of 1 over the simulations of the stratum, those
+    that were stopped or failed too; NaN where Q is not known. A pair is a stratum if it was asked
+    for ``FEWEST_OF_PAIR`` times, or as a rival.
     """
     simulations = tree["simulations"].dataset
-    # what was asked for again counts each time
-    log_proposal = -_with_again(simulations, -simulations["log_proposal"].values.astype(float))
+    log_proposal = _log_proposal(simulations)
     n_requests = _n_requests(simulations)
     with np.errstate(invalid="ignore"):
         log_ratio = simulations["log_prior"].values - log_proposal
     known = np.flatnonzero(np.isfinite(log_ratio))
-    goals = effective_goals(tree, "simulations")[known]
-    _, stratum = np.unique(goals, axis=0, return_inverse=True)
-    found = np.full(len(log_ratio), np.nan)
-    for number in range(int(stratum.max(initial=-1)) + 1):
-        rows = known[stratum == number]
-        found[rows] = np.log(truncated(normalised(log_ratio[rows]), n_requests[rows]))
-    prior = prior_of_goals(tree, goals)
+    pairs, stratum = np.unique(
+        effective_goals(tree, "simulations")[known], axis=0, return_inverse=True
+    )
+    stratum = stratum.reshape(-1)
+    prior = prior_of_goals(tree, pairs)
     assert prior is not None, "it was asked for"
-    with np.errstate(divide="ignore"):
-        found[known] += np.log(prior)
+    alone = np.bincount(stratum, n_requests[known], len(pairs)) >= FEWEST_OF_PAIR
+    alone[stratum[_are_rivals(tree)[known]]] = True
+    # all other pairs are the last stratum
+    stratum = np.where(alone[stratum], stratum, len(pairs))
+    mass = np.append(prior, max(0.0, possible_mass(tree) - float(prior[alone].sum())))
+    found = np.full(len(log_ratio), np.nan)
+    for number in np.unique(stratum):
+        rows = known[stratum == number]
+        shares = truncated(normalised(log_ratio[rows]), n_requests[rows])
+        with np.errstate(divide="ignore"):
+            found[rows] = np.log(mass[number]) + np.log(shares)
     return found + log_proposal
+
+
+def _log_proposal(simulations: xr.Dataset) -> FloatArray:
+    """Return (simulation,) log Q; what was asked for again counts each time."""
+    return -_with_again(simulations, -simulations["log_proposal"].values.astype(float))
+
+
+def _are_rivals(tree: xr.DataTree) -> NDArray[np.bool_]:
+    """Return (simulation,) which are rivals, there because of what others came to."""
+    iteration = tree["simulations"].dataset["iteration"].values
+    return np.asarray(iteration >= tree.attrs.get("rivals_from", np.inf))
 
 
 def _by_proposals(tree: xr.DataTree, weights: str, log_base: FloatArray) -> Rows:
@@ -225,28 +253,13 @@ def _check_proposals(tree: xr.DataTree, weights: str) -> None:
 def importance(tree: xr.DataTree) -> Rows:
     """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated."""
     _check_proposals(tree, "importance")
-    if "only_weights" in tree.attrs:
-        raise InvalidSettingError(
-            f"what kernel {tree.attrs['kernel']!r} simulates goes by earlier results: weights "
-            f"'importance' would be wrong; those for it are {tree.attrs['only_weights']!r}"
-        )
-    return _by_proposals(tree, "importance", log_mass(tree))
+    return _by_proposals(tree, "importance", _log_prior(tree))
 
 
-def log_mass(tree: xr.DataTree) -> FloatArray:
-    """Return (simulation,) the log of what weighs, times L / Q, under weights "importance".
-
-    That is P(h); of rivals, which earlier results chose, n Q(h) P(pair) times their share of the
-    pair's mean, so that they weigh as under "stratified", as pairs beside n proposals that had none
-    of them.
-    """
-    simulations = tree["simulations"].dataset
-    found = simulations["log_prior"].values.astype(float)
-    rival = simulations["iteration"].values >= tree.attrs.get("rivals_from", np.inf)
-    if rival.any():
-        n_proposals = _n_requests(simulations)[~rival].sum()
-        found[rival] = log_shares(tree)[rival] + np.log(n_proposals)
-    return found
+def _log_prior(tree: xr.DataTree) -> FloatArray:
+    """Return (simulation,) log P(h), -inf of rivals."""
+    log_prior = tree["simulations"].dataset["log_prior"].values.astype(float)
+    return np.where(_are_rivals(tree), -np.inf, log_prior)
 
 
 def has_proposals(tree: xr.DataTree) -> bool:
@@ -357,9 +370,9 @@ def evaluations(tree: xr.DataTree) -> pd.DataFrame:
 def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
     """Return weights on ever more of the video: name, simulations, and weights (simulation, time).
 
-    At frame t every simulation that came so far weighs as under weights ``"importance"``, but with
-    the likelihood of frames 0 to t only; where they are to be weighted by ``"stratified"`` as under
-    these, and where their proposals have no density that is known as under ``"visited"``.
+    At frame t every simulation that came so far weighs as under weights ``"stratified"``, but with
+    the likelihood of frames 0 to t only; where the prior of pairs is not known as under
+    ``"importance"``, and where their proposals have no density as under ``"visited"``.
     """
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" not in simulations:
@@ -371,9 +384,9 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
     if not has_proposals(tree):
         return "visited", *_visits_so_far(tree)
-    if tree.attrs.get("only_weights") == "stratified":
+    if _has_prior(tree):
         return "stratified", *_proposals_so_far(tree, log_shares(tree))
-    return "importance", *_proposals_so_far(tree, log_mass(tree))
+    return "importance", *_proposals_so_far(tree, _log_prior(tree))
 
 
 def _proposals_so_far(

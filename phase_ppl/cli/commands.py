@@ -294,7 +294,7 @@ def arguments(
 
 
 PRESET: Final = (
-    "as_printed, as_intended, default, guided or raced: kernel, proposal, planner, weights, prior "
+    "as_printed, as_intended, default or learned: kernel, proposal, planner, weights, prior "
     "and thresholds in one word; what else is given goes before it"
 )
 """What ``--preset`` does."""

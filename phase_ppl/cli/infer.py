@@ -126,8 +126,7 @@ def _infer(options: argparse.Namespace) -> int:
         model, of_kernel = _model_of(options, stepwise)
         own_ones = {"event": event, "model": model, "checkpoint": None if exact else kept}
         given = cli.arguments(phase_ppl.infer, options, **own_ones, **of_kernel, **_kernel(options))
-        world = event.scene.world
-        run = functools.partial(phase_ppl.infer, **completed(options.preset, given, world))
+        run = functools.partial(phase_ppl.infer, **completed(options.preset, given))
         return _finish(run, event, out, kept, options)
 
 

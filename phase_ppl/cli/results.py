@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 def _add_posterior(parser: argparse.ArgumentParser) -> None:
     cli.add(parser, "file FILE", "a posterior's .nc file, or the folder of infer", Path)
     cli.add(
-        parser, "--weights NAME", "count, importance, visited or likelihood; default: the file's"
+        parser,
+        "--weights NAME",
+        "count, stratified, visited or another; default: the file's",
     )
 
 

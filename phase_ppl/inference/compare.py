@@ -239,9 +239,7 @@ class Reference:
             return cls(None, True, None, budget, weights, per_pair)
         long = dataclasses.replace(budget, amount=LONG * budget.amount)
         spec = LONG_RUN if reference is None else reference
-        run = entry_of(
-            "reference", spec, chains, settings, own_length=True, world=event.scene.world
-        )
+        run = entry_of("reference", spec, chains, settings, own_length=True)
         if not run.length:
             run = dataclasses.replace(run, length={"budget": long})
         return cls(None, reference is None and event.scene.world == PHASE, run, long, weights)
@@ -445,7 +443,9 @@ def compare(
             suffices for it, else ``local_mh``. A reference has an error of its own, which is
             measured and printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
-        settings: of SIMPLE; by default the paper's numbers, with learned proposals.
+        settings: of SIMPLE; by default the paper's numbers, with proposals of goals by the closed
+            loop. A budget does not count that it reads the video, which takes some CPU seconds;
+            ``SimpleSettings(proposal="learned")`` does without.
         workers: processes; by default one per usable core. With an ``executor``, how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
@@ -466,14 +466,14 @@ def compare(
     """
     check_event(event)
     model = Model() if model is None else model
-    settings = SimpleSettings.of(event.scene.world) if settings is None else settings
+    settings = SimpleSettings() if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
     slots_of(workers, executor)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     instance_of("budget", budget, Budget, BUDGETS)
-    chosen = entries(kernels, chains, settings, event.scene.world)
+    chosen = entries(kernels, chains, settings)
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
     for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
         entry.check(event, model, budget)

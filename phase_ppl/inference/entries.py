@@ -16,7 +16,6 @@ from phase_ppl.models.model import Model
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.scene import PHASE, World
 
 Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]  # A kernel, or a kernel and its options
 
@@ -103,7 +102,6 @@ def entry_of(
     chains: int,
     settings: SimpleSettings,
     own_length: bool = False,
-    world: World = PHASE,
 ) -> Entry:
     """Return the kernel that a user names, called ``label`` or by its name.
 
@@ -118,7 +116,7 @@ def entry_of(
     options = dict(given)
     if isinstance(kernel, str) and kernel in PRESETS:
         label = label or kernel
-        usual = {"kernel": "local_mh", **completed(kernel, options, world)}
+        usual = {"kernel": "local_mh", **completed(kernel, options)}
         kernel = str(usual.pop("kernel"))
         options = {name: value for name, value in usual.items() if name not in _OF_COMPARISON}
     info = described(kernel)
@@ -143,16 +141,15 @@ def entries(
     kernels: Iterable[Spec] | Mapping[str, Spec],
     chains: int,
     settings: SimpleSettings,
-    world: World = PHASE,
 ) -> list[Entry]:
-    """Return the kernels of a comparison on an event of a world."""
+    """Return the kernels of a comparison."""
     if isinstance(kernels, str):
         kernels = [kernels]
     instance_of("kernels", kernels, Iterable, "names, or a mapping from labels to kernels")
     named: Iterable[tuple[str | None, Spec]] = (
         list(kernels.items()) if isinstance(kernels, Mapping) else [(None, k) for k in kernels]
     )
-    found = [entry_of(label, spec, chains, settings, world=world) for label, spec in named]
+    found = [entry_of(label, spec, chains, settings) for label, spec in named]
     if not found:
         raise InvalidSettingError("kernels is empty: name at least one")
     labels = [one.label for one in found]

@@ -121,7 +121,8 @@ def infer(
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
-        settings: of SIMPLE; by default the paper's numbers, with learned proposals in PHASE.
+        settings: of SIMPLE; by default the paper's numbers, with proposals of goals by the closed
+            loop, which reads the video once before the first simulation.
         burn_in: draws at the beginning of each chain that do not count; by default a quarter of
             twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.
@@ -161,7 +162,7 @@ def infer(
     given |= {"chains": chains, "settings": settings, **kernel_options}
     check_event(event)
     of_simple = kernel is not None or settings is not None
-    settings = SimpleSettings.of(event.scene.world) if settings is None else settings
+    settings = SimpleSettings() if settings is None else settings
     if model is None and not of_simple and event.scene.world != PHASE:
         from phase_ppl.models.stepwise import StepwiseLikelihood
 

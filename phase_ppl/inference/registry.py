@@ -65,8 +65,6 @@ class KernelInfo:
     # after the last one; "start", all and the initial ones
     keeps: Keeps = "all"
     weighted: bool = False  # whether draws carry a weight, the state's ``log_weight``
-    # weighting to use where counting the draws gives no posterior; None: counting does
-    weights: str | None = None
     # whether arrays of frames may be longer than the observation, so that one compiled program
     # serves events of all lengths: how many frames count is then ``program.observed`` instead of
     # ``program.n_frames``, and known only when it runs
@@ -125,7 +123,6 @@ def register_kernel(
     even_chains: bool = False,
     keeps: Keeps = "all",
     weighted: bool = False,
-    weights: str | None = None,
     any_length: bool = False,
 ) -> Callable[[AnyFactory], AnyFactory]:
     """Return a decorator that makes a kernel class, or a factory, known under ``name``.
@@ -154,7 +151,6 @@ def register_kernel(
             even_chains=even_chains,
             keeps=keeps,
             weighted=weighted,
-            weights=weights,
             any_length=any_length,
         ),
     )
@@ -210,7 +206,6 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         even_chains=getattr(kernel, "even_chains", False),
         keeps=getattr(kernel, "keeps", "all"),
         weighted=getattr(kernel, "weighted", False),
-        weights=getattr(kernel, "weights", None),
     )
 
 

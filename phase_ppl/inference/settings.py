@@ -24,9 +24,11 @@ class SimpleSettings:
 
     Attributes:
         eta: weight of the errors in the choice of a window, 1 / units.
-        proposal: of goals: "learned", features of what the agents did, with learned weights;
-            "paper", distances alone, to which ``gamma`` and ``sign`` apply; or "closed_loop", what
-            the closed loop makes of the video, which is read once before the first simulation.
+        proposal: of goals: "closed_loop", what the closed loop makes of the video, which is read
+            once before the first simulation; "learned", features of what the agents did, with
+            weights learned in PHASE; or "paper", distances alone, to which ``gamma`` and ``sign``
+            apply. None: "closed_loop" where a kernel that proposes from windows simulates with the
+            joint simulator; else "learned" in PHASE, "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
         window: Delta T, steps; shorter where the observation is.
         beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,
@@ -34,7 +36,8 @@ class SimpleSettings:
         prior_share: weight of the prior in the proposal.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
         strength: what estimates the strengths of the proposal: a name of
-            :data:`~phase_ppl.inference.proposals.strength.ESTIMATORS`, or an estimator.
+            :data:`~phase_ppl.inference.proposals.strength.ESTIMATORS`, or an estimator. None: the
+            network, which has learned in PHASE; in other worlds the analytic rule.
 
     Raises:
         InvalidSettingError: a value is out of range.
@@ -42,13 +45,13 @@ class SimpleSettings:
     """
 
     eta: float = 0.1
-    proposal: Form = "learned"
+    proposal: Form | None = None
     gamma: float = 10.0
     window: int = 10
     beta: float | None = None
     prior_share: float = 0.1
     sign: Sign = "intended"
-    strength: str | Estimator = DEFAULT_ESTIMATOR
+    strength: str | Estimator | None = None
 
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
@@ -58,36 +61,39 @@ class SimpleSettings:
                 f"prior_share={shown(self.prior_share)}, expected a number in (0, 1)"
             )
         whole_number("window", self.window)
-        for name, allowed in (("sign", SIGNS), ("proposal", FORMS)):
+        for name, allowed in (("sign", SIGNS), ("proposal", (*FORMS, None))):
             if getattr(self, name) not in allowed:
-                raise unknown_name(name, getattr(self, name), allowed)
-        learned = self.proposal != "paper"
-        if learned and (self.gamma, self.sign) != (SimpleSettings.gamma, SimpleSettings.sign):
+                raise unknown_name(name, getattr(self, name), filter(None, allowed))
+        others = self.proposal != "paper"
+        if others and (self.gamma, self.sign) != (SimpleSettings.gamma, SimpleSettings.sign):
             raise InvalidSettingError(
                 f"gamma={self.gamma:g} and sign={self.sign!r} are settings of proposal='paper'; "
                 f"it is {self.proposal!r}"
             )
-        strength_estimator(self.strength)
+        if self.strength is not None:
+            strength_estimator(self.strength)
 
-    @classmethod
-    def of(cls, world: World) -> SimpleSettings:
-        """Return the default settings for events of a world.
+    def settled(self, world: World, *, guided: bool) -> SimpleSettings:
+        """Return them with what is None decided for events of a world.
 
-        What was learned knows PHASE: elsewhere goals are proposed by distances, as in the paper,
-        and strengths by the analytic rule.
+        Args:
+            world: of the events.
+            guided: whether a kernel that proposes from windows simulates with the joint simulator.
+
+        Raises:
+            InvalidSettingError: what was learned in PHASE is asked for in another world.
         """
-        return cls() if world == PHASE else cls(proposal="paper", strength="analytic")
-
-    def check_world(self, world: World) -> None:
-        """Raise InvalidSettingError, naming the setting, where one does not know a world."""
-        learned = {"proposal": "learned", "strength": "network"}
+        learned = {"proposal": "learned", "strength": DEFAULT_ESTIMATOR}
+        usual = learned if world == PHASE else {"proposal": "paper", "strength": "analytic"}
         for name, value in learned.items() if world != PHASE else ():
             if getattr(self, name) == value:
-                usual = getattr(SimpleSettings.of(world), name)
                 raise InvalidSettingError(
                     f"{name}={value!r} was learned in PHASE and knows no other world, such as "
-                    f"{world.name!r}: expected SimpleSettings({name}={usual!r})"
+                    f"{world.name!r}: expected SimpleSettings({name}={usual[name]!r})"
                 )
+        usual |= {"proposal": "closed_loop"} if guided else {}
+        none = {name: value for name, value in usual.items() if getattr(self, name) is None}
+        return dataclasses.replace(self, **none)  # type: ignore[arg-type]
 
 
 BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.seconds(n)"
@@ -164,12 +170,11 @@ PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
     },
     # the paper's proposal with the sign that its text describes, and Hastings' exact ratio
     "as_intended": {**_OF_THE_PAPER, "settings": SimpleSettings(proposal="paper"), "rule": "exact"},
-    # what ``infer`` does unasked: learned proposals, the exact rule, the fast planner
+    # what ``infer`` does unasked: proposals of goals by the closed loop, which reads the video once
+    # before; the exact rule, the fast planner
     "default": {},
-    # proposals of goals by the closed loop, which reads the video once before
-    "guided": {"settings": SimpleSettings(proposal="closed_loop")},
-    # twice the simulations: the paper's 15 chains, and as many particles that race
-    "raced": {"kernel": "racing", "chains": 30},
+    # proposals learned from features of simulated events: nothing is read before
+    "learned": {"settings": SimpleSettings(proposal="learned")},
 }
 """Name -> arguments of :func:`phase_ppl.infer`."""
 
@@ -179,36 +184,31 @@ SETTINGS: Final = tuple(field.name for field in dataclasses.fields(SimpleSetting
 _OF_ITS_KERNEL: Final = ("kernel", "rule", "weights", "iterations", "chains")
 
 
-def preset(name: str, world: World = PHASE) -> dict[str, Any]:
+def preset(name: str) -> dict[str, Any]:
     """Return arguments of :func:`phase_ppl.infer`, and of the model "simple", by one word.
 
     >>> ppl.infer(event, **ppl.preset("as_printed"))
     >>> ppl.evaluate(events, "simple", preset="as_intended")
 
     Args:
-        name: "as_printed", "as_intended", "default", "guided" or "raced"; what differs stands in
-            the page of deviations of the documentation.
-        world: of the events; in another than PHASE strengths are proposed by the analytic rule.
+        name: "as_printed", "as_intended", "default" or "learned"; what differs stands in the page
+            of deviations of the documentation.
 
     Raises:
         UnknownNameError: there is no such preset.
     """
     if name not in PRESETS:
         raise unknown_name("preset", name, PRESETS)
-    found = dict(PRESETS[name])
-    if "settings" in found:
-        strength = SimpleSettings.of(world).strength
-        found["settings"] = dataclasses.replace(found["settings"], strength=strength)
-    return found
+    return dict(PRESETS[name])
 
 
-def completed(name: str, given: Mapping[str, Any], world: World = PHASE) -> dict[str, Any]:
+def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is given and not None, and of a preset the rest.
 
     Another kernel takes the place of the preset's with all that is of it, another length that of
     its iterations; single settings of SIMPLE, such as ``beta=0.1``, change those of the preset.
     """
-    usual = preset(name, world)
+    usual = preset(name)
     told = {argument: value for argument, value in given.items() if value is not None}
     if told.get("kernel", usual.get("kernel")) != usual.get("kernel"):
         usual = {name: v for name, v in usual.items() if name not in _OF_ITS_KERNEL}
@@ -218,6 +218,6 @@ def completed(name: str, given: Mapping[str, Any], world: World = PHASE) -> dict
     if single and "settings" in told:
         raise InvalidSettingError(f"give either settings or {', '.join(single)}")
     if single:
-        settings = usual.get("settings", SimpleSettings.of(world))
+        settings = usual.get("settings", SimpleSettings())
         told["settings"] = dataclasses.replace(settings, **single)
     return {**usual, **told}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Generic, Literal, overload
 
@@ -184,6 +185,15 @@ class Model(Generic[Kind]):
         from phase_ppl.agents.config import PlannerConfig
 
         return PlannerConfig.named(DEFAULT_PLANNER if self.planner is None else self.planner)
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether videos are compared with simulations by the joint simulator."""
+        module = sys.modules.get("phase_ppl.simulator.joint")  # loaded, where there is one
+        joint = self.simulator is None or (
+            module is not None and isinstance(self.simulator, module.JointSimulator)
+        )
+        return joint and not is_stepwise(self.likelihood)
 
     def build_simulator(self) -> Simulator:
         """Return the simulator, the joint one with the model's planner by default."""

@@ -92,13 +92,13 @@ class Settings(Protocol):
     @property
     def window(self) -> int: ...
     @property
-    def proposal(self) -> str: ...
+    def proposal(self) -> str | None: ...
     @property
     def gamma(self) -> float: ...
     @property
     def sign(self) -> str: ...
     @property
-    def strength(self) -> str | Estimator: ...
+    def strength(self) -> str | Estimator | None: ...
 
 
 def bottom_up_tables(
@@ -107,10 +107,11 @@ def bottom_up_tables(
     settings: Settings,
     progress: bool | None = None,
 ) -> BottomUpTables:
-    """Return the tables of an event under some settings.
+    """Return the tables of an event under some settings, in which nothing is left open.
 
     ``progress`` says whether to show a bar where it takes long, as the closed loop does.
     """
+    assert settings.proposal is not None is not settings.strength, "they are settled"
     n_frames = observation.n_frames
     length = window_length(n_frames, settings.window)
     starts = np.arange(window_count(n_frames, settings.window))

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, scene_dataset
-from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
+from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
@@ -25,8 +25,8 @@ Columns = dict[str, NDArray[Any]]  # name -> an array with one row per particle,
 LONG: Final = 20
 """Iterations from which on the draws of a chain are counted, the first quarter left out.
 
-Shorter chains, such as the paper's, have hardly left where they began: their simulations are
-weighed by importance where the kernel's proposals have a density (``benchmarks/estimates.py``)."""
+Shorter chains, such as the paper's, have hardly left where they began: all their simulations are
+weighed where the kernel's proposals have a density (``benchmarks/estimates.py``)."""
 
 SITE: Final = "z/"  # begins the names of those columns of particles that are sites
 
@@ -137,17 +137,12 @@ def build_tree(
         "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
     }
     tree = xr.DataTree.from_dict(groups)
-    if kernel.weights is not None:
-        tree["sample_stats"].dataset["log_weight"].values[:] = _weight_by_simulation(
-            tree, kernel, index
-        )
     short = n_draws < LONG and not kernel.weighted and has_proposals(tree)
     tree.attrs = {
         "event_id": event.id,
-        "weights": kernel.weights or ("importance" if short else "count"),
-        "burn_in": 0 if kernel.weighted or kernel.weights else burn_in(n_draws),
+        "weights": "stratified" if short else "count",
+        "burn_in": 0 if kernel.weighted else burn_in(n_draws),
         "schema": SCHEMA,
-        **({"only_weights": kernel.weights} if kernel.weights else {}),
         **attrs,
     }
     return tree
@@ -158,22 +153,6 @@ def _tempering(likelihood: object) -> dict[str, float]:
     if is_stepwise(likelihood):
         return {"frame_weight": likelihood.weight}
     return {"beta": likelihood.beta} if type(likelihood) is RadialLikelihood else {}
-
-
-def _weight_by_simulation(
-    tree: xr.DataTree, kernel: KernelInfo, index: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return (chain, draw) the log weight of the simulation ``index`` that a draw rests on.
-
-    Of draws that rest on the same one the first has it all.
-    """
-    rows = WEIGHTINGS[str(kernel.weights)](tree)
-    weight = np.zeros(tree["simulations"].sizes["simulation"])
-    weight[rows.index["simulation"]] = rows.weights
-    first = np.zeros(index.size, bool)
-    first[np.unique(index, return_index=True)[1]] = True
-    with np.errstate(divide="ignore"):
-        return np.log(weight[index] * first.reshape(index.shape))
 
 
 def numbers_of(records: Sequence[Record]) -> Columns:

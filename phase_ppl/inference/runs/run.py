@@ -96,7 +96,8 @@ class Run:
         if is_stepwise(self.model.likelihood):
             check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
         object.__setattr__(self, "model", self.model.in_world(world))
-        self.settings.check_world(world)
+        guided = "guide" in self.info.needs and self.model.is_joint
+        object.__setattr__(self, "settings", self.settings.settled(world, guided=guided))
         object.__setattr__(self, "chains", whole_number("chains", self.chains))
         object.__setattr__(self, "seed", whole_number("seed", self.seed, minimum=0))
         if self.info.even_chains and self.chains % 2:

@@ -524,6 +524,7 @@ class Sampler:
 
     def _settings(self) -> dict[str, Any]:
         run = self._run
+        assert run.settings.strength is not None, "it is settled"
         simple = vars(run.settings) | {"strength": estimator_name(run.settings.strength)}
         del simple["beta"]  # the model's likelihood has it
         return {
