@@ -161,7 +161,7 @@ def test_calibration_of_a_few_events(tmp_path: Path, figures: Figures) -> None:
     assert image.stat().st_size > 1000
 
 
-@pytest.mark.parametrize("kernel", ["importance", "smc", "enumerate", "racing"])
+@pytest.mark.parametrize("kernel", ["importance", "smc", "enumerate"])
 def test_no_ranks_among_draws_that_are_to_be_weighed(
     kernel: str, run_script: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:

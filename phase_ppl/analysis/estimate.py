@@ -224,18 +224,24 @@ def leaving_out(
     groups: NDArray[np.int64],
     halves: Sequence[NDArray[np.bool_]] = (),
     share: float = 0.0,
+    strata: tuple[NDArray[np.int64], FloatArray] | None = None,
 ) -> Jackknife | None:
     """Return the weights of rows without sets of groups of chains (:func:`sets_to_leave_out`).
 
     None of a single group, or where without one of the sets nothing would be left. Arguments are
     (row,) weights, the number of each row's group, and masks of the first and the last half of the
-    draws if these are compared.
+    draws if these are compared; of rows in strata whose mass does not depend on who is left out
+    the stratum of each (row,) and the share of each group in it (stratum, group).
     """
     n_groups = int(groups.max()) + 1
     if n_groups < 2:
         return None
     sets, factor = sets_to_leave_out(n_groups, share)
     left = np.where(sets[:, groups], 0.0, weights)
+    if strata is not None:
+        stratum, shares = strata
+        remaining = 1.0 - sets @ shares.T
+        left = left / np.maximum(remaining, ROUNDING)[:, stratum]  # 0 where nothing is left
     parts = [left]
     if len(halves) == 2:
         parts += [np.where(half, weights, 0.0)[None] for half in halves]

@@ -508,7 +508,7 @@ class Hypotheses:
         """Return one that leaves out random sets with a share of the chains, or single ones."""
         if self._groups is not None and share not in self._jackknives:
             self._jackknives[share] = leaving_out(
-                self._rows.weights, self._groups, self._halves, share
+                self._rows.weights, self._groups, self._halves, share, self._rows.strata
             )
         return self._jackknives.get(share)
 

@@ -45,7 +45,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -82,6 +82,9 @@ class Rows:
     weights: FloatArray  # (row,) non-negative, sum 1
     # what identifies a row in the tree: column -> (row,) integers
     index: Mapping[str, NDArray[np.int64]]
+    # of rows in strata whose mass is known: (row,) stratum, and (stratum, group) the share of each
+    # group of chains in it
+    strata: tuple[NDArray[np.int64], FloatArray] | None = None
 
 
 def log_sum_exp(values: FloatArray) -> float:
@@ -169,7 +172,14 @@ def stratified(tree: xr.DataTree) -> Rows:
         raise InvalidSettingError(
             "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
         )
-    return _by_proposals(tree, "stratified", log_shares(tree))
+    strata = _strata(tree)
+    rows = _by_proposals(tree, "stratified", strata.log_mass)
+    groups = chain_groups(tree)
+    by_group = np.zeros((int(strata.of.max()) + 1, int(groups.max()) + 1))
+    known = strata.of >= 0
+    group = groups[tree["simulations"].dataset["chain"].values]
+    np.add.at(by_group, (strata.of[known], group[known]), strata.share[known])
+    return dataclasses.replace(rows, strata=(strata.of[rows.index["simulation"]], by_group))
 
 
 def _has_prior(tree: xr.DataTree) -> bool:
@@ -177,37 +187,40 @@ def _has_prior(tree: xr.DataTree) -> bool:
     return prior_of_goals(tree, effective_goals(tree, "simulations")[:0]) is not None
 
 
-def log_shares(tree: xr.DataTree) -> FloatArray:
-    """Return (simulation,) the log of Q(h) times the prior and a simulation's share of its stratum.
+class _Strata(NamedTuple):
+    """Into which strata simulations fall."""
 
-    The share is P(h) / Q(h), truncated, of a sum of 1 over the simulations of the stratum, those
-    that were stopped or failed too; NaN where Q is not known. A pair is a stratum if it was asked
-    for ``FEWEST_OF_PAIR`` times, or as a rival.
-    """
+    of: NDArray[np.int64]  # (simulation,) number of the stratum; -1 where Q is not known
+    # (simulation,) P(h) / Q(h), truncated, of a sum of 1 over the simulations of the stratum, those
+    # that were stopped or failed too
+    share: FloatArray
+    log_mass: FloatArray  # (simulation,) log of Q(h), the stratum's prior and the share
+
+
+def _strata(tree: xr.DataTree) -> _Strata:
+    """Return the strata: pairs asked for ``FEWEST_OF_PAIR`` times or as rivals, and all others."""
     simulations = tree["simulations"].dataset
     log_proposal = _log_proposal(simulations)
     n_requests = _n_requests(simulations)
     with np.errstate(invalid="ignore"):
         log_ratio = simulations["log_prior"].values - log_proposal
     known = np.flatnonzero(np.isfinite(log_ratio))
-    pairs, stratum = np.unique(
-        effective_goals(tree, "simulations")[known], axis=0, return_inverse=True
-    )
-    stratum = stratum.reshape(-1)
+    goals = effective_goals(tree, "simulations")[known]
+    pairs, pair = np.unique(goals, axis=0, return_inverse=True)
+    pair = pair.reshape(-1)
     prior = prior_of_goals(tree, pairs)
     assert prior is not None, "it was asked for"
-    alone = np.bincount(stratum, n_requests[known], len(pairs)) >= FEWEST_OF_PAIR
-    alone[stratum[_are_rivals(tree)[known]]] = True
-    # all other pairs are the last stratum
-    stratum = np.where(alone[stratum], stratum, len(pairs))
+    alone = np.bincount(pair, n_requests[known], len(pairs)) >= FEWEST_OF_PAIR
+    alone[pair[_are_rivals(tree)[known]]] = True
+    of = np.full(len(log_ratio), -1)
+    of[known] = np.where(alone[pair], pair, len(pairs))
     mass = np.append(prior, max(0.0, possible_mass(tree) - float(prior[alone].sum())))
-    found = np.full(len(log_ratio), np.nan)
-    for number in np.unique(stratum):
-        rows = known[stratum == number]
-        shares = truncated(normalised(log_ratio[rows]), n_requests[rows])
-        with np.errstate(divide="ignore"):
-            found[rows] = np.log(mass[number]) + np.log(shares)
-    return found + log_proposal
+    share = np.zeros(len(log_ratio))
+    for number in np.unique(of[known]):
+        rows = np.flatnonzero(of == number)
+        share[rows] = truncated(normalised(log_ratio[rows]), n_requests[rows])
+    with np.errstate(divide="ignore"):
+        return _Strata(of, share, log_proposal + np.log(mass[of]) + np.log(share))
 
 
 def _log_proposal(simulations: xr.Dataset) -> FloatArray:
@@ -385,7 +398,7 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
     if not has_proposals(tree):
         return "visited", *_visits_so_far(tree)
     if _has_prior(tree):
-        return "stratified", *_proposals_so_far(tree, log_shares(tree))
+        return "stratified", *_proposals_so_far(tree, _strata(tree).log_mass)
     return "importance", *_proposals_so_far(tree, _log_prior(tree))
 
 

@@ -93,7 +93,6 @@ def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, weig
     tree = with_densities(tree, log_proposal, np.where(first, np.inf, at_end))
     if weights == "stratified":
         tree = with_prior(tree, rng.random((36, 36)))
-        tree.attrs["only_weights"] = weights
     check_last_frame(tree, weights)
 
 

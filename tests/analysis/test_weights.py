@@ -237,48 +237,66 @@ def test_importance_makes_up_for_how_simulations_came_about(
 
 def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
     tree = with_densities(make_tree(TENTHS, [[0, 1]]), 0.0, log_again=[-math.inf, LOG(0.1)])
+    tree.attrs["rivals_from"] = 0
     found = goal_probabilities(Posterior(with_prior(tree, [(A, 0.5), (B, 0.5)]), "stratified"))
     assert found == pytest.approx({BLUE_TO_RED: 1 / 2, PINK_TO_BLUE: 1 / 2})
 
 
 def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None:
-    # A was drawn thrice as often as B, and by proposals of other densities; its mean L is
-    # (2/5 x 0.2 + 1/5 x 0.4) for shares P / Q of 2 : 1 : 1 : 1, what was stopped or failed at 0
+    # A was drawn more often than B, and by proposals of other densities; its mean L is
+    # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 1 : 1, what was stopped or failed at 0.
+    # B and C were proposed less than five times: they share what prior A leaves, by P / Q
     simulations = [
         Simulation(A, 0, LOG(0.1), LOG(0.2)),
         Simulation(A, 1, LOG(0.1), LOG(0.4), iteration=1),
         Simulation(A, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
         Simulation(B, 3, LOG(0.1), LOG(0.6), iteration=1),
         Simulation(A, 4, LOG(0.1), LOG(0.9), failed=True, iteration=1),
-        Simulation(C, 5, LOG(0.1), LOG(0.9), failed=True, iteration=1),
+        Simulation(A, 5, LOG(0.1), LOG(0.9), failed=True, iteration=1),
+        Simulation(C, 6, LOG(0.1), LOG(0.8), iteration=1),
     ]
     tree = make_tree(simulations, [[0, 1, 3]])
-    tree = with_densities(tree, np.log([0.2, 0.4, 0.4, 0.01, 0.4, 0.1]))
-    found = goal_probabilities(
-        Posterior(with_prior(tree, [(A, 0.6), (B, 0.1), (C, 0.3)]), "stratified")
-    )
-    of_a, of_b = 0.6 * 0.16, 0.1 * 0.6
-    assert found == pytest.approx(
-        {BLUE_TO_RED: of_a / (of_a + of_b), PINK_TO_BLUE: of_b / (of_a + of_b)}
-    )
+    tree = with_densities(tree, np.log([0.2, 0.4, 0.4, 0.1, 0.4, 0.4, 0.1]))
+    tree = with_prior(tree, [(A, 0.6), (B, 0.1), (C, 0.1)])
+    found = goal_probabilities(Posterior(tree, "stratified"))
+    masses = {BLUE_TO_RED: 0.6 * 0.8 / 6, PINK_TO_BLUE: 0.4 / 2 * 0.6, PINK_TO_RED: 0.4 / 2 * 0.8}
+    total = sum(masses.values())
+    assert found == pytest.approx({goal: mass / total for goal, mass in masses.items()})
 
 
-def test_rivals_weigh_by_their_pairs_prior_and_mean_likelihood_beside_n_proposals() -> None:
-    # of the two proposals P L / Q = 0.2 each; the rival's two simulations, which earlier ones
-    # called for, are no third and fourth: their pair weighs 2 x 0.1 x (0.4 + 0.2) / 2
+def test_rivals_are_strata_of_their_own_and_no_proposals() -> None:
+    # the rival's pair weighs 0.1 x (0.4 + 0.4) / 2, however often it was simulated
     simulations = [
         Simulation(A, 0, LOG(0.2), LOG(0.5)),
         Simulation(B, 1, LOG(0.2), LOG(0.25), iteration=1),
         Simulation(C, 2, LOG(0.1), LOG(0.4), iteration=2),
-        Simulation(C, 3, LOG(0.2), LOG(0.2), iteration=2),
+        Simulation(C, 3, LOG(0.1), LOG(0.4), iteration=2),
     ]
-    tree = with_densities(make_tree(simulations, [[0, 1]]), np.log([0.5, 0.25, 0.3, 0.6]))
+    tree = with_densities(make_tree(simulations, [[0, 1]]), np.log([0.5, 0.25, 0.3, 0.3]))
     tree.attrs["rivals_from"] = 2
-    found = goal_probabilities(
-        Posterior(with_prior(tree, [(A, 0.6), (B, 0.3), (C, 0.1)]), "importance")
-    )
-    expected = {BLUE_TO_RED: 0.2, PINK_TO_BLUE: 0.2, PINK_TO_RED: 0.06}
-    assert found == pytest.approx({goal: mass / 0.46 for goal, mass in expected.items()})
+    tree = with_prior(tree, [(A, 0.6), (B, 0.3), (C, 0.1)])
+    found = goal_probabilities(Posterior(tree, "stratified"))
+    # of P / Q 0.4 and 0.8 for the others
+    expected = {BLUE_TO_RED: 0.9 / 3 * 0.5, PINK_TO_BLUE: 1.8 / 3 * 0.25, PINK_TO_RED: 0.04}
+    assert found == pytest.approx({goal: mass / 0.34 for goal, mass in expected.items()})
+    proposed = goal_probabilities(Posterior(tree, "importance"))
+    assert proposed == pytest.approx({BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5})
+
+
+def test_a_stratum_keeps_its_mass_whichever_chains_are_left_out() -> None:
+    # three chains found A and B equally likely, by different numbers of simulations: no doubt
+    simulations = [
+        Simulation(h, 10 * chain + i, LOG(0.1), LOG(0.2), chain=chain, iteration=i)
+        for chain, n_of_a in enumerate((2, 4, 6))
+        for i, h in enumerate([A] * n_of_a + [B] * (8 - n_of_a))
+    ]
+    tree = with_densities(make_tree(simulations, [[0], [8], [16]]), 0.0)
+    post = Posterior(with_prior(tree, [(A, 0.5), (B, 0.5)]), "stratified")
+    without = post._jackknife(0.0)
+    assert without is not None
+    for weights in without.weights:
+        of_a = post.table.values["goal_red"] == A.effective_goals[0]
+        assert weights[of_a].sum() == pytest.approx(0.5)
 
 
 def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> None:

@@ -231,7 +231,7 @@ def test_goals_that_come_closer_are_proposed() -> None:
     way = distance[-1, 0] - distance[0, 0]
     truth = SOLO.goal_index(TRUE_GOAL)
     assert way.argmin() == truth
-    tables = bottom_up_tables(event.scene, event.observation, ppl.SimpleSettings.of(SOLO))
+    tables = bottom_up_tables(event.scene, event.observation, ppl.SimpleSettings())
     logits = np.asarray(tables.goal_logits)[:-1, 0]
     assert (logits.argsort(axis=1)[:, ::-1][:, :8] == truth).any(axis=1).all()
 
@@ -390,11 +390,10 @@ STEPWISE = ppl.StepwiseLikelihood()
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"kernel": "racing"}, "kernel 'racing' knows the world PHASE only, not 'trio'"),
         ({"kernel": "enumerate"}, "'trio' has .* more than max_simulations=50000"),
-        ({"kernel": "prior_mh", "settings": ppl.SimpleSettings()},
+        ({"kernel": "prior_mh", "settings": ppl.SimpleSettings(proposal="learned")},
          "proposal='learned' was learned in PHASE and knows no other world, such as 'trio'"),
-        ({"kernel": "local_mh", "settings": ppl.SimpleSettings(proposal="paper")},
+        ({"kernel": "local_mh", "settings": ppl.SimpleSettings(strength="network")},
          "strength='network' was learned in PHASE"),
         ({"kernel": "local_mh", "model": ppl.Model(likelihood=STEPWISE)},
          "kernel 'local_mh' on the closed loop's table knows the world PHASE only"),

@@ -73,7 +73,7 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
     np.testing.assert_array_equal(frames, simulations["frames_simulated"].values)
     total = simulations["log_likelihood"].values[completed]
     np.testing.assert_allclose(by_frame[completed].sum(axis=1), total)
-    found, weighed = post.over_time(), ppl.Posterior(post.tree, "importance")
+    found, weighed = post.over_time(), ppl.Posterior(post.tree, "stratified")
     for name in ("goal_red", "goal_green", "relation", "scenario"):
         np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
 
@@ -321,7 +321,7 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "planner": ({"planner": "fast"}, InvalidSettingError, "joint simulator"),
     "budget": ({"budget": ppl.simulations(29)}, InvalidSettingError, "too small.*30"),
     "burn-in": ({"burn_in": 6}, InvalidSettingError, "burn_in=6, but there are 6 iterations"),
-    "preset": ({"preset": "raced"}, InvalidSettingError, "stands for several arguments"),
+    "preset": ({"preset": "learned"}, InvalidSettingError, "stands for several arguments"),
     "both": ({"budget": ppl.simulations(90), "iterations": 3}, InvalidSettingError, "not both"),
 }
 
@@ -342,7 +342,7 @@ def test_what_is_no_event_is_refused() -> None:
 
 def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Posterior) -> None:
     found = post.diagnostics()
-    assert found["weights"] == "importance"
+    assert found["weights"] == "stratified"
     assert found["untried_rivals"] == 0
     counted = infer(weights="count")
     assert "rivals_from" not in counted.tree.attrs
@@ -354,4 +354,4 @@ def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Post
 def test_with_a_budget_no_rivals_come_on_top() -> None:
     found = infer(iterations=None, budget=ppl.simulations(12))
     assert found.cost["simulations"] == 12
-    assert found.tree.attrs["weights"] == "importance"
+    assert found.tree.attrs["weights"] == "stratified"

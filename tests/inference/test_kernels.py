@@ -26,7 +26,6 @@ from phase_ppl.inference.kernels.local_mh import (
     log_window_choice,
 )
 from phase_ppl.inference.kernels.metropolis import log_ratio
-from phase_ppl.inference.kernels.racing import Racing
 from phase_ppl.inference.runs.run import Run
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
@@ -251,7 +250,6 @@ def test_the_bound_that_is_kept_says_where_a_simulation_is_stopped() -> None:
         (RandomWalkMH, {"scale": float("nan")}, InvalidSettingError),
         (MixtureMH, {"local_share": 1.5}, InvalidSettingError),
         (MixtureMH, {"local_share": "half"}, InvalidSettingError),
-        (Racing, {"sigma": -1.0}, InvalidSettingError),
     ],
 )
 def test_an_option_that_cannot_be_is_refused(kernel: Any, options: Any, error: Any) -> None:

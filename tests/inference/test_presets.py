@@ -16,6 +16,7 @@ from phase_ppl.evaluation.registry import ready
 from phase_ppl.inference.entries import entries
 from phase_ppl.inference.settings import PRESETS, completed
 from phase_ppl.models.predicate import INDEPENDENT, Thresholds
+from phase_ppl.simulator.joint import DynamicsNoise
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import walkers, walking_event
 
@@ -32,8 +33,8 @@ def test_as_printed_is_appendix_4_to_the_letter_and_the_default_is_what_infer_do
     assert apart == {"rule", "settings"}
     assert (intended["rule"], intended["settings"].sign) == ("exact", "intended")
     assert ppl.preset("default") == {}
-    guided = completed("guided", {"beta": 0.1})
-    assert guided == {"settings": ppl.SimpleSettings(proposal="closed_loop", beta=0.1)}
+    learned = completed("learned", {"beta": 0.1})
+    assert learned == {"settings": ppl.SimpleSettings(proposal="learned", beta=0.1)}
 
 
 def test_a_preset_is_ones_own_to_change() -> None:
@@ -105,32 +106,35 @@ def test_predicates_as_printed_have_a_uniform_prior_and_the_planners_thresholds(
 def test_compare_takes_presets_for_kernels() -> None:
     found = entries(list(PRESETS), 7, ppl.SimpleSettings())
     assert [one.label for one in found] == list(PRESETS)
-    assert [one.info.name for one in found] == ["local_mh"] * 4 + ["racing"]
-    printed, _, default, guided, raced = found
+    assert {one.info.name for one in found} == {"local_mh"}
+    printed, _, default, learned = found
     assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
     assert (default.options, default.chains) == ({}, 7)
-    assert guided.settings == ppl.SimpleSettings(proposal="closed_loop")
-    assert raced.chains == 30
+    assert learned.settings == ppl.SimpleSettings(proposal="learned")
     assert not printed.length
 
 
-def test_presets_know_other_worlds_by_what_was_not_learned_in_phase() -> None:
+def test_open_settings_are_settled_by_world_kernel_and_simulator() -> None:
     solo = ppl.worlds.SOLO
-    for name in ("as_printed", "as_intended", "guided"):
-        ppl.preset(name, solo)["settings"].check_world(solo)
-    changed = completed("default", {"eta": 0.2}, solo)["settings"]
-    assert changed == dataclasses.replace(ppl.SimpleSettings.of(solo), eta=0.2)
-    guided = entries(["guided"], 4, ppl.SimpleSettings.of(solo), solo)[0]
-    assert guided.settings == ppl.SimpleSettings(proposal="closed_loop", strength="analytic")
-
-
-def test_settings_of_simple_ask_for_it_in_any_world() -> None:
-    scene = ppl.worlds.SOLO.random_scene(0)
-    event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=3)
-    guided = ppl.preset("guided", scene.world)
-    model = {"chains": 2, "iterations": 1, "workers": 1, "progress": False}
-    post = ppl.infer(event, **guided, **model)
+    event = ppl.simulate(solo.random_scene(0), goals={"red agent": "get to ball"}, frames=3)
+    few: dict[str, Any] = {"chains": 2, "iterations": 1, "workers": 1, "progress": False}
+    post = ppl.infer(event, kernel="local_mh", **few)
     assert isinstance(post, ppl.Posterior)
+    found = post.settings["simple"]
+    assert (found["proposal"], found["strength"]) == ("closed_loop", "analytic")
+    asked = ppl.infer(event, **ppl.preset("as_printed") | few | {"planner": "fast"})
+    assert isinstance(asked, ppl.Posterior), "settings of SIMPLE ask for it in any world"
+    assert asked.settings["simple"]["proposal"] == "paper"
+    # a kernel without windows, and a simulator of one's own, are not worth a reading
+    walk = walking_event()
+    for options in ({"kernel": "prior_mh"}, {"model": ppl.Model(simulator=walkers)}):
+        made = ppl.infer(walk, **options, **few)
+        assert isinstance(made, ppl.Posterior)
+        found = made.settings["simple"]
+        assert (found["proposal"], found["strength"]) == ("learned", "network")
+    noisy = ppl.JointSimulator(noise=DynamicsNoise())
+    assert ppl.Model(simulator=noisy).is_joint
+    assert not ppl.Model(likelihood=ppl.StepwiseLikelihood()).is_joint
 
 
 def test_a_run_that_goes_on_keeps_its_weights(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from numpyro.infer import NUTS
 
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.racing import Racing
 from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.inference.registry import KERNELS, described, kernel_info, register_kernel
 from phase_ppl.inference.settings import SimpleSettings, frames, seconds, simulations
@@ -90,10 +89,9 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
     assert bound.validity == "approximate"  # its options are kept
     assert LocalMH(rule="window").validity == "exact"
     assert (bound.program, bound.settings) == (program, settings)
-    for kernel in (Racing, SMC):  # whatever is registered of it holds
-        info, instance = described(kernel), described(kernel())
-        same = {"factory": instance.factory, "needs": instance.needs}
-        assert instance == dataclasses.replace(info, **same)
+    info, instance = described(SMC), described(SMC())  # whatever is registered of it holds
+    same = {"factory": instance.factory, "needs": instance.needs}
+    assert instance == dataclasses.replace(info, **same)
     with pytest.raises(InvalidSettingError, match="neither a name nor a kernel"):
         described(7)  # type: ignore[arg-type]
 

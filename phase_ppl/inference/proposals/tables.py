@@ -41,7 +41,7 @@ from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.names import AGENTS, Predicate
-from phase_ppl.world.scene import PHASE, Scene
+from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
@@ -99,6 +99,7 @@ class Settings(Protocol):
     def sign(self) -> str: ...
     @property
     def strength(self) -> str | Estimator | None: ...
+    def settled(self, world: World, *, guided: bool) -> Settings: ...
 
 
 def bottom_up_tables(
@@ -107,11 +108,13 @@ def bottom_up_tables(
     settings: Settings,
     progress: bool | None = None,
 ) -> BottomUpTables:
-    """Return the tables of an event under some settings, in which nothing is left open.
+    """Return the tables of an event under some settings.
 
+    What these leave open is as where the closed loop does not propose.
     ``progress`` says whether to show a bar where it takes long, as the closed loop does.
     """
-    assert settings.proposal is not None is not settings.strength, "they are settled"
+    settings = settings.settled(scene.world, guided=False)
+    assert settings.strength is not None, "it is settled"
     n_frames = observation.n_frames
     length = window_length(n_frames, settings.window)
     starts = np.arange(window_count(n_frames, settings.window))
