@@ -45,6 +45,10 @@ HINDSIGHT: Final = (
 """Goes with every result."""
 
 
+_FORMERLY: Final = {"importance": "stratified"}
+"""What files of earlier versions call a weighting -> what has taken its place."""
+
+
 class Posterior(EventPosterior):
     """Posterior over agents' goals, their relation and their strengths.
 
@@ -61,7 +65,7 @@ class Posterior(EventPosterior):
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: "count", "stratified", "importance", "visited" or "likelihood"
+        weights: "count", "stratified", "visited" or "likelihood"
             (``phase_ppl.analysis.weights`` says when each is valid); None: what the run recorded
             as its default.
         burn_in: draws at the beginning of each chain that do not count; None: what the run
@@ -86,7 +90,8 @@ class Posterior(EventPosterior):
         scenario: ScenarioFunction | None = None,
     ) -> None:
         check_tree(tree)
-        name = str(tree.attrs["weights"]) if weights is None else weights
+        kept = str(tree.attrs["weights"])
+        name = _FORMERLY.get(kept, kept) if weights is None else weights
         if name not in WEIGHTINGS:
             raise unknown_name("weights", name, WEIGHTINGS)
         n_draws = tree["posterior"].sizes["draw"]

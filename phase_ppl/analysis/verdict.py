@@ -26,9 +26,6 @@ likelihoods of few simulations err by nats (``benchmarks/decided.py``)."""
 UNTRIED: Final = 0.05
 """Prior mass of pairs of goals without a simulation from which on it is a sign."""
 
-_CONSISTENT: Final = ("stratified", "importance")
-"""Weightings that do not depend on the law that a kernel's draws follow."""
-
 _NAMED: Final = 2  # goals that are named where particles disagree
 _FRAMES_NAMED: Final = 3  # frames that are named
 
@@ -84,7 +81,7 @@ def _biased(found: Mapping[str, Any]) -> Iterator[str]:
         )
     elif found["weights"] == "likelihood":
         yield "The weights 'likelihood' make every probability too extreme."
-    if found["validity"] == "approximate" and found["weights"] not in _CONSISTENT:
+    if found["validity"] == "approximate" and found["weights"] != "stratified":
         yield (
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
             "long it runs."

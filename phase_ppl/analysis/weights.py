@@ -20,16 +20,11 @@ Every query is a sum over such a table. Which weighting is valid when:
     are truncated at the square root of their number times their mean (Ionides 2008, JCGS 17:295),
     and what is left once more, so that no simulation decides alone; it makes answers from few
     simulations steadier and vanishes as they grow. Consistent, whatever the acceptance rule.
-``"importance"``
-    Every completed simulation weighs P(h) L / Q(h), accepted or not (Rudolf & Sprungk 2020,
-    Electronic Journal of Statistics 14:857, on the proposals of a Markov chain), truncated as
-    above. Consistent as well, and noisier. Rivals do not count.
-
-Of both: a simulation that could have been stopped early and was not weighs more by the reciprocal
-of the probability of that, so that those that were stopped are made up for. They are for kernels
-whose proposals have a density that covers the prior (``local_mh``, ``prior_mh``, the local moves of
-``mixture``).
-
+    A simulation that could have been stopped early and was not weighs more by the reciprocal of the
+    probability of that, so that those that were stopped are made up for. For kernels whose
+    proposals have a density that covers the prior (``local_mh``, ``prior_mh``, the local moves of
+    ``mixture``); it is known given all that was done before (Rudolf & Sprungk 2020, Electronic
+    Journal of Statistics 14:857, on the proposals of a Markov chain).
 ``"visited"``
     Every pair of effective goals that was simulated weighs its prior times the mean likelihood of
     its simulations, whatever they were proposed from. Not the posterior, however long the run:
@@ -167,19 +162,29 @@ def visited(tree: xr.DataTree) -> Rows:
 
 def stratified(tree: xr.DataTree) -> Rows:
     """Return every completed simulation, by its stratum's prior and part of the mean L there."""
-    _check_proposals(tree, "stratified")
-    if not _has_prior(tree):
+    if not has_proposals(tree):
         raise InvalidSettingError(
-            "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
+            "weights 'stratified' need the density of each proposal, which kernel "
+            f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
         )
-    strata = _strata(tree)
-    rows = _by_proposals(tree, "stratified", strata.log_mass)
+    if not _has_prior(tree):
+        raise InvalidSettingError("weights 'stratified' need the prior of pairs of goals")
+    strata, simulations = _strata(tree), tree["simulations"].dataset
+    with np.errstate(invalid="ignore"):  # of what failed
+        log_weight = strata.log_mass + simulations["log_likelihood"].values
+        log_weight = log_weight + log_reciprocal_proposal(tree)
+    usable = simulations["completed"].values & ~simulations["failed"].values
+    row = np.flatnonzero(usable & np.isfinite(log_weight))
+    if not row.size:
+        raise InvalidSettingError("weights 'stratified' need at least one completed simulation")
+    weights = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
     groups = chain_groups(tree)
     by_group = np.zeros((int(strata.of.max()) + 1, int(groups.max()) + 1))
     known = strata.of >= 0
-    group = groups[tree["simulations"].dataset["chain"].values]
+    group = groups[simulations["chain"].values]
     np.add.at(by_group, (strata.of[known], group[known]), strata.share[known])
-    return dataclasses.replace(rows, strata=(strata.of[rows.index["simulation"]], by_group))
+    rows = _of_simulations(tree, row, weights)
+    return dataclasses.replace(rows, strata=(strata.of[row], by_group))
 
 
 def _has_prior(tree: xr.DataTree) -> bool:
@@ -234,45 +239,11 @@ def _are_rivals(tree: xr.DataTree) -> NDArray[np.bool_]:
     return np.asarray(iteration >= tree.attrs.get("rivals_from", np.inf))
 
 
-def _by_proposals(tree: xr.DataTree, weights: str, log_base: FloatArray) -> Rows:
-    """Return the completed simulations, weighted by L / Q and what is given, truncated."""
-    simulations = tree["simulations"].dataset
-    with np.errstate(invalid="ignore"):  # of what failed
-        log_weight = log_base + simulations["log_likelihood"].values
-        log_weight = log_weight + log_reciprocal_proposal(tree)
-    usable = simulations["completed"].values & ~simulations["failed"].values
-    row = np.flatnonzero(usable & np.isfinite(log_weight))
-    if not row.size:
-        raise InvalidSettingError(f"weights {weights!r} need at least one completed simulation")
-    shares = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
-    return _of_simulations(tree, row, shares)
-
-
 def _of_simulations(tree: xr.DataTree, row: NDArray[np.int64], weights: FloatArray) -> Rows:
     simulations = tree["simulations"].dataset
     values = {name: simulations[name].values[row] for name in _sites(tree)}
     index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
     return Rows(values, weights, index)
-
-
-def _check_proposals(tree: xr.DataTree, weights: str) -> None:
-    if not has_proposals(tree):
-        raise InvalidSettingError(
-            f"weights {weights!r} need the density of each proposal, which kernel "
-            f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
-        )
-
-
-def importance(tree: xr.DataTree) -> Rows:
-    """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated."""
-    _check_proposals(tree, "importance")
-    return _by_proposals(tree, "importance", _log_prior(tree))
-
-
-def _log_prior(tree: xr.DataTree) -> FloatArray:
-    """Return (simulation,) log P(h), -inf of rivals."""
-    log_prior = tree["simulations"].dataset["log_prior"].values.astype(float)
-    return np.where(_are_rivals(tree), -np.inf, log_prior)
 
 
 def has_proposals(tree: xr.DataTree) -> bool:
@@ -384,8 +355,8 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
     """Return weights on ever more of the video: name, simulations, and weights (simulation, time).
 
     At frame t every simulation that came so far weighs as under weights ``"stratified"``, but with
-    the likelihood of frames 0 to t only; where the prior of pairs is not known as under
-    ``"importance"``, and where their proposals have no density as under ``"visited"``.
+    the likelihood of frames 0 to t only; where their proposals have no density, or the file
+    no prior of pairs, as under ``"visited"``.
     """
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" not in simulations:
@@ -395,11 +366,9 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
         )
     if not (simulations["completed"].values & ~simulations["failed"].values).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
-    if not has_proposals(tree):
+    if not (has_proposals(tree) and _has_prior(tree)):
         return "visited", *_visits_so_far(tree)
-    if _has_prior(tree):
-        return "stratified", *_proposals_so_far(tree, _strata(tree).log_mass)
-    return "importance", *_proposals_so_far(tree, _log_prior(tree))
+    return "stratified", *_proposals_so_far(tree, _strata(tree).log_mass)
 
 
 def _proposals_so_far(
@@ -467,7 +436,6 @@ def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArra
 WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "count": count,
     "stratified": stratified,
-    "importance": importance,
     "visited": visited,
     "likelihood": likelihood,
 }

@@ -81,9 +81,9 @@ def check_last_frame(tree: xr.DataTree, weights: str) -> None:
         np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
 
 
-@pytest.mark.parametrize("weights", ["stratified", "importance"])
+@pytest.mark.parametrize("prior", [True, False])
 @pytest.mark.parametrize("seed", range(2))
-def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, weights: str) -> None:
+def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, prior: bool) -> None:
     tree = tree_by_frame(seed)
     simulations, rng = tree["simulations"].to_dataset(), np.random.default_rng(seed)
     n = simulations.sizes["simulation"]
@@ -91,9 +91,9 @@ def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, weig
     first = simulations["iteration"].values == 0
     at_end = rng.normal(-1, 1, n) - simulations["log_likelihood"].values
     tree = with_densities(tree, log_proposal, np.where(first, np.inf, at_end))
-    if weights == "stratified":
+    if prior:
         tree = with_prior(tree, rng.random((36, 36)))
-    check_last_frame(tree, weights)
+    check_last_frame(tree, "stratified" if prior else "visited")
 
 
 def test_later_frames_change_nothing_before_them() -> None:

@@ -213,11 +213,11 @@ TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), itera
         (
             [
                 Simulation(A, 0, LOG(0.2), LOG(0.5)),
-                Simulation(B, 1, LOG(0.2), LOG(0.5), iteration=1),
+                Simulation(B, 1, LOG(0.2), LOG(0.8), iteration=1),
                 Simulation(C, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
                 Simulation(C, 3, LOG(0.1), LOG(0.9), failed=True, iteration=1),
             ],
-            {"log_proposal": np.log([0.5, 0.25, 1.0, 1.0])},
+            {"log_proposal": np.log([0.5, 0.4, 0.5, 0.5])},
         ),
         # completed with probability 0.1 / 0.2, so it counts twice
         (TENTHS, {"log_proposal": 0.0, "log_bound": [math.inf, -LOG(0.2)]}),
@@ -227,11 +227,12 @@ TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), itera
     ],
     ids=["by proposal", "could have been stopped", "answered later", "answered again"],
 )
-def test_importance_makes_up_for_how_simulations_came_about(
+def test_a_stratum_makes_up_for_how_simulations_came_about(
     simulations: list[Simulation], options: dict[str, Any]
 ) -> None:
-    tree = with_densities(make_tree(simulations, [[0, 1]]), **options)
-    found = goal_probabilities(Posterior(tree, "importance"))
+    # of pairs that were proposed a few times: all are one stratum
+    tree = with_prior(make_tree(simulations, [[0, 1]]), [(A, 0.5), (B, 0.5)])
+    found = goal_probabilities(Posterior(with_densities(tree, **options), "stratified"))
     assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
 
 
@@ -244,8 +245,8 @@ def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
 
 def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None:
     # A was drawn more often than B, and by proposals of other densities; its mean L is
-    # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 1 : 1, what was stopped or failed at 0.
-    # B and C were proposed less than five times: they share what prior A leaves, by P / Q
+    # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 1 : 1, as what was stopped or failed
+    # has none. B and C were proposed less than five times: they share what prior A leaves, by P / Q
     simulations = [
         Simulation(A, 0, LOG(0.1), LOG(0.2)),
         Simulation(A, 1, LOG(0.1), LOG(0.4), iteration=1),
@@ -279,8 +280,6 @@ def test_rivals_are_strata_of_their_own_and_no_proposals() -> None:
     # of P / Q 0.4 and 0.8 for the others
     expected = {BLUE_TO_RED: 0.9 / 3 * 0.5, PINK_TO_BLUE: 1.8 / 3 * 0.25, PINK_TO_RED: 0.04}
     assert found == pytest.approx({goal: mass / 0.34 for goal, mass in expected.items()})
-    proposed = goal_probabilities(Posterior(tree, "importance"))
-    assert proposed == pytest.approx({BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5})
 
 
 def test_a_stratum_keeps_its_mass_whichever_chains_are_left_out() -> None:
@@ -301,12 +300,11 @@ def test_a_stratum_keeps_its_mass_whichever_chains_are_left_out() -> None:
 
 def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
-    for weights in ("stratified", "importance"):
-        with pytest.raises(InvalidSettingError, match="density of each proposal"):
-            Posterior(tree, weights)
-        with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
-            Posterior(with_densities(tree, [0.0, math.nan]), weights)
-    with pytest.raises(InvalidSettingError, match="'importance' does without"):
+    with pytest.raises(InvalidSettingError, match="density of each proposal"):
+        Posterior(tree, "stratified")
+    with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
+        Posterior(with_densities(tree, [0.0, math.nan]), "stratified")
+    with pytest.raises(InvalidSettingError, match="need the prior of pairs"):
         Posterior(with_densities(tree, 0.0), "stratified")
 
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import untried_rivals
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
+from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
@@ -70,9 +70,6 @@ _ROUNDS: Final = 3
 
 _NEGLIGIBLE: Final = 16.0
 """Nats below the best simulation from which on one makes no difference to any mean likelihood."""
-
-_OF_SIMULATIONS: Final = ("importance", "stratified")
-"""Weights of all simulations: those of runs that are too short for draws to be counted."""
 
 _APART: Final = 0.5  # units by which a first frame may be off the start
 
@@ -346,7 +343,7 @@ class Sampler:
         for round_ in range(_ROUNDS):
             post = self.posterior(interrupted=False)
             assert post is not None, "there are particles"
-            if post.weights not in _OF_SIMULATIONS or not has_proposals(post.tree):
+            if post.weights != "stratified":
                 return
             self._rivals_from = self._bridge.iteration = self._done + 1
             found = untried_rivals(post.tree, post.leaders())
