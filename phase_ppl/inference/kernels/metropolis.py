@@ -97,20 +97,6 @@ def log_ratio(
     return log_known + (proposed - current).sum() + log_after
 
 
-def moved(
-    state: MHState, move: Move, seed: jax.Array, step_error: jax.Array, proposed: jax.Array
-) -> MHState:
-    """Return the state at what a move proposed, with the (time,) log likelihoods of its frames."""
-    return state._replace(
-        z=move.sites,
-        sim_seed=seed,
-        log_prior=move.log_prior,
-        memo=move.memo,
-        step_error=step_error,
-        log_joint=move.log_prior + proposed.sum(),
-    )
-
-
 class MetropolisKernel(ParticleKernel[MHState]):
     """Base of the family: a subclass makes a :class:`Move` and has :meth:`accept_reject` decide.
 
@@ -220,7 +206,15 @@ class MetropolisKernel(ParticleKernel[MHState]):
         proposed = program.log_likelihood(step_error)
         ratio = log_ratio(move.log_known, current, proposed, move.log_after(step_error))
         accepted = log_u < ratio  # not a number, where both failed: rejected
-        return chosen(accepted, moved(state, move, seed, step_error, proposed), state)._replace(
+        moved = state._replace(
+            z=move.sites,
+            sim_seed=seed,
+            log_prior=move.log_prior,
+            memo=move.memo,
+            step_error=step_error,
+            log_joint=move.log_prior + proposed.sum(),
+        )
+        return chosen(accepted, moved, state)._replace(
             i=state.i + 1,
             window=jnp.asarray(move.window, jnp.int32),
             accepted=accepted,
