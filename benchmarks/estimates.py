@@ -181,7 +181,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS)
     parser.add_argument(
-        "--weights", nargs="+", default=["count", "stratified", "importance", "visited"]
+        "--weights", nargs="+", default=["count", "stratified"]
     )
     parser.add_argument("--keep", metavar="DIR")
     parser.add_argument("--json", metavar="FILE")

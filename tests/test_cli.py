@@ -371,7 +371,7 @@ class TestQuery:
         assert "holds no posterior.nc" in fails(capsys, "query", str(tmp_path), "P(goal_red)")
         assert "QUESTION" in fails(capsys, "query", str(folder))
         wrong = ["--weights", "visitde"]
-        assert "'visited'" in fails(capsys, "query", str(folder), "P(goal_red)", *wrong)
+        assert "'likelihood'" in fails(capsys, "query", str(folder), "P(goal_red)", *wrong)
 
     @pytest.mark.skipif(os.name != "posix", reason="closes a pipe")
     def test_a_reader_that_stops_early_is_no_error(self, folder: Path) -> None:

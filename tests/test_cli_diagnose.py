@@ -56,8 +56,8 @@ def test_numbers_of_the_table_are_those_of_the_diagnostics() -> None:
 
 
 def test_json_is_the_diagnostics_under_the_weights_asked_for(folder: Path, capsys: Capture) -> None:
-    assert main(["diagnose", str(folder), "--json", "--weights", "visited"]) == 0
-    post = Posterior.load(folder / "posterior.nc", "visited")
+    assert main(["diagnose", str(folder), "--json", "--weights", "likelihood"]) == 0
+    post = Posterior.load(folder / "posterior.nc", "likelihood")
     assert json.loads(capsys.readouterr().out) == post.diagnostics()
 
 

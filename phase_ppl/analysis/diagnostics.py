@@ -26,7 +26,7 @@ from phase_ppl.analysis.tree import (
     untried,
 )
 from phase_ppl.analysis.verdict import ALONE, FEW_DRAWS, verdict
-from phase_ppl.analysis.weights import Rows, aborted_mass_bound
+from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
@@ -85,7 +85,6 @@ def diagnostics(
       ``frames`` of a window, None where the run has no such setting.
     * ``simulations``: total, completed, aborted (stopped early), failed.
     * ``frames_saved``, ``frames_saved_share``: by stopping early.
-    * ``aborted_mass_bound``: see :func:`phase_ppl.analysis.weights.aborted_mass_bound`.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
     * ``overlapping_frames``: in which bodies lie on each other or in a wall.
@@ -159,7 +158,6 @@ def diagnostics(
         },
         "windows": _windows(stats["window"].values, tree.attrs["settings"], n_frames),
         **_simulation_costs(tree, n_frames),
-        "aborted_mass_bound": aborted_mass_bound(tree),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
         "overlapping_frames": overlapping_frames(
             array(tree, "observed_data", "trajectory"), kept_scene(tree["constant_data"].dataset)

@@ -45,7 +45,7 @@ HINDSIGHT: Final = (
 """Goes with every result."""
 
 
-_FORMERLY: Final = {"importance": "stratified"}
+_FORMERLY: Final = {"importance": "stratified", "visited": "count"}
 """What files of earlier versions call a weighting -> what has taken its place."""
 
 
@@ -65,7 +65,7 @@ class Posterior(EventPosterior):
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: "count", "stratified", "visited" or "likelihood"
+        weights: "count", "stratified" or "likelihood"
             (``phase_ppl.analysis.weights`` says when each is valid); None: what the run recorded
             as its default.
         burn_in: draws at the beginning of each chain that do not count; None: what the run
@@ -235,7 +235,8 @@ class Posterior(EventPosterior):
 
         See :data:`HINDSIGHT`. At the last frame they are those of weights ``"stratified"``,
         whatever the weighting in use; where proposals have no density that is known, of
-        ``"visited"``. Nothing is simulated.
+        ``"count"``, whose draws show little of what early frames would have let believe. Nothing is
+        simulated.
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
@@ -243,7 +244,7 @@ class Posterior(EventPosterior):
             ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``hindsight`` says what it
             is, ``weights`` by which weights.
         """
-        weighting, rows, weights = so_far(self._tree)
+        weighting, rows, weights = so_far(self._kept)
         words, simulations = self._words, self._tree["simulations"].dataset
         codes = {name: simulations[name].values[rows] for name in words.space.goal_sites}
         codes |= words.relation_codes(codes)

@@ -73,13 +73,7 @@ def verdict(found: Mapping[str, Any]) -> str:
 
 def _biased(found: Mapping[str, Any]) -> Iterator[str]:
     """Yield what makes the probabilities wrong however long the run is."""
-    if found["weights"] == "visited":
-        yield (
-            "The weights 'visited' are not the posterior: what is proposed often counts more. "
-            f"Simulations stopped early hide at most {found['aborted_mass_bound']:.1%} of their "
-            "mass."
-        )
-    elif found["weights"] == "likelihood":
+    if found["weights"] == "likelihood":
         yield "The weights 'likelihood' make every probability too extreme."
     if found["validity"] == "approximate" and found["weights"] != "stratified":
         yield (

@@ -25,10 +25,6 @@ Every query is a sum over such a table. Which weighting is valid when:
     proposals have a density that covers the prior (``local_mh``, ``prior_mh``, the local moves of
     ``mixture``); it is known given all that was done before (Rudolf & Sprungk 2020, Electronic
     Journal of Statistics 14:857, on the proposals of a Markov chain).
-``"visited"``
-    Every pair of effective goals that was simulated weighs its prior times the mean likelihood of
-    its simulations, whatever they were proposed from. Not the posterior, however long the run:
-    what is proposed often counts more. For comparison with earlier results only.
 ``"likelihood"``
     Every draw weighs its own likelihood. This is how the authors' published probabilities
     behave, and for reproducing them only: on the draws of an exact kernel the likelihood
@@ -43,7 +39,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -143,21 +138,6 @@ def likelihood(tree: xr.DataTree) -> Rows:
         )
     log_likelihood = array(tree, "simulations", "log_likelihood").astype(float)
     return Rows(values, normalised(log_likelihood[simulation]), index)
-
-
-def visited(tree: xr.DataTree) -> Rows:
-    """Return every completed simulation, by P(h) L over the simulations of its pair of goals.
-
-    The likelihood of a pair of effective goals is the mean over its simulations, in which a run
-    that was stopped early counts as 0: an under-estimate by no more than
-    :func:`aborted_mass_bound`.
-    """
-    table = evaluations(tree)
-    weighed = table[table["completed"]]
-    if weighed.empty:
-        raise InvalidSettingError("weights 'visited' need at least one completed simulation")
-    weights = normalised(weighed["log_mass"].to_numpy())
-    return _of_simulations(tree, weighed["simulation"].to_numpy(), weights)
 
 
 def stratified(tree: xr.DataTree) -> Rows:
@@ -305,58 +285,12 @@ def truncated(weights: FloatArray, n_requests: NDArray[np.int64] | None = None) 
     return weights / weights.sum()
 
 
-def aborted_mass_bound(tree: xr.DataTree) -> float:
-    """Return the largest share of the visited mass that early-stopped simulations can hide.
-
-    Finishing them would change no probability under weights ``"visited"`` by more than this
-    (total variation); 1 where nothing was completed.
-    """
-    table = evaluations(tree)
-    completed = table["completed"].to_numpy()
-    log_mass = table["log_mass"].to_numpy()
-    if completed.all():
-        return 0.0
-    hidden = log_sum_exp(log_mass[~completed])
-    everything = log_sum_exp(log_mass)
-    return float(np.exp(hidden - everything)) if np.isfinite(everything) else 1.0
-
-
-def evaluations(tree: xr.DataTree) -> pd.DataFrame:
-    """Return one row per distinct (hypothesis, seed) that did not fail.
-
-    Columns: simulation (first row in the tree), completed, log_share = log P(h) - log(number of
-    simulations of the goal pair, failed ones too), with P(h) the prior of effective goals and
-    strengths, and log_mass = log_share + log likelihood (a bound where not completed).
-    """
-    simulations = tree["simulations"].dataset
-    goals = space_of_tree(tree).goal_sites
-    names = [name for name in _sites(tree) if name not in goals]
-    numbers = ("log_prior_effective", "log_likelihood", "completed", "failed")
-    columns = (*goals, *names, "seed", *numbers)
-    table = pd.DataFrame({name: simulations[name].values for name in columns})
-    table.insert(0, "simulation", np.arange(len(table)))
-    # a completed run of a hypothesis and seed says more than a stopped one of the same
-    table = table.sort_values("completed", ascending=False, kind="stable")
-    table = table.drop_duplicates([*names, "seed"]).sort_values("simulation")
-    n_of_pair = table.groupby(list(goals), sort=False)["seed"].transform("size")
-    table, n_of_pair = table[~table["failed"]], n_of_pair[~table["failed"]]
-    log_share = table["log_prior_effective"].astype(float) - np.log(n_of_pair)
-    return pd.DataFrame(
-        {
-            "simulation": table["simulation"],
-            "completed": table["completed"].astype(bool),
-            "log_share": log_share,
-            "log_mass": log_share + table["log_likelihood"].astype(float),
-        }
-    )
-
-
 def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
     """Return weights on ever more of the video: name, simulations, and weights (simulation, time).
 
     At frame t every simulation that came so far weighs as under weights ``"stratified"``, but with
     the likelihood of frames 0 to t only; where their proposals have no density, or the file
-    no prior of pairs, as under ``"visited"``.
+    no prior of pairs, every draw by what its later frames made of it, L(0 to t) / L(all).
     """
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" not in simulations:
@@ -367,7 +301,7 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
     if not (simulations["completed"].values & ~simulations["failed"].values).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
     if not (has_proposals(tree) and _has_prior(tree)):
-        return "visited", *_visits_so_far(tree)
+        return "count", *_draws_so_far(tree)
     return "stratified", *_proposals_so_far(tree, _strata(tree).log_mass)
 
 
@@ -403,13 +337,14 @@ def _proposals_so_far(
     return rows, weights
 
 
-def _visits_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the rows of distinct simulations and their weights (row, time)."""
-    table = evaluations(tree)
-    rows = table["simulation"].to_numpy()
-    known, so_far = (part[rows] for part in _likelihood_so_far(tree))
-    log_mass = np.where(known, table["log_share"].to_numpy()[:, None] + so_far, -np.inf)
-    return rows, np.stack([normalised(column) for column in log_mass.T], axis=1)
+def _draws_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of the draws' simulations and their weights (row, time)."""
+    row = simulation_of_draw(tree).reshape(-1)
+    _, so_far = _likelihood_so_far(tree)
+    log_weight = log_weight_of_draws(tree).reshape(-1)[row >= 0]
+    row = row[row >= 0]
+    log_weight = log_weight[:, None] + so_far[row] - so_far[row, -1:]
+    return row, np.stack([normalised(column) for column in log_weight.T], axis=1)
 
 
 def _likelihood_so_far(tree: xr.DataTree) -> tuple[NDArray[np.bool_], FloatArray]:
@@ -436,7 +371,6 @@ def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArra
 WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "count": count,
     "stratified": stratified,
-    "visited": visited,
     "likelihood": likelihood,
 }
 """Name of a weighting -> the function that makes the table.

@@ -29,7 +29,7 @@ def _add_posterior(parser: argparse.ArgumentParser) -> None:
     cli.add(
         parser,
         "--weights NAME",
-        "count, stratified, visited or another; default: the file's",
+        "count, stratified or likelihood; default: the file's",
     )
 
 

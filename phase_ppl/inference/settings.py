@@ -67,8 +67,8 @@ class SimpleSettings:
         others = self.proposal != "paper"
         if others and (self.gamma, self.sign) != (SimpleSettings.gamma, SimpleSettings.sign):
             raise InvalidSettingError(
-                f"gamma={self.gamma:g} and sign={self.sign!r} are settings of proposal='paper'; "
-                f"it is {self.proposal!r}"
+                f"gamma={self.gamma:g} and sign={self.sign!r} are settings of proposal='paper', "
+                "which is to be given with them"
             )
         if self.strength is not None:
             strength_estimator(self.strength)

@@ -62,7 +62,7 @@ def test_efficiency_is_per_simulation() -> None:
     assert np.isnan(efficiency(Posterior(random_tree(1, n_draws=3), "count"))["ess_per_simulation"])
 
 
-@pytest.mark.parametrize("weights", ["count", "visited"])
+@pytest.mark.parametrize("weights", ["count", "likelihood"])
 def test_curve_is_what_a_shorter_run_would_have_said(weights: str) -> None:
     tree = random_tree(2, n_chains=3, n_draws=5)
     post, wanted = Posterior(tree, weights), marginals(two_goals(5))

@@ -1,4 +1,4 @@
-"""The posterior over time: by hand, against weights "visited", and what later frames can change."""
+"""The posterior over time: by hand, against the posterior, and what later frames can change."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.weights import truncated
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
 
 from .factory import (
@@ -53,11 +55,21 @@ def test_prefixes_worked_out_by_hand() -> None:
         Simulation(other, 2, np.log(0.4), -2.0, completed=False, frames=2),
     ]
     tree = make_tree(simulations, [[0, 1]], n_frames=3, by_frame=by_frame)
-    found = Posterior(tree).over_time()
+    # the draws are of the posterior of all frames; at frame t those that come are taken out again
+    drawn_one, drawn_other = np.exp([2.0, 1.0, 0.0]), np.exp([6.0, 4.0, 0.0])
+    check_by_hand(tree, drawn_one / (drawn_one + drawn_other))
+    # with densities of proposals: the mean of the pair's two simulations, the second of which is
+    # stopped before the last frame
+    tree = with_prior(with_densities(tree, 0.0), [(one, 0.6), (other, 0.4)])
+    tree.attrs["rivals_from"] = 0  # every pair is a stratum
     mass_one = 0.6 * np.exp([-1.0, -2.0, -3.0])
-    # the mean of its two simulations; the second is stopped before the last frame
-    mass_other = 0.4 * (np.exp([0.0, -2.0, -6.0]) + np.exp([-1.0, -2.0, -np.inf])) / 2
-    expected = mass_one / (mass_one + mass_other)
+    parts = np.stack([0.2 * np.exp([0.0, -2.0, -6.0]), 0.2 * np.exp([-1.0, -2.0, -np.inf])])
+    masses = [column[column > 0] for column in np.array([mass_one, *parts]).T]
+    check_by_hand(tree, np.array([truncated(mass / mass.sum())[0] for mass in masses]))
+
+
+def check_by_hand(tree: xr.DataTree, expected: FloatArray) -> None:
+    found = Posterior(tree, "count").over_time()
     np.testing.assert_allclose(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), expected)
     np.testing.assert_allclose(found["goal_green"].sel(goal_green_is=PINK_TO_BLUE), expected)
     np.testing.assert_allclose(found["relation"].sel(relation_is="neutral"), expected)
@@ -65,12 +77,8 @@ def test_prefixes_worked_out_by_hand() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_at_the_last_frame_it_is_the_posterior_of_the_visited(seed: int) -> None:
-    tree = tree_by_frame(seed)
-    # the same simulation again, as when two particles ask for it, counts once
-    first = np.append(np.arange(tree["simulations"].sizes["simulation"]), 0)
-    tree["simulations"] = tree["simulations"].isel(simulation=first)
-    check_last_frame(tree, "visited")
+def test_at_the_last_frame_it_is_the_posterior_of_the_draws(seed: int) -> None:
+    check_last_frame(tree_by_frame(seed), "count")
 
 
 def check_last_frame(tree: xr.DataTree, weights: str) -> None:
@@ -93,11 +101,12 @@ def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, prio
     tree = with_densities(tree, log_proposal, np.where(first, np.inf, at_end))
     if prior:
         tree = with_prior(tree, rng.random((36, 36)))
-    check_last_frame(tree, "stratified" if prior else "visited")
+    check_last_frame(tree, "stratified" if prior else "count")
 
 
 def test_later_frames_change_nothing_before_them() -> None:
-    tree = tree_by_frame()
+    tree = with_densities(tree_by_frame(), -10.0)
+    tree = with_prior(tree, np.random.default_rng(0).random((36, 36)))
     before = Posterior(tree).over_time()
     later = tree["simulations"]["step_log_likelihood"].copy()
     later[:, 5:] += np.random.default_rng(1).normal(size=later[:, 5:].shape)

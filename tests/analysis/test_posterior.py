@@ -34,7 +34,7 @@ CATEGORICAL = (
     *("goal_red", "goal_green", "stated_goal_red", "stated_goal_green"),
     *("relation", "scenario", "alpha"),
 )
-WEIGHTS = ("count", "visited", "likelihood")
+WEIGHTS = ("count", "likelihood")
 
 
 @pytest.fixture(scope="module", params=WEIGHTS)
@@ -131,7 +131,7 @@ def test_mean_and_interval_of_a_strength(small: Posterior) -> None:
 
 
 def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does() -> None:
-    post = Posterior(random_tree(2, n_chains=8), "visited")
+    post = Posterior(random_tree(2, n_chains=8), "likelihood")
     table = post.to_dataframe()
     low, high = post.hdi("strength_red", 0.6).values
     mass = post.probability(strength_red=(low, high))

@@ -215,7 +215,7 @@ def test_comparisons_have_errors_as_of_a_definition_that_says_the_same() -> None
 def test_other_weights_answer_a_single_question(small: Posterior) -> None:
     other = Posterior(small.tree, "likelihood")
     assert small.query("E[strength_red]", weights="likelihood") == other.mean("strength_red")
-    assert small.query("P(mood='keen, or not')", weights="visited") > 0
+    assert small.query("P(mood='keen, or not')", weights="likelihood") > 0
     assert small.weights == "count"
     with pytest.raises(ValueError, match="unknown weights 'visit'"):
         small.query("E[strength_red]", weights="visit")

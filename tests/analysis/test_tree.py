@@ -65,9 +65,9 @@ def test_a_scene_without_inner_walls_survives_the_file(tmp_path: Path) -> None:
 
 def test_saving_records_the_weights_in_use_and_leaves_the_tree_alone(tmp_path: Path) -> None:
     tree = random_tree(1)
-    Posterior(tree, "visited").save(tmp_path / "run.nc")
+    Posterior(tree, "likelihood").save(tmp_path / "run.nc")
     assert tree.attrs["weights"] == "count"
-    assert Posterior.load(tmp_path / "run.nc").weights == "visited"
+    assert Posterior.load(tmp_path / "run.nc").weights == "likelihood"
     assert Posterior.load(tmp_path / "run.nc", "count").weights == "count"
 
 

@@ -11,18 +11,15 @@ import pytest
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import (
-    aborted_mass_bound,
     log_sum_exp,
     normalised,
     truncated,
-    visited,
 )
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 
 from .factory import (
     BLUE_TO_RED,
     PINK_TO_BLUE,
-    TO_GREEN,
     Simulation,
     hypothesis,
     make_tree,
@@ -53,7 +50,7 @@ def test_draws_count_alike_unless_the_kernel_gave_them_weights() -> None:
     weightless = with_log_weight(tree, np.full((2, 3), -np.inf))
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
         Posterior(weightless, "count")
-    assert Posterior(weightless, "visited").diagnostics()["weighted_draws_ess"] is None
+    assert Posterior(weightless, "likelihood").diagnostics()["weighted_draws_ess"] is None
 
 
 def test_likelihood_weighs_each_draw_by_its_own_likelihood_of_the_seed_it_had() -> None:
@@ -74,121 +71,35 @@ def test_likelihood_refuses_a_draw_that_rests_on_no_simulation() -> None:
         Posterior(tree, "likelihood")
 
 
-@pytest.mark.parametrize(
-    ("simulations", "expected"),
-    [
-        # A: 0.2 (0.5 + 0.1) / 2 = 0.06, B: 0.04, C: 0.10; how often a chain stayed does not count
-        (
-            [
-                Simulation(A, 1, LOG(0.2), LOG(0.5)),
-                Simulation(A, 2, LOG(0.2), LOG(0.1)),
-                Simulation(B, 3, LOG(0.1), LOG(0.4)),
-                Simulation(C, 4, LOG(0.5), LOG(0.2)),
-            ],
-            {BLUE_TO_RED: 0.3, PINK_TO_BLUE: 0.2, PINK_TO_RED: 0.5},
-        ),
-        # a repeated seed of a hypothesis counts once
-        (
-            [
-                Simulation(A, 1, 0.0, LOG(0.5)),
-                Simulation(A, 1, 0.0, LOG(0.5)),
-                Simulation(A, 2, 0.0, LOG(0.1)),
-                Simulation(B, 3, 0.0, LOG(0.3)),
-            ],
-            {BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5},
-        ),
-        # one outside the prior has no weight
-        ([Simulation(A, 1), Simulation(B, 2, log_prior=-math.inf)], {BLUE_TO_RED: 1.0}),
-    ],
-    ids=["by prior and mean likelihood", "repeated", "outside the prior"],
-)
-def test_visited_weighs_goal_pairs_by_prior_times_mean_likelihood_of_their_runs(
-    simulations: list[Simulation], expected: dict[str, float]
-) -> None:
-    post = Posterior(make_tree(simulations, [[0, 0, 0]]), "visited")
-    assert goal_probabilities(post) == pytest.approx(expected)
-
-
-def test_visited_tells_runs_of_a_pair_apart_and_averages_over_them() -> None:
-    simulations = [
-        Simulation(hypothesis(strengths=(300.0, 450.0)), 1, 0.0, LOG(0.6)),
-        Simulation(hypothesis(strengths=(300.5, 450.0)), 1, 0.0, LOG(0.2)),
-        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED), 1, 0.0, LOG(0.3)),
-        Simulation(hypothesis(TO_GREEN, BLUE_TO_RED, (1, 0)), 1, 0.0, LOG(0.1)),
-    ]
-    rows = visited(make_tree(simulations, [[0]]))
-    np.testing.assert_allclose(rows.weights, np.array([0.3, 0.1, 0.15, 0.05]) / 0.6)
-
-
-def test_visited_takes_failed_runs_as_0_and_a_stopped_run_as_its_lower_bound() -> None:
-    simulations = [
-        Simulation(A, 1, 0.0, LOG(0.4)),
-        Simulation(A, 2, 0.0, LOG(0.2), completed=False),
-        Simulation(A, 3, 0.0, math.nan, completed=False, failed=True),
-        Simulation(B, 4, 0.0, LOG(0.2)),
-        Simulation(C, 5, 0.0, LOG(0.1), completed=False),
-    ]
-    tree = make_tree(simulations, [[0]])
-    # A: (0.4 + at least 0 + 0) / 3 seeds; C was never completed
-    assert goal_probabilities(Posterior(tree, "visited")) == pytest.approx(
-        {BLUE_TO_RED: 0.4, PINK_TO_BLUE: 0.6}
-    )
-    # hidden at most 0.2 / 2 + 0.1 of 0.2 + 0.2 + 0.2
-    assert aborted_mass_bound(tree) == pytest.approx(1 / 3)
-
-
-def test_aborted_mass_bound_limits_what_finishing_the_runs_could_change() -> None:
-    rng = np.random.default_rng(3)
-    hypotheses = [hypothesis(goal) for goal in rng.permutation(32)[:12].tolist()]
-    bounds = rng.uniform(-4, 0, len(hypotheses))
-    stopped = rng.random(len(hypotheses)) < 0.5
-    finished = np.where(stopped, bounds - rng.exponential(1, len(hypotheses)), bounds)
-
-    def goals(values: np.ndarray, done: np.ndarray) -> tuple[np.ndarray, float]:
-        simulations = [
-            Simulation(h, seed, 0.0, float(value), completed=bool(ok))
-            for seed, (h, value, ok) in enumerate(zip(hypotheses, values, done, strict=True))
-        ]
-        first = int(np.argmax(done))
-        tree = make_tree(simulations, [[first]])
-        return Posterior(tree, "visited").marginal("goal_red").values, aborted_mass_bound(tree)
-
-    before, bound = goals(bounds, ~stopped)
-    after, nothing_left = goals(finished, np.ones(len(stopped), bool))
-    assert 0 < 0.5 * np.abs(before - after).sum() <= bound < 1
-    assert nothing_left == 0.0
-
-
-def test_visited_distinguishes_by_a_site_of_the_users_own() -> None:
-    simulations = [Simulation(A, 1), Simulation(A, 1), Simulation(A, 1)]
-    post = Posterior(make_tree(simulations, [[0]], own_site=[0, 1, 1]), "visited")
-    np.testing.assert_allclose(post.marginal("mood"), [0.5, 0.5])
-
-
-@pytest.mark.parametrize("weights", ["visited", "likelihood"])
+@pytest.mark.parametrize("weights", ["stratified", "likelihood"])
 def test_weights_survive_log_densities_far_below_the_smallest_float(weights: str) -> None:
     simulations = [
         Simulation(A, 1, -5000.0, -90000.0),
-        Simulation(B, 2, -5000.0, -90000.0 + LOG(3)),
+        Simulation(B, 2, -5000.0, -90000.0 + LOG(3), iteration=1),
     ]
-    post = Posterior(make_tree(simulations, [[0, 1]]), weights)
-    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.25, PINK_TO_BLUE: 0.75})
+    tree = with_prior(with_densities(make_tree(simulations, [[0, 1]]), 0.0), [(A, 0.5)])
+    found = goal_probabilities(Posterior(tree, weights))
+    # truncated twice, of two by strata
+    of_b = 0.75 if weights == "likelihood" else found[PINK_TO_BLUE]
+    assert found == pytest.approx({BLUE_TO_RED: 1 - of_b, PINK_TO_BLUE: of_b})
+    assert 0.6 < of_b <= 0.75
 
 
-def test_visited_needs_a_completed_simulation() -> None:
-    tree = make_tree([Simulation(A, 1, completed=False)], [[0]])
-    assert aborted_mass_bound(tree) == 1.0
+def test_strata_need_a_completed_simulation() -> None:
+    tree = with_densities(make_tree([Simulation(A, 1, completed=False)], [[0]]), 0.0)
     with pytest.raises(InvalidSettingError, match="at least one completed"):
-        Posterior(tree, "visited")
+        Posterior(with_prior(tree, [(A, 1.0)]), "stratified")
 
 
 def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_close_one() -> None:
     simulations = [Simulation(A, 1, 0.0, LOG(0.9)), Simulation(B, 2, 0.0, LOG(0.1))]
-    tree = make_tree(simulations, [[0, 1]], weights="visited")
-    assert Posterior(tree).weights == "visited"
+    tree = make_tree(simulations, [[0, 1]], weights="likelihood")
+    assert Posterior(tree).weights == "likelihood"
     assert goal_probabilities(Posterior(tree))[BLUE_TO_RED] == pytest.approx(0.9)
-    with pytest.raises(UnknownNameError, match="'visited'"):
-        Posterior(tree, "visitd")
+    with pytest.raises(UnknownNameError, match="'likelihood'"):
+        Posterior(tree, "likelihod")
+    # of earlier versions
+    assert Posterior(make_tree(simulations, [[0, 1]], weights="visited")).weights == "count"
 
 
 def test_log_sum_exp_of_nothing_and_of_zeros_is_minus_infinity() -> None:

@@ -161,8 +161,8 @@ def test_table_and_settings_name_everything(found: ppl.Comparison) -> None:
 
 
 def test_other_weights_can_be_asked_for(reference: ppl.Posterior, found: ppl.Comparison) -> None:
-    other = compare(reference, weights="visited", repeats=1, kernels=["prior_mh"])
-    assert other.settings["weights"] == "visited"
+    other = compare(reference, weights="likelihood", repeats=1, kernels=["prior_mh"])
+    assert other.settings["weights"] == "likelihood"
     assert other.runs["tv_goals"][0] != found.runs["tv_goals"][0]
 
 

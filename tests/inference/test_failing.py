@@ -196,7 +196,7 @@ def test_what_fails_counts_as_impossible_in_all_weights() -> None:
     model = ppl.Model(prior=alike, simulator=slipping)
     options = {**OPTIONS, "chains": 100, "iterations": 4, "weights": "count"}
     post = ppl.infer(EVENT, model, **options)
-    for weights in ("stratified", "visited"):
+    for weights in ("stratified", "count"):
         found = ppl.Posterior(post.tree, weights).probability(goal_red=GOALS[GOALS_ALIKE[0]])
         assert found == pytest.approx(0.2, abs=3 * 0.02), weights
     reference = enumerate_goals(EVENT, model, plan_enumeration(model), per_pair=400, workers=1)

@@ -175,7 +175,7 @@ def test_draws_find_their_simulations_though_their_numbers_are_rounded_in_two_wa
     # what could have been stopped went by the likelihood at a temperature
     with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
         ppl.Posterior(found.tree, "stratified")
-    assert found.over_time().attrs["weights"] == "visited"
+    assert found.over_time().attrs["weights"] == "count"
     seeds = found.tree["sample_stats"]["sim_seed"].values
     assert set(seeds.ravel()) <= set(found.tree["simulations"]["seed"].values)
     drawn = found.tree["posterior"]["strength_red"].values

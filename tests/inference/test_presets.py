@@ -47,8 +47,8 @@ def test_a_preset_is_ones_own_to_change() -> None:
     ("given", "changed", "gone"),
     [
         ({"chains": 4, "planner": None}, {"chains": 4}, set()),
-        ({"planner": "fast", "weights": "visited"},
-         {"planner": "fast", "weights": "visited"}, set()),
+        ({"planner": "fast", "weights": "stratified"},
+         {"planner": "fast", "weights": "stratified"}, set()),
         ({"budget": 30}, {"budget": 30}, {"iterations"}),
         ({"kernel": "local_mh", "rule": "exact"}, {"rule": "exact"}, set()),
         ({"kernel": "prior_mh"}, {"kernel": "prior_mh"},

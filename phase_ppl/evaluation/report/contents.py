@@ -66,7 +66,6 @@ _DIAGNOSTICS: Final = {
     "monte_carlo_error": "Monte-Carlo error of the leading goal",
     "simulations": "simulations",
     "frames_saved_share": "frames saved by stopping early",
-    "aborted_mass_bound": "mass that stopped simulations can hide",
     "best_error_per_frame": "error of the best draw, units per frame",
 }
 """Diagnostic -> how it is called where a few are shown."""
