@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -89,3 +90,16 @@ def test_guide_has_its_density_and_draws_what_can_be(event: Event, tables: Botto
     np.testing.assert_allclose(share, expected, atol=0.03)
     logs = jax.vmap(lambda sites: log_density(guide, sites, 0))(drawn)
     assert np.isfinite(np.asarray(logs)).all()
+
+
+def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
+    event: Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", interrupted)
+    seen = dataclasses.replace(event, observation=Observation(event.observation.trajectory[:4]))
+    with pytest.raises(ppl.Interrupted) as stopped:
+        ppl.infer(seen, kernel="local_mh", chains=2, workers=1, progress=False)
+    assert stopped.value.posterior is None

@@ -213,7 +213,10 @@ class Sampler:
         self._run, self._options, self._runner = run, options, runner
         self._n_frames = run.event.observation.n_frames
         self._bridge = SimulatorBridge(runner, self._n_frames, space_of(run.event.scene.world))
-        self._data = run.data(self._bridge.handle, options.progress)
+        try:
+            self._data = run.data(self._bridge.handle, options.progress)
+        except KeyboardInterrupt as stop:  # while the closed loop reads the video
+            raise Interrupted(None) from stop
         self._kernel = make_kernel(run.recipe, self._data)
         self._length = Length.of(
             *(self._kernel, run.info, run.chains, options.iterations, options.budget),
