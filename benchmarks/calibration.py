@@ -81,11 +81,7 @@ def main() -> None:
 def ranked_kernels() -> list[str]:
     """Return the kernels whose draws all count alike."""
     found = {name: kernel_info(name) for name in ppl.available_kernels()}
-    return [
-        name
-        for name, info in found.items()
-        if info.keeps == "all" and not info.weighted and info.weights is None
-    ]
+    return [name for name, info in found.items() if info.keeps == "all" and not info.weighted]
 
 
 def ranked(task: tuple[int, str, int, dict[str, Any]]) -> list[int]:

@@ -180,9 +180,7 @@ def main() -> None:
     parser.add_argument("--world", nargs="+", default=list(WORLDS), choices=list(WORLDS))
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS)
-    parser.add_argument(
-        "--weights", nargs="+", default=["count", "stratified"]
-    )
+    parser.add_argument("--weights", nargs="+", default=["count", "stratified"])
     parser.add_argument("--keep", metavar="DIR")
     parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
