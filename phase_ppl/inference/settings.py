@@ -140,7 +140,8 @@ def frames(n: int) -> Budget:
 def seconds(n: float) -> Budget:
     """Return a budget of ``n`` seconds of wall time, from the call on.
 
-    The initial particles are simulated in any case, unless one takes longer than all the seconds.
+    The closed loop reads the video, where it proposes, and the initial particles are simulated in
+    any case, unless one takes longer than all the seconds.
     No iteration begins of which those before let expect that it ends too late, so a run rarely
     takes longer, and often somewhat less; one that goes on for a tenth longer is given up.
 
