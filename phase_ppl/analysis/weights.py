@@ -14,7 +14,7 @@ Every query is a sum over such a table. Which weighting is valid when:
     in it by P(h) / Q(h), with Q the density of the proposal that it was drawn from, given all that
     was done before (post-stratification: importance sampling where the share of a stratum is not
     estimated by how often it was drawn, since the prior says it). Pairs that were proposed fewer
-    than five times are one stratum together, which stands for all that was tried less, or never.
+    than twenty times are one stratum together, which stands for all that was tried less, or never.
     It does not matter how it was chosen to simulate a pair, so that rivals, which earlier results
     called for, are strata of their own. The weights P / Q within a stratum, and then those of all,
     are truncated at the square root of their number times their mean (Ionides 2008, JCGS 17:295),
@@ -56,9 +56,10 @@ from phase_ppl.analysis.tree import (
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 
-FEWEST_OF_PAIR: Final = 5
-"""Times that a pair of goals is to be proposed to be a stratum of its own: of pairs tried once or
-twice P / Q would hardly count."""
+FEWEST_OF_PAIR: Final = 20
+"""Times that a pair of goals is to be proposed to be a stratum of its own: in one of a few
+simulations P / Q hardly counts, and strengths stay where they were proposed
+(``benchmarks/estimates.py``)."""
 
 MOST_GROUPS: Final = 32
 """Groups of chains that are left out, at most: more would hardly make errors surer."""

@@ -154,7 +154,10 @@ def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
     assert found == pytest.approx({BLUE_TO_RED: 1 / 2, PINK_TO_BLUE: 1 / 2})
 
 
-def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None:
+def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("phase_ppl.analysis.weights.FEWEST_OF_PAIR", 5)
     # A was drawn more often than B, and by proposals of other densities; its mean L is
     # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 1 : 1, as what was stopped or failed
     # has none. B and C were proposed less than five times: they share what prior A leaves, by P / Q
@@ -196,11 +199,11 @@ def test_rivals_are_strata_of_their_own_and_no_proposals() -> None:
 def test_a_stratum_keeps_its_mass_whichever_chains_are_left_out() -> None:
     # three chains found A and B equally likely, by different numbers of simulations: no doubt
     simulations = [
-        Simulation(h, 10 * chain + i, LOG(0.1), LOG(0.2), chain=chain, iteration=i)
-        for chain, n_of_a in enumerate((2, 4, 6))
-        for i, h in enumerate([A] * n_of_a + [B] * (8 - n_of_a))
+        Simulation(h, 20 * chain + i, LOG(0.1), LOG(0.2), chain=chain, iteration=i)
+        for chain, n_of_a in enumerate((4, 8, 12))
+        for i, h in enumerate([A] * n_of_a + [B] * (16 - n_of_a))
     ]
-    tree = with_densities(make_tree(simulations, [[0], [8], [16]]), 0.0)
+    tree = with_densities(make_tree(simulations, [[0], [16], [32]]), 0.0)
     post = Posterior(with_prior(tree, [(A, 0.5), (B, 0.5)]), "stratified")
     without = post._jackknife(0.0)
     assert without is not None
