@@ -36,10 +36,10 @@ Capture = pytest.CaptureFixture[str]
 TINY = ["--chains", "2", "--iterations", "1", "--workers", "1", "--quiet"]
 
 
-def fails(capsys: Capture, *arguments: str) -> str:
+def fails(capsys: Capture, *arguments: object) -> str:
     """Return the only line of an error with exit code 2."""
     try:
-        code = main(list(arguments))
+        code = main([str(argument) for argument in arguments])
     except SystemExit as stop:
         code = stop.code
     written = capsys.readouterr()
@@ -53,7 +53,7 @@ def fails(capsys: Capture, *arguments: str) -> str:
 def short(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The file of a bundled event's first frames."""
     event = phase_ppl.load_event("collaborate")
-    begins = phase_ppl.Observation(event.observation.trajectory[:20])
+    begins = phase_ppl.Observation(event.observation.trajectory[:12])
     path = tmp_path_factory.mktemp("short") / "short.json"
     phase_ppl.save_event(dataclasses.replace(event, observation=begins), path)
     return str(path)

@@ -95,7 +95,7 @@ def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
 def test_the_readmes_lines_print_a_posterior_and_write_its_files(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shorten(monkeypatch, 20)
+    shorten(monkeypatch, 12)
     shown, _ = examples(README)
     printed = run_script(saved(shown, tmp_path))
     assert "Get pink item to red lm" in printed
