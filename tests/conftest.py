@@ -35,6 +35,10 @@ if metadata.version("jaxlib").startswith("0.10."):
         " --xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1",
     )
 
+# Where a test does not say how many processes are to work, it is its own that does: starting
+# others takes longer than what they would do, and the tests themselves run side by side.
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
+
 # What XLA has compiled is kept, so that the processes of a run, the scripts that tests start and
 # the next run share it.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(COMPILED))

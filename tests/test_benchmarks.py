@@ -50,12 +50,14 @@ def fails(run_script: Run, capsys: pytest.CaptureFixture[str], script: str, *opt
     return f"{stop.value.code} {capsys.readouterr().err}"
 
 
+@pytest.mark.slow
 def test_speed_of_one_transition(figures: Figures) -> None:
     report = figures("simulator.py", "--only", "transitions")
     us = report["transition_us_pymunk"], report["transition_us_compiled"]
     assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="reads /proc")
 def test_memory_that_sets_take(figures: Figures) -> None:
     (row,) = figures("large_sets.py", "--events", "2", "--frames", "34")["sets"]

@@ -36,10 +36,10 @@ Capture = pytest.CaptureFixture[str]
 TINY = ["--chains", "2", "--iterations", "1", "--workers", "1", "--quiet"]
 
 
-def fails(capsys: Capture, *arguments: str) -> str:
+def fails(capsys: Capture, *arguments: object) -> str:
     """Return the only line of an error with exit code 2."""
     try:
-        code = main(list(arguments))
+        code = main([str(argument) for argument in arguments])
     except SystemExit as stop:
         code = stop.code
     written = capsys.readouterr()
@@ -53,7 +53,7 @@ def fails(capsys: Capture, *arguments: str) -> str:
 def short(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The file of a bundled event's first frames."""
     event = phase_ppl.load_event("collaborate")
-    begins = phase_ppl.Observation(event.observation.trajectory[:20])
+    begins = phase_ppl.Observation(event.observation.trajectory[:12])
     path = tmp_path_factory.mktemp("short") / "short.json"
     phase_ppl.save_event(dataclasses.replace(event, observation=begins), path)
     return str(path)
@@ -247,7 +247,7 @@ BAD_INPUT: dict[str, tuple[list[str], str]] = {
     "kernels": (["compare", "collaborate", "--kernels", "local_mh,prior_hm"], "'prior_mh'"),
     "half a kernel": (["compare", "collaborate", "--kernels", "local_mh,"], "different names"),
     "no option": (["compare", "collaborate", "--kernels", "local_mh:rule"], "OPTION=VALUE"),
-    "odd option": (["compare", "collaborate", "--kernels", "local_mh:rule=papr"], "'paper'"),
+    "odd option": (["compare", "short.json", "--kernels", "local_mh:rule=papr"], "'paper'"),
     "no command": ([], "COMMAND"),
 }  # fmt: skip
 SETTINGS = [
@@ -272,7 +272,7 @@ SETTINGS = [
     ("arguments", "message"),
     [
         *BAD_INPUT.values(),
-        *((["infer", "collaborate", "--quiet", *text.split()], told) for text, told in SETTINGS),
+        *((["infer", "short.json", "--quiet", *text.split()], told) for text, told in SETTINGS),
     ],
     ids=[*BAD_INPUT, *(text for text, _ in SETTINGS)],
 )
@@ -285,6 +285,7 @@ def test_bad_input_is_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_bytes(b"PK\x03\x04 and no more")
+    phase_ppl.save_event(make_event(n_frames=12), "short.json")
     assert message in fails(capsys, *arguments)
 
 

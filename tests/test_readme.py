@@ -95,7 +95,7 @@ def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
 def test_the_readmes_lines_print_a_posterior_and_write_its_files(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shorten(monkeypatch, 20)
+    shorten(monkeypatch, 12)
     shown, _ = examples(README)
     printed = run_script(saved(shown, tmp_path))
     assert "Get pink item to red lm" in printed
@@ -153,6 +153,7 @@ def test_citation_and_changelog_are_of_this_version() -> None:
     assert f"\n## [{ppl.__version__}] - {released['date-released']}\n" in changes
 
 
+@pytest.mark.slow
 def test_an_observer_of_ones_own_is_fitted_beside_others(run_script: Callable[..., str]) -> None:
     said = run_script(EXAMPLES_FOLDER / "own_observer.py", "--quick")
     for text in ("timid: r = ", "saturating: r = ", "nats more than"):

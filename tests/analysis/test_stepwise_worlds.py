@@ -103,6 +103,7 @@ def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
         StepwisePosterior(reading().isel(planner_seed=[0]))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_figures_and_the_page_of_a_run_speak_of_its_world(tmp_path: Path) -> None:
     post = posterior()
     figure = ppl.plot.posteriors({"read": post, "alone": post.with_prior("no_social_goals")})

@@ -41,6 +41,7 @@ class Slow:
         return guesses(scene, observation, seed)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_changes_no_answer(tmp_path: Path) -> None:
     model = Slow(tmp_path)
     with local_cluster() as (_, client), the_third_killed(model.begun):

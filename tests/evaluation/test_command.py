@@ -17,6 +17,7 @@ from phase_ppl.evaluation.report import contents
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
+from tests.test_cli import fails
 
 pytestmark = pytest.mark.usefixtures("unpainted")
 
@@ -72,18 +73,6 @@ def run(*arguments: object) -> int:
 
 def evaluate(*arguments: object) -> int:
     return run("evaluate", *arguments, "--workers", "1", "--quiet")
-
-
-def fails(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Return the only line of an error with exit code 2."""
-    try:
-        code = run(*arguments)
-    except SystemExit as stop:
-        code = stop.code  # type: ignore[assignment]
-    error = capsys.readouterr().err
-    assert code == 2
-    assert error.count("\n") == 1
-    return error
 
 
 BOTH = ("--model", "right", "--model")

@@ -31,7 +31,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, Unkno
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
 
-N = 40
+N = 25
 DISTANCE = 3.0
 RELATION = list(QUESTIONS).index("relation")
 
@@ -56,7 +56,7 @@ def world(seed: int = 0, n: int = N, raters: int = 30) -> tuple[Evidence, Answer
 
 
 def fitted(name: str, evidence: Evidence, answers: Answers) -> PeopleFit:
-    return sampled(observer_named(name), name, evidence, answers, draws=150, warmup=100, chains=1)
+    return sampled(observer_named(name), name, evidence, answers, draws=120, warmup=80, chains=1)
 
 
 @pytest.fixture(scope="module")
@@ -114,10 +114,10 @@ def test_what_people_share_is_summed_out(spread: float, sharp: float) -> None:
     own = sharp * np.random.default_rng(0).standard_normal(len(rows))
     names = tuple(map(str, range(len(rows))))
     nobody = np.zeros((0, 4), int), (), np.zeros((0, 2), int), np.zeros(0)
-    axis = np.arange(-8, 8.01, 0.04)
+    axis, step = np.linspace(-8, 8, 161, retstep=True)
     x, y = (one.ravel() for one in np.meshgrid(axis, axis))
     shared = np.outer(x, [1, -1, 0]) / 2**0.5 + np.outer(y, [1, 1, -2]) / 6**0.5
-    log_mass = np.log(norm.pdf(x) * norm.pdf(y) * 0.04**2)
+    log_mass = np.log(norm.pdf(x) * norm.pdf(y) * step**2)
 
     def sure(given: Evidence) -> dict[str, Array]:
         return {"relation": jnp.log(jnp.asarray(law))}

@@ -427,7 +427,7 @@ def test_kernels_are_compared_with_the_truth_and_with_a_reference() -> None:
         dataclasses.replace(walking(), truth=truth),
         ppl.Model(simulator=walkers),
         kernels={"one": "prior_mh", "again": "prior_mh"},  # one program
-        budget=ppl.simulations(160),
+        budget=ppl.simulations(80),
         reference=enumerated(),
         repeats=2,
         chains=8,

@@ -15,7 +15,7 @@ import phase_ppl as ppl
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, bottom_up_tables
 from phase_ppl.models import roles
-from phase_ppl.models.density import draw, log_density
+from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event, Observation
@@ -82,14 +82,15 @@ def test_guide_has_its_density_and_draws_what_can_be(event: Event, tables: Botto
     model = Model(prior=prior, simulator=never_called).in_world(world)
     guide = bottom_up_guide(model.prior, model.sites, tables, prior_share=0.1)
     space, n = space_of(world), 4000
-    drawn = jax.vmap(lambda key: draw(guide, key, 0))(random.split(random.key(0), n))
+    draws = compiled_quickly(jax.vmap(lambda key: draw(guide, key, 0)))
+    drawn = draws(random.split(random.key(0), n))
     columns = {name: np.asarray(values) for name, values in drawn.items()}
     assert all((columns[name] < most).all() for name, most in space.limits.items())
     share = np.bincount(columns[space.company_site], minlength=len(space.ways)) / n
     expected = 0.9 * proposed_ways(event, tables, 0) + 0.1 * prior_of_ways(event)
     np.testing.assert_allclose(share, expected, atol=0.03)
-    logs = jax.vmap(lambda sites: log_density(guide, sites, 0))(drawn)
-    assert np.isfinite(np.asarray(logs)).all()
+    densities = compiled_quickly(jax.vmap(lambda sites: log_density(guide, sites, 0)))
+    assert np.isfinite(np.asarray(densities(drawn))).all()
 
 
 def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
@@ -103,3 +104,13 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
     with pytest.raises(ppl.Interrupted) as stopped:
         ppl.infer(seen, kernel="local_mh", chains=2, workers=1, progress=False)
     assert stopped.value.posterior is None
+
+
+def test_what_is_wrong_is_refused_before_the_video_is_read(
+    event: Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", never_called)
+    seen = dataclasses.replace(event, observation=Observation(event.observation.trajectory[:5]))
+    for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
+        with pytest.raises(ppl.PhasePPLError, match="too small|papr|burn_in=7"):
+            ppl.infer(seen, kernel="local_mh", chains=2, workers=1, progress=False, **wrong)

@@ -26,7 +26,7 @@ from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import Roles
 from tests.browser import needs_browser, running_browser
 from tests.study.studies import HOST, Person, edit, empty_clips, table
-from tests.study.test_browser import Window
+from tests.study.test_browser import Prepared
 
 NURSERY = ppl.World(
     ["red agent", "Anna"], ["ball"], {"cot": (4, 4), "window": (20, 16)}, arena=(0, 24, 0, 20),
@@ -329,8 +329,7 @@ def test_a_browser_goes_through_a_study_of_three_agents(tmp_path: Path) -> None:
     study = Study(folder)
     given: dict[str, dict[str, str]] = {}
     with running_browser() as browser, serving(study) as address:
-        window = Window(browser, study, address)
-        window.prepare()
+        window = Prepared(browser, study, address)
         for number in (1, 2):
             window.sees(f"Animation {number} of 2")
             window.watch()

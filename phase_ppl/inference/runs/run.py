@@ -166,10 +166,15 @@ class Run:
             length *= 2
         return length
 
-    def data(self, bridge: int, progress: bool | None = None) -> Data:
-        """Return what compiled code is told of the event and the bridge with that handle."""
-        scene, observation = self.event.scene, self.event.observation
-        tables = bottom_up_tables(scene, observation, self.settings, progress)
+    def data(self, bridge: int, progress: bool | None = None, *, unread: bool = False) -> Data:
+        """Return what compiled code is told of the event and the bridge with that handle.
+
+        Or as if the closed loop had not to read the video before, to see whether a kernel works.
+        """
+        scene, observation, settings = self.event.scene, self.event.observation, self.settings
+        if unread and settings.proposal == "closed_loop":
+            settings = dataclasses.replace(settings, proposal=None)
+        tables = bottom_up_tables(scene, observation, settings, progress)
         salt = event_salt(scene, observation)
         tables = padded(tables, window_count(self._length, self.settings.window))
         observed = observation.n_frames if self._is_padded else None
@@ -177,7 +182,7 @@ class Run:
 
     def check(self, iterations: int | None, budget: Budget | None) -> None:
         """Make the kernel and trace a step of it, with nothing simulated."""
-        kernel = make_kernel(self.recipe, self.data(0))
+        kernel = make_kernel(self.recipe, self.data(0, unread=True))
         n_frames = self.event.observation.n_frames
         Length.of(kernel, self.info, self.chains, iterations, budget, n_frames)
         # one program: NumPyro's own kernels are made ready by init

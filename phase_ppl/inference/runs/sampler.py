@@ -213,10 +213,8 @@ class Sampler:
         self._run, self._options, self._runner = run, options, runner
         self._n_frames = run.event.observation.n_frames
         self._bridge = SimulatorBridge(runner, self._n_frames, space_of(run.event.scene.world))
-        try:
-            self._data = run.data(self._bridge.handle, options.progress)
-        except KeyboardInterrupt as stop:  # while the closed loop reads the video
-            raise Interrupted(None) from stop
+        # before a video is read, all that can be refused is
+        self._data = run.data(self._bridge.handle, unread=True)
         self._kernel = make_kernel(run.recipe, self._data)
         self._length = Length.of(
             *(self._kernel, run.info, run.chains, options.iterations, options.budget),
@@ -234,6 +232,10 @@ class Sampler:
         self._pace = Pace(self._length, options.began)
         if saved is not None:
             self._go_on(saved)
+        try:
+            self._data = run.data(self._bridge.handle, options.progress)
+        except KeyboardInterrupt as stop:  # while the closed loop reads the video
+            raise Interrupted(None) from stop
 
     @property
     def _done(self) -> int:

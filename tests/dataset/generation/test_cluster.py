@@ -75,6 +75,7 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return folders
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills a process")
 def test_a_killed_worker_changes_no_byte(tmp_path: Path, whole: Path) -> None:
     notes = tmp_path / "notes"

@@ -154,7 +154,7 @@ def test_options_of_sampling_are_refused(options: Any) -> None:
 )
 @pytest.mark.parametrize(
     ("kernel", "chains", "iterations"),
-    [("importance", 400, 15), pytest.param("prior_mh", 40, 2000, marks=pytest.mark.slow)],
+    [("importance", 400, 8), pytest.param("prior_mh", 40, 2000, marks=pytest.mark.slow)],
 )
 def test_kernels_that_sample_find_the_same(
     kernel: str, chains: int, iterations: int, prior: str
@@ -233,6 +233,7 @@ def test_the_registered_model_predicts(tmp_path: Path) -> None:
         ppl.evaluate([short(4)], "stepwise", sharpnes=2)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     event = tmp_path / "event.json"
     ppl.save_event(short(6), event)
