@@ -112,5 +112,5 @@ def test_what_is_wrong_is_refused_before_the_video_is_read(
     monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", never_called)
     seen = dataclasses.replace(event, observation=Observation(event.observation.trajectory[:5]))
     for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
-        with pytest.raises(ppl.PhasePPLError, match="too small|papr|burn_in=7"):
+        with pytest.raises(ppl.PhasePPLError, match=r"too small|papr|burn_in=7"):
             ppl.infer(seen, kernel="local_mh", chains=2, workers=1, progress=False, **wrong)
