@@ -13,6 +13,7 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.inference.entries import entries
+from phase_ppl.inference.runs.run import Run
 from phase_ppl.inference.settings import PRESETS, completed
 from phase_ppl.models.predicate import INDEPENDENT, Thresholds
 from phase_ppl.simulator.joint import DynamicsNoise
@@ -116,24 +117,33 @@ def test_compare_takes_presets_for_kernels() -> None:
 def test_open_settings_are_settled_by_world_kernel_and_simulator() -> None:
     solo = ppl.worlds.SOLO
     event = ppl.simulate(solo.random_scene(0), goals={"red agent": "get to ball"}, frames=3)
-    few: dict[str, Any] = {"chains": 2, "iterations": 1, "workers": 1, "progress": False}
-    post = ppl.infer(event, kernel="local_mh", **few)
-    assert isinstance(post, ppl.Posterior)
-    found = post.settings["simple"]
-    assert (found["proposal"], found["strength"]) == ("closed_loop", "analytic")
-    asked = ppl.infer(event, **ppl.preset("as_printed") | few | {"planner": "fast"})
-    assert isinstance(asked, ppl.Posterior), "settings of SIMPLE ask for it in any world"
-    assert asked.settings["simple"]["proposal"] == "paper"
+    usual = ppl.SimpleSettings()
+
+    def settled(
+        event: ppl.Event, model: ppl.Model, kernel: str, settings: ppl.SimpleSettings = usual
+    ) -> tuple[Any, Any]:
+        found = Run(event, model, kernel, {}, settings, 2, 0).settings
+        return found.proposal, found.strength
+
+    assert settled(event, ppl.Model(), "local_mh") == ("closed_loop", "analytic")
+    assert settled(event, ppl.Model(), "prior_mh") == ("paper", "analytic")
+    assert settled(event, ppl.Model(), "local_mh", PRINTED) == ("paper", "analytic")
+    walk, own = walking_event(), ppl.Model(simulator=walkers)
+    assert settled(walk, ppl.Model(), "mixture") == ("closed_loop", "network")
     # a kernel without windows, and a simulator of one's own, are not worth a reading
-    walk = walking_event()
-    for options in ({"kernel": "prior_mh"}, {"model": ppl.Model(simulator=walkers)}):
-        made = ppl.infer(walk, **options, **few)
-        assert isinstance(made, ppl.Posterior)
-        found = made.settings["simple"]
-        assert (found["proposal"], found["strength"]) == ("learned", "network")
-    noisy = ppl.JointSimulator(noise=DynamicsNoise())
-    assert ppl.Model(simulator=noisy).is_joint
+    assert settled(walk, ppl.Model(), "prior_mh") == ("learned", "network")
+    assert settled(walk, own, "local_mh") == ("learned", "network")
+    noisy = ppl.Model(simulator=ppl.JointSimulator(noise=DynamicsNoise()))
+    assert settled(walk, noisy, "local_mh") == ("closed_loop", "network")
     assert not ppl.Model(likelihood=ppl.StepwiseLikelihood()).is_joint
+
+
+def test_settings_of_simple_ask_for_it_in_any_world() -> None:
+    scene = ppl.worlds.SOLO.random_scene(0)
+    event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=3)
+    few: dict[str, Any] = {"chains": 2, "iterations": 1, "workers": 1, "progress": False}
+    post = ppl.infer(event, settings=ppl.SimpleSettings(proposal="paper"), **few)
+    assert isinstance(post, ppl.Posterior)
 
 
 def test_a_run_that_goes_on_keeps_its_weights(tmp_path: Path) -> None:
