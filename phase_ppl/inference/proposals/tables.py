@@ -107,11 +107,13 @@ def bottom_up_tables(
     observation: Observation,
     settings: Settings,
     progress: bool | None = None,
+    threads: int | None = None,
 ) -> BottomUpTables:
     """Return the tables of an event under some settings.
 
     What these leave open is as where the closed loop does not propose.
-    ``progress`` says whether to show a bar where it takes long, as the closed loop does.
+    ``progress`` says whether to show a bar where it takes long, as the closed loop does, which
+    searches in so many ``threads``, by default one per usable core.
     """
     settings = settings.settled(scene.world, guided=False)
     assert settings.strength is not None, "it is settled"
@@ -123,7 +125,7 @@ def bottom_up_tables(
     estimates = estimated_strengths(settings.strength, scene, observation, windows)
     if settings.proposal != "paper":
         if settings.proposal == "closed_loop":
-            goal, alpha = closed_loop_logits(scene, observation, last, progress)
+            goal, alpha = closed_loop_logits(scene, observation, last, progress, threads)
         else:
             goal, alpha = joint_logits(_scores(scene, observation, first, last))
         # an agent is as strong in one window as in another: the whole observation says it best
@@ -206,15 +208,19 @@ _EVENTS_KEPT: Final = 8
 
 
 def closed_loop_logits(
-    scene: Scene, observation: Observation, last: IntArray, progress: bool | None = None
+    scene: Scene,
+    observation: Observation,
+    last: IntArray,
+    progress: bool | None = None,
+    threads: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return what is probable given the frames up to each of ``last``.
 
     Unnormalised log probabilities: (stretch, way, agent, goal) of stated goals given in which way
-    agents stand to each other, and (stretch, way) beside the prior's. ``progress`` says whether to
-    show a bar while the video is read.
+    agents stand to each other, and (stretch, way) beside the prior's. ``progress`` and ``threads``
+    as of :func:`bottom_up_tables`.
     """
-    table = _read(scene, observation, progress)
+    table = _read(scene, observation, progress, threads)
     space, rows = table.space, table.hypotheses
     n = len(space.ways)
     log_prior = rows.log_prior - rows.log_drawn
@@ -249,7 +255,9 @@ def _sums(way: IntArray, masses: FloatArray, n: int) -> FloatArray:
 
 
 @functools.lru_cache(_EVENTS_KEPT)
-def _read(scene: Scene, observation: Observation, progress: bool | None) -> Table:
+def _read(
+    scene: Scene, observation: Observation, progress: bool | None, threads: int | None
+) -> Table:
     # by object: kernels that are compared share it
     from phase_ppl.analysis.stepwise_table import table_of
     from phase_ppl.inference.stepwise import filter_event
@@ -257,7 +265,8 @@ def _read(scene: Scene, observation: Observation, progress: bool | None) -> Tabl
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
-    return table_of(filter_event(Event(scene, observation), model, progress=progress).dataset)
+    event = Event(scene, observation)
+    return table_of(filter_event(event, model, threads=threads, progress=progress).dataset)
 
 
 # --- features of motion that speak for goals ------------------------------------------------------

@@ -166,15 +166,23 @@ class Run:
             length *= 2
         return length
 
-    def data(self, bridge: int, progress: bool | None = None, *, unread: bool = False) -> Data:
+    def data(
+        self,
+        bridge: int,
+        progress: bool | None = None,
+        threads: int | None = None,
+        *,
+        unread: bool = False,
+    ) -> Data:
         """Return what compiled code is told of the event and the bridge with that handle.
 
-        Or as if the closed loop had not to read the video before, to see whether a kernel works.
+        The closed loop reads the video in so many ``threads``; or as if it had not to, to see
+        whether a kernel works.
         """
         scene, observation, settings = self.event.scene, self.event.observation, self.settings
         if unread and settings.proposal == "closed_loop":
             settings = dataclasses.replace(settings, proposal=None)
-        tables = bottom_up_tables(scene, observation, settings, progress)
+        tables = bottom_up_tables(scene, observation, settings, progress, threads)
         salt = event_salt(scene, observation)
         tables = padded(tables, window_count(self._length, self.settings.window))
         observed = observation.n_frames if self._is_padded else None

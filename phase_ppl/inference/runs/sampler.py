@@ -233,7 +233,8 @@ class Sampler:
         if saved is not None:
             self._go_on(saved)
         try:
-            self._data = run.data(self._bridge.handle, options.progress)
+            threads = options.workers if options.executor is None else None
+            self._data = run.data(self._bridge.handle, options.progress, threads)
         except KeyboardInterrupt as stop:  # while the closed loop reads the video
             raise Interrupted(None) from stop
 
