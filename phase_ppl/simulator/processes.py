@@ -53,6 +53,7 @@ ENVIRONMENT: Final = {
 """Of our workers: the cores are shared out among processes, not threads."""
 
 _PARENT_CHECK_SECONDS: Final = 1.0
+_STARTING_SECONDS: Final = 3.0  # how long a worker that is to end may take to start up
 _LOADED_AT_MOST: Final = 8
 
 
@@ -164,6 +165,13 @@ def pool_for(
     return OwnWorkers(slots or 1, token, packed, warms_up)
 
 
+def _starts(pid: int, process: multiprocessing.process.BaseProcess) -> bool:
+    """Whether a worker of our own is alive, but not yet the head of its group."""
+    with contextlib.suppress(ProcessLookupError):
+        return process.is_alive() and os.getpgid(pid) != pid
+    return False
+
+
 class OwnWorkers:
     """Worker processes that live until they are closed; the tasks' thing is known by a token.
 
@@ -228,6 +236,11 @@ class OwnWorkers:
             if self._executor is None:
                 return
             self._note_processes()
+            # one that starts up while its executor ends would print how it failed to
+            latest = time.monotonic() + _STARTING_SECONDS
+            for pid, process in self._processes.items():
+                while _starts(pid, process) and time.monotonic() < latest:
+                    time.sleep(0.01)
             # loky would look for each worker's children by a program that not every machine
             # has, and without it leaves the worker alive: they are taken from it
             self._executor._processes.clear()
