@@ -164,8 +164,9 @@ def stratified(tree: xr.DataTree) -> Rows:
     known = strata.of >= 0
     group = groups[simulations["chain"].values]
     np.add.at(by_group, (strata.of[known], group[known]), strata.share[known])
-    rows = _of_simulations(tree, row, weights)
-    return dataclasses.replace(rows, strata=(strata.of[row], by_group))
+    values = {name: simulations[name].values[row] for name in _sites(tree)}
+    index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
+    return Rows(values, weights, index, (strata.of[row], by_group))
 
 
 def _has_prior(tree: xr.DataTree) -> bool:
@@ -186,7 +187,8 @@ class _Strata(NamedTuple):
 def _strata(tree: xr.DataTree) -> _Strata:
     """Return the strata: pairs asked for ``FEWEST_OF_PAIR`` times or as rivals, and all others."""
     simulations = tree["simulations"].dataset
-    log_proposal = _log_proposal(simulations)
+    # what was asked for again counts each time
+    log_proposal = -_with_again(simulations, -simulations["log_proposal"].values.astype(float))
     n_requests = _n_requests(simulations)
     with np.errstate(invalid="ignore"):
         log_ratio = simulations["log_prior"].values - log_proposal
@@ -209,22 +211,10 @@ def _strata(tree: xr.DataTree) -> _Strata:
         return _Strata(of, share, log_proposal + np.log(mass[of]) + np.log(share))
 
 
-def _log_proposal(simulations: xr.Dataset) -> FloatArray:
-    """Return (simulation,) log Q; what was asked for again counts each time."""
-    return -_with_again(simulations, -simulations["log_proposal"].values.astype(float))
-
-
 def _are_rivals(tree: xr.DataTree) -> NDArray[np.bool_]:
     """Return (simulation,) which are rivals, there because of what others came to."""
     iteration = tree["simulations"].dataset["iteration"].values
     return np.asarray(iteration >= tree.attrs.get("rivals_from", np.inf))
-
-
-def _of_simulations(tree: xr.DataTree, row: NDArray[np.int64], weights: FloatArray) -> Rows:
-    simulations = tree["simulations"].dataset
-    values = {name: simulations[name].values[row] for name in _sites(tree)}
-    index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
-    return Rows(values, weights, index)
 
 
 def has_proposals(tree: xr.DataTree) -> bool:
@@ -303,17 +293,12 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
     if not (has_proposals(tree) and _has_prior(tree)):
         return "count", *_draws_so_far(tree)
-    return "stratified", *_proposals_so_far(tree, _strata(tree).log_mass)
+    return "stratified", *_strata_so_far(tree)
 
 
-def _proposals_so_far(
-    tree: xr.DataTree, log_base: FloatArray
-) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the rows of simulations and their weights (row, time).
-
-    ``log_base`` is their log weight beside the likelihood and the proposal's density.
-    """
-    simulations = tree["simulations"].dataset
+def _strata_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of simulations and their weights (row, time)."""
+    simulations, log_mass = tree["simulations"].dataset, _strata(tree).log_mass
     known, so_far = _likelihood_so_far(tree)
     n_requests = _n_requests(simulations)
     # a frame that was not simulated counts as one without error where a simulation may be stopped
@@ -326,7 +311,7 @@ def _proposals_so_far(
     for t in range(n_frames):
         rest = (n_frames - 1 - t) * perfect if np.isfinite(perfect) else np.inf
         at_best = so_far[:, t] + (rest if t < n_frames - 1 else 0.0)
-        found = log_base + so_far[:, t]
+        found = log_mass + so_far[:, t]
         found = found + log_reciprocal_proposal(tree, at_best)
         usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
         log_weight[:, t] = np.where(usable, found, -np.inf)

@@ -214,7 +214,13 @@ def test_chains_that_still_move_have_larger_errors() -> None:
     assert still.error > 2 * steady.error
 
 
-def test_errors_of_strata_are_as_large_as_runs_differ() -> None:
+@pytest.mark.parametrize(
+    ("noise", "most"),
+    # where simulations of a pair hardly vary, errors are larger than runs differ: they are no
+    # surer than by as many draws as the weights are worth
+    [(0.5, 2.6), (1.4, 1.35)],
+)
+def test_errors_of_strata_are_as_large_as_runs_differ(noise: float, most: float) -> None:
     """Chains draw three pairs of goals from uneven proposals, with noisy likelihoods."""
     rng = np.random.default_rng(1)
     goals, proposal = [2, 5, 9], np.array([0.5, 0.3, 0.2])
@@ -229,7 +235,7 @@ def test_errors_of_strata_are_as_large_as_runs_differ() -> None:
                     Simulation(
                         hypothesis(goals[which], 12),
                         seed=len(simulations),
-                        log_likelihood=float(rng.normal(-goals[which] / 5, 1.4)),
+                        log_likelihood=float(rng.normal(-goals[which] / 5, noise)),
                         chain=chain,
                         iteration=iteration,
                     )
@@ -238,10 +244,10 @@ def test_errors_of_strata_are_as_large_as_runs_differ() -> None:
         tree = with_densities(tree, log_proposal)
         tree = with_prior(tree, [(hypothesis(goal, 12), 1 / 3) for goal in goals])
         results.append(Posterior(tree, "stratified").probability(goal_red=GOALS[2]))
-    # somewhat larger: no surer than by as many draws as the weights are worth
-    assert 0.9 < error_over_spread(results) < 1.6
+    assert 0.75 < error_over_spread(results) < most
     exact = np.exp(-np.array(goals) / 5) / np.exp(-np.array(goals) / 5).sum()
-    assert np.mean(results) == pytest.approx(exact[0], abs=0.03)  # truncated
+    bias = 0.02 if noise == 0.5 else 0.4 * np.std(results)  # of truncating large weights
+    assert np.mean(results) == pytest.approx(exact[0], abs=bias)
 
 
 @pytest.mark.parametrize("n", [2, 5, 30])

@@ -232,7 +232,7 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(kernel: str, tmp_path: 
     assert post.tree["posterior"].sizes["draw"] == DRAWS.get(kernel, 2)
     assert post.cost["simulations"] <= MOST[kernel]
     weighted = kernel_info(kernel).weighted
-    assert post.weights == ("count")
+    assert post.weights == "count"
     assert ("weighted draws" in post.diagnostics()["verdict"]) == weighted
     weight = post.tree["sample_stats"]["log_weight"].values
     assert (np.ptp(weight) > 0) == (kernel in ("enumerate", "importance"))
