@@ -153,7 +153,7 @@ def stratified(tree: xr.DataTree) -> Rows:
     strata, simulations = _strata(tree), tree["simulations"].dataset
     with np.errstate(invalid="ignore"):  # of what failed
         log_weight = strata.log_mass + simulations["log_likelihood"].values
-        log_weight = log_weight + log_reciprocal_proposal(tree)
+        log_weight = log_weight + _log_reciprocal_proposal(tree)
     usable = simulations["completed"].values & ~simulations["failed"].values
     row = np.flatnonzero(usable & np.isfinite(log_weight))
     if not row.size:
@@ -244,7 +244,7 @@ def _with_again(simulations: xr.Dataset, log_first: FloatArray) -> FloatArray:
         return np.asarray(np.logaddexp(first, again), np.float64)
 
 
-def log_reciprocal_proposal(
+def _log_reciprocal_proposal(
     tree: xr.DataTree, log_likelihood: FloatArray | None = None
 ) -> FloatArray:
     """Return (simulation,) log 1 / (Q(h) P(it was not stopped)); NaN where Q is not known.
@@ -252,8 +252,6 @@ def log_reciprocal_proposal(
     The log likelihood is that at best, as far as it was needed; by default of whole simulations.
     """
     simulations = tree["simulations"].dataset
-    if "log_proposal" not in simulations:
-        return np.full(simulations.sizes["simulation"], np.nan)
     if log_likelihood is None:
         log_likelihood = simulations["log_likelihood"].values.astype(float)
     bound = simulations["log_bound"].values
@@ -312,7 +310,7 @@ def _strata_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
         rest = (n_frames - 1 - t) * perfect if np.isfinite(perfect) else np.inf
         at_best = so_far[:, t] + (rest if t < n_frames - 1 else 0.0)
         found = log_mass + so_far[:, t]
-        found = found + log_reciprocal_proposal(tree, at_best)
+        found = found + _log_reciprocal_proposal(tree, at_best)
         usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
         log_weight[:, t] = np.where(usable, found, -np.inf)
     rows = np.flatnonzero(np.isfinite(log_weight).any(axis=1))

@@ -57,12 +57,13 @@ def path(tmp_path: Path, finished: bytes) -> Path:
 # --- going on --------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_finished_run_is_extended_to_what_a_longer_one_gives(
-    path: Path, whole: ppl.Posterior
+    path: Path, whole: ppl.Posterior, workers: int
 ) -> None:
     before = Checkpoint(path)
     rivals = sum(record.iteration > before.done for record in before.records)
-    longer = resume(path, iterations=4)
+    longer = resume(path, iterations=4, workers=workers)
     assert_same_draws(whole.tree, longer.tree)
     assert longer.settings == whole.settings
     assert longer.cost["simulations"] == whole.cost["simulations"] + rivals

@@ -43,12 +43,6 @@ BLOCKS = 7
 
 EXACT = ("enumerated_gibbs", "local_mh", "mixture", "prior_mh", "random_walk_mh", "single_site_mh")
 
-each_run = pytest.mark.parametrize(
-    "name",
-    # what a mixture chooses among is local_mh and prior_mh
-    [pytest.param(one, marks=pytest.mark.slow if one == "mixture" else ()) for one in EXACT],
-)
-
 ERRORS = table_errors()
 KEYS = random.split(random.key(0), CHAINS)
 
@@ -153,7 +147,7 @@ def test_no_exact_kernel_is_left_out() -> None:
     assert {name for name in available_kernels() if can_be_tested(name)} == set(EXACT)
 
 
-@each_run
+@pytest.mark.parametrize("name", EXACT)
 def test_draws_visit_hypotheses_as_often_as_the_posterior_says(name: str) -> None:
     z = {site: values[BLOCK:] for site, values in run(name).states.z.items()}
     share = np.stack([visited_share({s: v[:, c] for s, v in z.items()}) for c in range(CHAINS)])
@@ -164,7 +158,7 @@ def test_draws_visit_hypotheses_as_often_as_the_posterior_says(name: str) -> Non
     assert total_variation(share.mean(axis=0), exact_characters(ERRORS).share) < 2 * expected
 
 
-@each_run
+@pytest.mark.parametrize("name", EXACT)
 def test_a_users_own_sites_have_their_posterior(name: str) -> None:
     z = run(name).states.z
     for site, exact in exact_characters(ERRORS).means.items():
@@ -174,7 +168,7 @@ def test_a_users_own_sites_have_their_posterior(name: str) -> None:
         assert error < 0.2 * z[site].std(), site
 
 
-@each_run
+@pytest.mark.parametrize("name", EXACT)
 def test_no_particle_pays_for_more_simulations_than_promised(name: str) -> None:
     _, _, runner, bridge = run(name)
     promised = kernel_info(name).sims_per_step
@@ -186,7 +180,7 @@ def test_no_particle_pays_for_more_simulations_than_promised(name: str) -> None:
         assert len(runner.batches) == 1 + steps
 
 
-@each_run
+@pytest.mark.parametrize("name", EXACT)
 def test_early_rejection_changes_no_decision(name: str) -> None:
     stopped, _, _, bridge = run(name)
     whole, _, _, whole_bridge = run(name, blocks=1, stops_early=False)
@@ -227,7 +221,7 @@ def test_a_single_particle_is_stopped_early_only_where_that_is_wanted(name: str)
         assert any(stops) == early_reject
 
 
-@each_run
+@pytest.mark.parametrize("name", EXACT)
 def test_particles_do_not_notice_each_other(name: str) -> None:
     others = random.split(random.key(1), CHAINS)
     among = follow(name, others.at[7].set(KEYS[4]), START, 1, TableRunner(ERRORS)).states
@@ -244,7 +238,7 @@ def test_a_particle_moves_among_others_as_it_would_alone() -> None:
     assert_same(alone, run(name).states, (slice(BLOCK), 4), rtol=1e-5, atol=1e-4)
 
 
-@each_run
+@pytest.mark.parametrize("name", EXACT)
 def test_a_state_agrees_with_its_own_simulation(name: str) -> None:
     states = run(name).states
     assert np.isfinite(states.step_error).all()
@@ -254,7 +248,7 @@ def test_a_state_agrees_with_its_own_simulation(name: str) -> None:
     np.testing.assert_allclose(states.step_error[neither], expected, rtol=1e-5)
 
 
-@each_run
+@pytest.mark.parametrize("name", EXACT)
 def test_a_particle_stays_with_its_simulation_until_it_accepts_another(name: str) -> None:
     states = run(name).states
     stayed = ~states.accepted[1:]
