@@ -1,6 +1,7 @@
 """SIMPLE, the paper's model: inference over goals, relation and strengths by simulation.
 
-Beside it the closed-loop model, and lesions of SIMPLE.
+Beside it the closed-loop model, and lesions of SIMPLE. Where the closed loop proposes goals, it is
+the intact one for lesions too: what they lose shows in which simulations fit, not in what is tried.
 """
 
 from __future__ import annotations
