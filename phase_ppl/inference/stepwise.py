@@ -282,10 +282,12 @@ def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArr
     if progress is False or is_shown(progress):
         yield from counted(frames, progress, "frame", "reading")
         return
-    began = time.monotonic()
+    begun: list[float] = []
     for index, frame in enumerate(frames):
+        begun.append(time.monotonic())
         if index == _TIMED:
-            left = (time.monotonic() - began) / _TIMED * (len(frames) - _TIMED)
+            # the median, as whatever is not compiled yet is in the first frames that need it
+            left = float(np.median(np.diff(begun))) * (len(frames) - _TIMED)
             if left > _LONG:
                 print(
                     f"reading {len(frames)} more frames takes about {left / 60:.0f} min",

@@ -131,6 +131,15 @@ def test_a_long_reading_says_how_long(
     assert capsys.readouterr().err == ""
 
 
+def test_how_long_a_reading_takes_is_not_told_by_the_frame_that_compiles(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = itertools.chain([0.0], itertools.count(60.0, 0.1))
+    monkeypatch.setattr(enumerate_.time, "monotonic", lambda: next(clock))
+    assert len(list(enumerate_._timed([np.zeros(1)] * 50, None))) == 50
+    assert capsys.readouterr().err == ""
+
+
 def test_other_likelihoods_and_simulators_cannot_be_read() -> None:
     event = short(3)
     with pytest.raises(InvalidSettingError, match="takes a StepwiseLikelihood"):
