@@ -87,17 +87,12 @@ class SimulationResult:
 
     @classmethod
     def failed(
-        cls,
-        hypothesis: Hypothesis | Roles,
-        seed: int,
-        n_frames: int,
-        failure: str,
-        seconds: float = 0.0,
+        cls, hypothesis: Hypothesis | Roles, seed: int, n_frames: int, why: str, seconds: float = 0
     ) -> SimulationResult:
         """Return the result of a simulation that gave nothing."""
         trajectory = np.full((n_frames, len(hypothesis.world.entities), 3), np.nan)
         errors = np.full(n_frames, np.inf)
-        return cls(hypothesis, seed, trajectory, errors, 0, False, seconds, failure)
+        return cls(hypothesis, int(seed), trajectory, errors, 0, False, seconds, why)
 
 
 def random_generator(seed: int) -> np.random.Generator:
@@ -132,25 +127,19 @@ def simulate_one(
         stop: whatever of these is done ends it, also within a frame.
         deadline: time, by ``time.perf_counter``, that ends it.
     """
-
-    def work() -> SimulationResult:
-        return _follow(
-            lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
-            hypothesis,
-            seed,
-            observed_positions,
-            error_ceiling,
-            cancelled,
-        )
-
+    follow = functools.partial(
+        _follow,
+        lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
+        *(hypothesis, seed, observed_positions, error_ceiling, cancelled),
+    )
     if error_ceiling < 0:
-        return work()
-
-    def failed(reason: str) -> SimulationResult:
-        n_frames = len(observed_positions)
-        return SimulationResult.failed(hypothesis, int(seed), n_frames, reason, limit)
-
-    return in_time(work, failed, limit, stop, deadline)
+        return follow()
+    n_frames = len(observed_positions)
+    return in_time(
+        follow,
+        lambda why: SimulationResult.failed(hypothesis, seed, n_frames, why, limit),
+        *(limit, stop, deadline),
+    )
 
 
 def too_long(limit: float) -> str:
@@ -236,9 +225,9 @@ def simulate_together(
         if batch.shape != expected:
             raise SimulationError(f"the batch has shape {batch.shape}, expected {expected}")
     except (Exception, SystemExit) as error:
-        failure = described(error)
+        why = described(error)
         results = [
-            SimulationResult.failed(hypothesis, int(seed), n_frames, failure)
+            SimulationResult.failed(hypothesis, seed, n_frames, why)
             for hypothesis, seed in zip(hypotheses, seeds, strict=True)
         ]
     else:
@@ -255,20 +244,15 @@ def simulate_trajectory(
 ) -> FloatArray:
     """Return a simulated trajectory (time, entity, coord); nothing is observed."""
     shape = len(scene.world.entities), 3
-    trajectory = np.empty((n_frames, *shape))
-    effective: Any = hypothesis.effective()
+    start = functools.partial(simulator, scene, hypothesis.effective(), random_generator(seed))
     try:
-        incoming = _checked(
-            lambda: simulator(scene, effective, random_generator(seed)), n_frames, shape
-        )
-        with contextlib.closing(incoming):
-            for t in range(n_frames):
-                trajectory[t] = next(incoming)
+        with contextlib.closing(_checked(start, n_frames, shape)) as incoming:
+            # a simulator may change its frame in place
+            return np.array([next(incoming).copy() for _ in range(n_frames)])
     except (Exception, SystemExit) as error:
         raise SimulationError(
             f"simulation of [{hypothesis}] with seed {seed} failed: {described(error)}"
         ) from error
-    return trajectory
 
 
 def _follow(
@@ -301,15 +285,10 @@ def _follow(
         raise
     except (Exception, SystemExit) as error:  # a simulator may raise anything
         failure = described(error)
+    completed = done == n_frames and failure is None
+    seconds = time.perf_counter() - clock
     return SimulationResult(
-        hypothesis,
-        int(seed),
-        trajectory,
-        errors,
-        frames_simulated=done,
-        completed=done == n_frames and failure is None,
-        seconds=time.perf_counter() - clock,
-        failure=failure,
+        hypothesis, int(seed), trajectory, errors, done, completed, seconds, failure
     )
 
 
@@ -331,17 +310,15 @@ def _checked(
                 raise SimulationError(f"frame {count - 1} holds {shown(given)}, expected numbers")
             frame = values.astype(np.float64, copy=False)
             if frame.shape != shape:
-                raise SimulationError(
-                    f"frame {count - 1} has shape {frame.shape}, expected {shape}"
-                )
+                found = f"has shape {frame.shape}"
+                raise SimulationError(f"frame {count - 1} {found}, expected {shape}")
             if not (np.abs(frame) < _FINITE).all():
                 raise SimulationError(f"frame {count - 1} holds a value that is not finite")
             yield frame
         raise SimulationError(f"the simulator ended after {count} of {n_frames} frames")
     finally:
-        close = getattr(incoming, "close", None)
-        if close is not None:
-            close()
+        if hasattr(incoming, "close"):
+            incoming.close()
 
 
 def described(error: BaseException) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -93,8 +94,7 @@ class JointSimulator:
         self, scene: Scene, hypothesis: Hypothesis | Roles, rng: np.random.Generator
     ) -> Iterator[NDArray[np.float64]]:
         """Yield frames (entity, 3) = x, y [units], angle [rad], the start first."""
-        for frame, _ in self.steps(scene, hypothesis, rng):
-            yield frame
+        return (frame for frame, _ in self.steps(scene, hypothesis, rng))
 
     def steps(
         self,
@@ -158,39 +158,21 @@ _FRAME_BYTES: Final = 10_000  # of memory, with what the agents thought
 _OVERLAP: Final = 0.25  # units by which bodies may overlap at the start; the world moves them apart
 
 
-class _Thinking:
-    """The joint simulator, with a note of what the agents think."""
-
-    def __init__(self, simulator: JointSimulator) -> None:
-        self._simulator = simulator
-        self._notes: list[tuple[Any, ...]] = []
-
-    def __call__(
-        self, scene: Scene, hypothesis: Hypothesis | Roles, rng: np.random.Generator
-    ) -> Iterator[NDArray[np.float64]]:
-        offsets = CENTRE_OF_MASS_Y * scene.radius
-        offsets[len(scene.world.agents) :] = 0.0
-        for frame, pair in self._simulator.steps(scene, hypothesis, rng):
-            if pair:  # beliefs change in place
-                poses = np.stack([one.beliefs.bodies[..., :3] for one in pair])
-                poses[..., 0] += np.sin(poses[..., 2]) * offsets
-                poses[..., 1] -= np.cos(poses[..., 2]) * offsets
-                self._notes.append(
-                    (
-                        tuple(one.intent.subgoal for one in pair),
-                        [int(one.action) for one in pair],
-                        [len(one.intent.agreeing) / poses.shape[1] for one in pair],
-                        np.stack([one.beliefs.observed for one in pair]),
-                        [one.held for one in pair],
-                        poses.astype(np.float32),
-                    )
-                )
-            yield frame
-
-    def thoughts(self) -> Thoughts:
-        """Return what was noted."""
-        subgoals, *others = zip(*self._notes, strict=True)
-        return Thoughts(subgoals, *map(np.array, others))
+def _thoughts(decisions: Sequence[Decision], scene: Scene) -> tuple[Any, ...]:
+    """Return what the agents think at one moment, in the order of ``Thoughts``."""
+    offsets = CENTRE_OF_MASS_Y * scene.radius
+    offsets[len(scene.world.agents) :] = 0.0
+    poses = np.stack([one.beliefs.bodies[..., :3] for one in decisions])
+    poses[..., 0] += np.sin(poses[..., 2]) * offsets
+    poses[..., 1] -= np.cos(poses[..., 2]) * offsets
+    return (
+        tuple(one.intent.subgoal for one in decisions),
+        [int(one.action) for one in decisions],
+        [len(one.intent.agreeing) / poses.shape[1] for one in decisions],
+        np.stack([one.beliefs.observed for one in decisions]),
+        [one.held for one in decisions],
+        poses.astype(np.float32),
+    )
 
 
 def simulate(
@@ -265,8 +247,19 @@ def simulate(
             "fly apart; overlapping=True simulates it all the same"
         )
     run = JointSimulator(planner) if simulator is None else simulator
-    thinking = _Thinking(run) if type(run) is JointSimulator else None
-    trajectory = simulate_trajectory(thinking or run, scene, hypothesis, seed, frames)
+    notes: list[tuple[Any, ...]] = []  # beliefs change in place
+
+    def noted(joint: JointSimulator, *given: Any) -> Iterator[NDArray[np.float64]]:
+        for frame, decisions in joint.steps(*given):
+            if decisions:
+                notes.append(_thoughts(decisions, scene))
+            yield frame
+
+    source = functools.partial(noted, run) if type(run) is JointSimulator else run
+    trajectory = simulate_trajectory(source, scene, hypothesis, seed, frames)
     truth = hypothesis if isinstance(hypothesis, Roles) else Truth.of(hypothesis)
-    thoughts = None if thinking is None else thinking.thoughts()
+    thoughts = None
+    if notes:
+        subgoals, *others = zip(*notes, strict=True)
+        thoughts = Thoughts(subgoals, *map(np.array, others))
     return Event(scene, Observation(trajectory), id=id, truth=truth, thoughts=thoughts)

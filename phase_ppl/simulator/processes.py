@@ -79,7 +79,14 @@ def _start_worker(token: str, packed: bytes) -> None:
     # a group of its own: Ctrl-C in the terminal is for the parent alone, which decides what it
     # means; and what work starts can be ended together with its worker
     os.setpgid(0, 0)
-    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+    parent = os.getppid()
+
+    def end_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECK_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
     _packed[token] = packed
 
 
@@ -87,12 +94,6 @@ def in_worker() -> bool:
     """Return whether this process does the work of another."""
     own = f"{os.getpid()}-"  # of an executor whose workers are threads
     return bool(_packed) or not all(token.startswith(own) for token in _loaded)
-
-
-def _end_with_parent(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_PARENT_CHECK_SECONDS)
-    os._exit(1)
 
 
 def _do_in_worker(
@@ -141,17 +142,12 @@ def slots_of(workers: int | None, executor: Executor | None) -> int | None:
 def pool_for(
     thing: Any, what: str, slots: int | None, executor: Executor | None, warms_up: bool
 ) -> OwnWorkers | BorrowedExecutor:
-    """Return what gets tasks that work with a thing done, ``slots`` at a time.
+    """Return what gets tasks that work with a thing done, in an executor or own processes.
 
-    Args:
-        thing: what all tasks work with; pickled here and now.
-        what: name of the thing in error messages.
-        slots: worker processes, or tasks to give the executor at a time, None: all.
-        executor: somebody's; None: own processes.
-        warms_up: whether the thing has something to do once, for all.
+    ``slots`` tasks at a time, None: all that the executor takes. The thing is pickled here and now;
+    ``what`` names it in messages, ``warms_up`` says whether it has something to do once, for all.
 
-    Raises:
-        InvalidSettingError: the thing cannot be sent to processes.
+    InvalidSettingError: the thing cannot be sent to processes.
     """
     try:
         packed = cloudpickle.dumps(thing)
@@ -163,13 +159,6 @@ def pool_for(
     if executor is not None:
         return BorrowedExecutor(executor, slots, token, packed)
     return OwnWorkers(slots or 1, token, packed, warms_up)
-
-
-def _starts(pid: int, process: multiprocessing.process.BaseProcess) -> bool:
-    """Whether a worker of our own is alive, but not yet the head of its group."""
-    with contextlib.suppress(ProcessLookupError):
-        return process.is_alive() and os.getpgid(pid) != pid
-    return False
 
 
 class OwnWorkers:
@@ -239,14 +228,18 @@ class OwnWorkers:
             # one that starts up while its executor ends would print how it failed to
             latest = time.monotonic() + _STARTING_SECONDS
             for pid, process in self._processes.items():
-                while _starts(pid, process) and time.monotonic() < latest:
-                    time.sleep(0.01)
+                with contextlib.suppress(ProcessLookupError):
+                    # it is the head of its group once it has started up
+                    while process.is_alive() and os.getpgid(pid) != pid:
+                        if time.monotonic() > latest:
+                            break
+                        time.sleep(0.01)
             # loky would look for each worker's children by a program that not every machine
             # has, and without it leaves the worker alive: they are taken from it
             self._executor._processes.clear()
             self._executor.shutdown(wait=True, kill_workers=True)
             for pid, process in self._processes.items():
-                # the worker, and its own group, which exists once it has started up
+                # the worker, and its own group
                 for kill in (os.kill, os.killpg) if process.is_alive() else ():
                     with contextlib.suppress(ProcessLookupError, PermissionError):
                         kill(pid, signal.SIGKILL)
@@ -343,6 +336,7 @@ class _Task(Generic[Job]):
     begun: float = 0.0
 
 
+@dataclasses.dataclass(eq=False)
 class Dispatch(Generic[Job]):
     """Gets jobs through a pool: each in its own time, and again where it was lost.
 
@@ -356,28 +350,23 @@ class Dispatch(Generic[Job]):
     ``time.perf_counter``. ``retries`` jobs were run again so far.
     """
 
-    def __init__(
-        self,
-        pool: OwnWorkers | BorrowedExecutor,
-        function: Callable[..., Any],
-        jobs: Sequence[Job],
-        arguments: Callable[[Job], tuple[Any, ...]],
-        failed: Callable[[Job, str, BaseException | None], Any],
-        stop: Future[None] | None = None,
-        limit: Callable[[], float] = lambda: math.inf,
-        deadline: float = math.inf,
-    ) -> None:
+    _pool: OwnWorkers | BorrowedExecutor
+    _function: Callable[..., Any]
+    jobs: dataclasses.InitVar[Sequence[Job]]
+    _arguments: Callable[[Job], tuple[Any, ...]]
+    _failed: Callable[[Job, str, BaseException | None], Any]
+    _stop: Future[None] = dataclasses.field(default_factory=Future)
+    _limit: Callable[[], float] = lambda: math.inf
+    _deadline: float = math.inf
+
+    def __post_init__(self, jobs: Sequence[Job]) -> None:
         self.retries = 0
-        self._pool, self._function, self._arguments = pool, function, arguments
-        self._failed = failed
-        self._stop: Future[None] = Future() if stop is None else stop
-        self._limit, self._deadline = limit, deadline
         self._hung: set[int] = set()
         self._waiting = deque(_Task(job) for job in jobs)
         self._suspects: deque[_Task[Job]] = deque()
         self._running: dict[Future[Any], _Task[Job]] = {}
-        if isinstance(pool, OwnWorkers):
-            pool.suffice(len(jobs))
+        if isinstance(self._pool, OwnWorkers):
+            self._pool.suffice(len(jobs))
 
     def results(self) -> Generator[tuple[Job, Any], None, None]:
         """Yield each job with its result, as they finish. Closing this ends what runs."""
@@ -411,22 +400,20 @@ class Dispatch(Generic[Job]):
             source = self._suspects or self._waiting
             if not source or (self._suspects and self._running):
                 return
+            task = source[0]
+            task.begun = time.perf_counter()
+            given = self._function, self._arguments(task.job), task.with_thing
             try:
-                future = self._submit(source[0])
+                future = self._pool.submit(*given)
             except BrokenExecutor:
                 if self._running:  # they are about to end as lost
                     return
                 # a worker died while there was nothing to do
                 self._pool.stop(())
-                future = self._submit(source[0])
-            task = source.popleft()
-            self._running[future] = task
+                future = self._pool.submit(*given)
+            self._running[future] = source.popleft()
             if task.losses and self._pool.restarts:
                 return
-
-    def _submit(self, task: _Task[Job]) -> Future[Any]:
-        task.begun = time.perf_counter()
-        return self._pool.submit(self._function, self._arguments(task.job), task.with_thing)
 
     def _finished(self) -> list[Future[Any]]:
         """Wait; return what has ended, or all that runs where the pool had to be stopped."""
@@ -479,11 +466,12 @@ class Dispatch(Generic[Job]):
         if error is None:
             return future.result()
         if self._hung:
-            return self._failed(task.job, too_long(self._limit()), None)
-        if isinstance(error, BrokenExecutor):
-            times = f"in {task.losses} of {task.losses} runs"
-            return self._failed(task.job, f"its worker process died, {times}", None)
-        return self._failed(task.job, described(error), error)
+            why, error = too_long(self._limit()), None
+        elif isinstance(error, BrokenExecutor):
+            why, error = f"its worker process died, in {task.losses} of {task.losses} runs", None
+        else:
+            why = described(error)
+        return self._failed(task.job, why, error)
 
     def _check_cancelled(self) -> None:
         if self._stop.done():
@@ -549,11 +537,7 @@ def results(
     slots = number_of_workers(workers) if executor is None else workers or AT_ONCE
     pool = pool_for(thing, what, slots, executor, hasattr(thing, "warm_up"))
     dispatch = Dispatch(
-        pool,
-        _attempt,
-        jobs,
-        lambda job: (function, job),
-        lambda job, reason, error: Failure(reason, error),
+        *(pool, _attempt, jobs, lambda job: (function, job), lambda _, *why: Failure(*why))
     )
     try:
         with contextlib.closing(dispatch.results()) as found:

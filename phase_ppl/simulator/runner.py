@@ -7,7 +7,7 @@ import dataclasses
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
 from typing import Any, Final, NamedTuple
 
@@ -79,19 +79,12 @@ class Work(NamedTuple):
     observed_positions: FloatArray  # (time, entity, 2) x, y, units
 
     def simulate(
-        self,
-        hypothesis: Hypothesis | Roles,
-        seed: int,
-        error_ceiling: float,
-        limit: float,
-        **more: Any,
+        self, what: Hypothesis | Roles, seed: int, ceiling: float, limit: float, **more: Any
     ) -> SimulationResult:
         """Run one simulation; arguments as of :func:`simulate_one`."""
+        observed = self.observed_positions
         return simulate_one(
-            *(self.simulator, self.scene, hypothesis, seed, self.observed_positions),
-            error_ceiling,
-            limit=limit,
-            **more,
+            self.simulator, self.scene, what, seed, observed, ceiling, limit=limit, **more
         )
 
     def warm_up(self) -> None:
@@ -212,14 +205,20 @@ class Runner:
                 one result.
             error_ceilings: (n,) summed error beyond which each one is stopped, units.
         """
-        requests = self._requests(hypotheses, seeds, error_ceilings)
-        distinct = list(dict.fromkeys(requests))
+        ceilings = [math.inf] * len(seeds) if error_ceilings is None else error_ceilings
+        if any(map(math.isnan, ceilings)):
+            raise InvalidSettingError("an error ceiling is nan, expected a number or inf")
+        asked = zip(hypotheses, map(int, seeds), map(float, ceilings), strict=True)
+        requests: list[Request] = list(asked)
         with self._one_run:
             clock = time.perf_counter()
             try:
                 self._attempts_left = self.retries
-                done = self._run_distinct(distinct)
-                while self._attempts_left and (failed := _to_retry(done)):
+                done = self._run_distinct(list(dict.fromkeys(requests)))
+                while self._attempts_left:
+                    failed = [one for one, result in done.items() if result.failure is not None]
+                    if not failed:
+                        break
                     self._attempts_left -= 1
                     done |= self._run_again(failed)
             finally:
@@ -236,42 +235,20 @@ class Runner:
     def _run_again(self, failed: Sequence[Request]) -> dict[Request, SimulationResult]:
         """Return the results of failed requests with fresh seeds, under the seeds asked for."""
         attempt = self.retries - self._attempts_left
-        fresh = {
-            (hypothesis, seed, ceiling): (hypothesis, fresh_seed(seed, attempt), ceiling)
-            for hypothesis, seed, ceiling in failed
-        }
+        fresh = [(what, fresh_seed(seed, attempt), ceiling) for what, seed, ceiling in failed]
         self.statistics.retries += len(fresh)
-        done = self._run_distinct(list(dict.fromkeys(fresh.values())))
+        done = self._run_distinct(list(dict.fromkeys(fresh)))
         return {
             request: dataclasses.replace(done[again], seed=request[1])
-            for request, again in fresh.items()
+            for request, again in zip(failed, fresh, strict=True)
         }
-
-    def _requests(
-        self,
-        hypotheses: Sequence[Hypothesis | Roles],
-        seeds: Sequence[int],
-        error_ceilings: Sequence[float] | None,
-    ) -> list[Request]:
-        ceilings = [math.inf] * len(seeds) if error_ceilings is None else error_ceilings
-        for ceiling in ceilings:
-            if math.isnan(ceiling):
-                raise InvalidSettingError("an error ceiling is nan, expected a number or inf")
-        return [
-            (hypothesis, int(seed), float(ceiling))
-            for hypothesis, seed, ceiling in zip(hypotheses, seeds, ceilings, strict=True)
-        ]
 
     def _run_here(self, request: Request) -> SimulationResult:
         self._check_cancelled()
-        result = self._work.simulate(
-            *request,
-            self._limit(),
-            cancelled=self._stop.done,
-            stop=[self._stop],
-            deadline=self.deadline,
+        ends: dict[str, Any] = {"stop": [self._stop], "deadline": self.deadline}
+        return self._count(
+            self._work.simulate(*request, self._limit(), cancelled=self._stop.done, **ends)
         )
-        return self._count(result)
 
     def _limit(self) -> float:
         """Return the seconds that a simulation may take that begins now."""
@@ -300,14 +277,8 @@ class Runner:
         self, pool: OwnWorkers | BorrowedExecutor, requests: Sequence[Request]
     ) -> dict[Request, SimulationResult]:
         dispatch = Dispatch(
-            pool,
-            Work.simulate,
-            requests,
-            lambda request: (*request, self._limit()),
-            self._failed,
-            self._stop,
-            self._limit,
-            self.deadline,
+            *(pool, Work.simulate, requests, lambda request: (*request, self._limit())),
+            *(self._failed, self._stop, self._limit, self.deadline),
         )
         try:
             with contextlib.closing(dispatch.results()) as results:
@@ -349,7 +320,3 @@ class Runner:
         if self.on_result is not None:
             self.on_result(result)
         return result
-
-
-def _to_retry(done: Mapping[Request, SimulationResult]) -> list[Request]:
-    return [request for request, result in done.items() if result.failure is not None]

@@ -1,1 +1,0 @@
-"""Observers: what stands between what a model makes of a video and what a person answers."""
