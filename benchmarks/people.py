@@ -35,7 +35,7 @@ from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.observers.answers import Answers, people
 from phase_ppl.evaluation.observers.fit import PEOPLE, PeopleFit, observer_of
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.models.observer.observers import OBSERVERS, Evidence, observer_named
+from phase_ppl.models.observers import OBSERVERS, Evidence, observer_named
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS

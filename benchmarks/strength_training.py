@@ -34,7 +34,7 @@ from phase_ppl.inference.proposals.strength import (
     StrengthNetwork,
     window_features,
 )
-from phase_ppl.models.neural import needs_torch, threads
+from phase_ppl.models.socialgnn.store import needs_torch, torch_threads
 from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
@@ -307,7 +307,7 @@ def train(events: Simulated, settings: TrainingSettings) -> tuple[StrengthNetwor
         return torch.from_numpy(x), torch.from_numpy(data.strength)
 
     # sums, and so the weights, depend on the number of threads
-    with threads(1), torch.random.fork_rng(devices=[]):
+    with torch_threads(1), torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         curves, layers = _fit(torch, tensors(examples), tensors(validation), settings)
     weights = {"centre": centre, "scale": scale}

@@ -16,7 +16,7 @@ import numpyro
 import numpyro.distributions as dist
 
 import phase_ppl as ppl
-from phase_ppl.models.observer.observers import Evidence, Responses, log_shares, tilt
+from phase_ppl.models.observers import Evidence, Responses, log_shares, tilt
 from phase_ppl.world.event import Event
 
 

@@ -83,14 +83,14 @@ from phase_ppl.inference.settings import simulations as simulations
 from phase_ppl.inference.stepwise import StepwiseInterrupted as StepwiseInterrupted
 from phase_ppl.inference.stepwise import Watch as Watch
 from phase_ppl.inference.stepwise import watch as watch
+from phase_ppl.models import observers as observers
 from phase_ppl.models import priors as priors
 from phase_ppl.models import roles as roles
 from phase_ppl.models import sites as sites
 from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
 from phase_ppl.models.model import Model as Model
-from phase_ppl.models.observer import observers as observers
-from phase_ppl.models.observer.observers import Observer as Observer
-from phase_ppl.models.observer.perception import Perception as Perception
+from phase_ppl.models.observers import Observer as Observer
+from phase_ppl.models.observers import Perception as Perception
 from phase_ppl.models.priors import register_prior as register_prior
 from phase_ppl.models.program import EventProgram as EventProgram
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood

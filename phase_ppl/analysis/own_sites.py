@@ -116,12 +116,12 @@ def with_sites(
     prior: Callable[..., object], table: PairTable, frame: int, words: Vocabulary
 ) -> WithSites:
     """Return the table of hypotheses with the further sites of the prior, given frames so far."""
-    from phase_ppl.models import own_sites
+    from phase_ppl.models import effective
 
-    values = own_sites.enumerable(prior)
+    values = effective.enumerable(prior)
     if values is not None:
         return _summed(prior, values, table, frame, words)
-    sites = own_sites.further_sites(prior)
+    sites = effective.further_sites(prior)
     log_mass, *without = table.all_log_masses(frame)
     cumulative = np.exp(log_mass - log_sum_exp(log_mass)).cumsum()
     rng = np.random.default_rng(_SEED)
@@ -131,7 +131,7 @@ def with_sites(
     places = np.unravel_index(flat, table.log_prior.shape)
     columns = table.columns(*np.divmod(flat, len(table.combinations)))
     of_program = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
-    drawn, log_weight = own_sites.drawn_beside(
+    drawn, log_weight = effective.drawn_beside(
         prior, of_program, table.log_prior, places, np.array(table.levels), _SEED
     )
     weights = np.exp(log_weight - log_sum_exp(log_weight))
@@ -155,7 +155,7 @@ def _summed(
     frame: int,
     words: Vocabulary,
 ) -> WithSites:
-    from phase_ppl.models.own_sites import log_masses
+    from phase_ppl.models.effective import log_masses
 
     likelihood = table.log_likelihood(frame).reshape(-1, 1)
     log_prior = log_masses(prior, np.array(table.levels), tuple(values))

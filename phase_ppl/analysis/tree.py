@@ -274,7 +274,7 @@ def settings_under(settings: str, program: Any, **found: float) -> str:
 
     The numbers ``found`` are kept beside it, in ``reweighted``.
     """
-    from phase_ppl.models.world_prior import as_given
+    from phase_ppl.models.roles import as_given
 
     record = json.loads(settings)
     model = dict(record.get("model", {}))
@@ -311,7 +311,7 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     """
     from phase_ppl.models.density import NO_DENSITY
     from phase_ppl.models.effective import log_prior_of_hypotheses, upstream
-    from phase_ppl.models.world_prior import drawn_stated, kept_prior, log_prior_of_effective
+    from phase_ppl.models.roles import drawn_stated, kept_prior, log_prior_of_effective
 
     rows = simulation_of_draw(tree)
     if (rows < 0).any():

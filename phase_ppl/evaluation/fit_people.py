@@ -16,8 +16,7 @@ from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.judgments import Study, all_events, judged, load_judgments
 from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of
 from phase_ppl.evaluation.observers.fit import PeopleFit, as_observer, sampled
-from phase_ppl.models.observer.observers import Evidence, Program
-from phase_ppl.models.observer.perception import Perception
+from phase_ppl.models.observers import Evidence, Perception, Program
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
@@ -55,8 +54,8 @@ def fit_people(
         events: a file or folder of events, or events.
         judgments: a file of :func:`phase_ppl.load_judgments` or a study; by default those that the
             events carry.
-        observer: name of a ready-made one (:data:`~phase_ppl.models.observer.observers.OBSERVERS`),
-            or a program of evidence (:mod:`phase_ppl.models.observer.observers`).
+        observer: name of a ready-made one (:data:`~phase_ppl.models.observers.OBSERVERS`),
+            or a program of evidence (:mod:`phase_ppl.models.observers`).
         source: of the evidence: a model by name or a :class:`phase_ppl.Model`, which is asked
             about every event; an evaluation or its folder, whose posteriors are read, so that
             nothing is computed twice; event id -> posterior or prediction; evidence; or None,

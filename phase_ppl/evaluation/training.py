@@ -31,10 +31,9 @@ from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.models.neural import needs_torch
 from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.graphs import Examples, frame_graphs
-from phase_ppl.models.socialgnn.store import Trained, TrainingSettings
+from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, needs_torch
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown

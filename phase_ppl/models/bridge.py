@@ -29,13 +29,8 @@ class RunsSimulations(Protocol):
     """What the bridge needs of a runner (:class:`phase_ppl.simulator.runner.Runner`)."""
 
     def run(
-        self,
-        hypotheses: Sequence[Any],
-        seeds: Sequence[int],
-        error_ceilings: Sequence[float],
-    ) -> list[SimulationResult]:
-        """Return one result per hypothesis, in order."""
-        ...
+        self, hypotheses: Sequence[Any], seeds: Sequence[int], error_ceilings: Sequence[float]
+    ) -> list[SimulationResult]: ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -113,22 +108,12 @@ class SimulatorBridge:
             self._completed[request_key(record.sites, record.result.seed)] = len(self.records)
         self.records.append(record)
 
-    def _simulate(
-        self,
-        columns: _Columns,
-        log_prior: NDArray[np.float32],
-        seed: NDArray[np.int32],
-        error_ceiling: NDArray[np.float32],
-        log_proposal: NDArray[np.float32],
-        log_bound: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
-        batch = seed.shape
-        n_rows = seed.size
+    def _simulate(self, columns: _Columns, *numbers: NDArray[Any]) -> NDArray[np.float32]:
+        batch = numbers[1].shape
+        log_prior, seed, ceiling, log_proposal, log_bound = map(np.ravel, numbers)
+        n_rows = len(seed)
         rows_per_chain = n_rows // batch[0] if batch else 1
         flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}
-        log_prior, seed = log_prior.ravel(), seed.ravel()
-        ceiling = error_ceiling.ravel()
-        log_proposal, log_bound = log_proposal.ravel(), log_bound.ravel()
         errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
         asked: dict[tuple[Any, ...], list[int]] = {}  # request -> its rows of this batch
         # a density that is no number: outside
@@ -155,18 +140,10 @@ class SimulatorBridge:
             ends = [r for r in alike if result.completed and result.total_error <= ceiling[r]]
             row = ends[0] if ends else longest
             sites = {name: values[row] for name, values in flat.items()}
-            place = len(self.records)
-            self.remember(
-                Record(
-                    result,
-                    sites,
-                    float(log_prior[row]),
-                    chain=row // rows_per_chain,
-                    iteration=self.iteration,
-                    log_proposal=float(log_proposal[row]),
-                    log_bound=float(log_bound[row]),
-                )
-            )
+            place, chain = len(self.records), row // rows_per_chain
+            densities = float(log_proposal[row]), float(log_bound[row])
+            asker = float(log_prior[row]), chain, self.iteration
+            self.remember(Record(result, sites, *asker, *densities))
             for other in alike:
                 if other > row or (other < row and not ends):
                     self._ask_again(place, float(log_proposal[other]))

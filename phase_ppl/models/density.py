@@ -71,6 +71,7 @@ class Site(NamedTuple):
     values: tuple[float, ...] | None  # all of them; None: not a few that are always the same
 
 
+@remembered(16)
 def single_sites(program: Program) -> dict[str, Site]:
     """Return the latent sites of ``program()`` that are single numbers."""
     found: dict[str, Site] = {}

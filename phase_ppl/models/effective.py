@@ -2,9 +2,9 @@
 
 A helper or hinderer acts on the other's goal, so its own stated goal changes nothing: the prior
 of an effective pair is the sum over all stated goals and alphas that lead to it. Sites of a
-user's own are summed out where they have few values, else averaged out over draws from the prior.
-Where strengths are levels, a prior is a
-table of masses (:func:`prior_table`).
+user's own are summed out where they have few values, else averaged out over draws from the prior;
+or they are enumerated or drawn beside hypotheses. Where strengths are levels, a prior is a table of
+masses (:func:`prior_table`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -22,15 +22,21 @@ from numpy.typing import NDArray
 from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
-from phase_ppl.models.density import NO_DENSITY, remembered, single_sites, trace_log_density
+from phase_ppl.models.density import (
+    NO_DENSITY,
+    Program,
+    Site,
+    compiled_quickly,
+    remembered,
+    single_sites,
+    trace_log_density,
+)
 from phase_ppl.models.hosted import Hosted
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray, alike
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, effective_table
-
-Prior = Callable[[], object]
 
 _CHUNK = 4096
 _LEAST_DRAWS = 64  # of sites of a user's own, over which what depends on them is averaged
@@ -42,6 +48,7 @@ _TABLES_KEPT = 8
 _NODES = 4  # at which a continuous prior is evaluated in the cell of each level of strength
 _NODES_VARYING = 40  # at which masses are summed up where the density varies, a multiple
 _STATED_SITES = (*GOAL_SITES, ALPHA_SITE)
+Values = tuple[tuple[str, tuple[float, ...]], ...]  # sites with all the values that each can take
 
 
 @functools.cache
@@ -55,7 +62,7 @@ def stated_hypotheses() -> dict[tuple[int, int], NDArray[np.int64]]:
     return {pair: np.array(rows) for pair, rows in found.items()}
 
 
-def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
+def log_prior_of_hypotheses(prior: Program, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
     """Return (n,) log densities of the hypothesis sites, each (n,), own sites summed out."""
     names, n = tuple(sites), len(next(iter(sites.values())))
     above = _own_above(prior, names)
@@ -92,13 +99,13 @@ def _of_rows(
 
 
 @remembered(_PRIORS_KEPT)
-def upstream(prior: Prior) -> dict[str, set[str]]:
+def upstream(prior: Program) -> dict[str, set[str]]:
     """Return latent site -> the sites on whose values its distribution depends."""
     found = get_dependencies(prior)["prior_dependencies"]
     return {name: set(others) - {name} for name, others in found.items()}
 
 
-def strengths_apart(prior: Prior) -> bool:
+def strengths_apart(prior: Program) -> bool:
     """Whether a prior's strengths depend on no other sites, and no others on them."""
     apart = set(STRENGTH_SITES)
     return all(
@@ -107,7 +114,7 @@ def strengths_apart(prior: Prior) -> bool:
     )
 
 
-def _own_above(prior: Prior, names: tuple[str, ...]) -> tuple[str, ...]:
+def _own_above(prior: Program, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the other sites on which those named depend, be it by way of each other."""
     depends = upstream(prior)
     found: set[str] = set()
@@ -119,7 +126,7 @@ def _own_above(prior: Prior, names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 @remembered(_PRIORS_KEPT)
-def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
+def _density(prior: Program, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
     """Return the log density of sites that depend on no others than those they are given with."""
 
     def given(z: dict[str, jax.Array]) -> jax.Array:
@@ -132,7 +139,7 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
 
 @remembered(_PRIORS_KEPT)
 def _averaged(
-    prior: Prior, names: tuple[str, ...], above: tuple[str, ...], n_draws: int
+    prior: Program, names: tuple[str, ...], above: tuple[str, ...], n_draws: int
 ) -> Callable[[dict[str, jax.Array]], jax.Array]:
     """Return the log density of sites that depend on others ``above``, which are summed out.
 
@@ -163,7 +170,7 @@ def _averaged(
 
 
 def log_prior_of_effective(
-    prior: Prior, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
+    prior: Program, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
 ) -> FloatArray:
     """Return (n,) the log prior of effective goals (n, 2) with strengths, each (n,) newtons."""
     if len(goals) == 0:
@@ -175,7 +182,7 @@ def log_prior_of_effective(
 
 
 def _all_stated(
-    prior: Prior, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
+    prior: Program, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
     """Return all stated goals and alphas (n, 3) that lead to effective goals (row, 2).
 
@@ -189,7 +196,7 @@ def _all_stated(
 
 
 def drawn_stated(
-    prior: Prior, goals: NDArray[np.int64], strengths: NDArray[np.floating[Any]]
+    prior: Program, goals: NDArray[np.int64], strengths: NDArray[np.floating[Any]]
 ) -> NDArray[np.int64]:
     """Return (n, 3) stated goals and alpha for effective goals, drawn by the prior given these.
 
@@ -204,7 +211,7 @@ def drawn_stated(
 
 
 @remembered(_PRIORS_KEPT)
-def prior_of_pairs(prior: Prior) -> FloatArray:
+def prior_of_pairs(prior: Program) -> FloatArray:
     """Return (goal_red, goal_green) prior masses of the pairs of effective goals, their sum 1.
 
     Exact where goals and alpha depend on nothing else but sites of a user's own with few values;
@@ -231,9 +238,7 @@ def place_of_level(strengths: Any, levels: FloatArray) -> Any:
 
 
 @remembered(_TABLES_KEPT)
-def prior_table(
-    prior: Any, levels: tuple[float, ...], own: tuple[tuple[str, tuple[float, ...]], ...] = ()
-) -> FloatArray:
+def prior_table(prior: Program, levels: tuple[float, ...], own: Values = ()) -> FloatArray:
     """Return log prior masses of goals, alpha and levels of strength, their sum 1.
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
@@ -279,7 +284,7 @@ def prior_table(
     return table
 
 
-def _densities(prior: Any, values: Mapping[str, NDArray[Any]]) -> FloatArray:
+def _densities(prior: Program, values: Mapping[str, NDArray[Any]]) -> FloatArray:
     """Return the log density at all combinations of values of some sites, an axis for each."""
     columns = dict(zip(values, np.meshgrid(*values.values(), indexing="ij"), strict=True))
     flat = {name: column.ravel() for name, column in columns.items()}
@@ -333,3 +338,117 @@ def _gauss_legendre(ends: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
     low, high = ends[:-1, None], ends[1:, None]
     values = (low + high) / 2 + (high - low) / 2 * places
     return values.ravel(), ((high - low) / 2 * weights).ravel()
+
+
+# --- sites of a user's own beside hypotheses ------------------------------------------------------
+
+_MOST_TOGETHER: Final = 8
+"""Combinations of values up to which all are summed over where strengths depend on other sites, so
+that tables are large."""
+
+
+def further_sites(prior: Program) -> dict[str, Site]:
+    """Return the sites of a prior that are single numbers and none of a hypothesis."""
+    found = single_sites(prior)
+    return {name: site for name, site in found.items() if name not in HYPOTHESIS_SITES}
+
+
+def enumerable(prior: Program) -> Values | None:
+    """Return the further sites with their values, if these are few enough to sum over."""
+    sites = further_sites(prior)
+    counts = [0 if site.values is None else len(site.values) for site in sites.values()]
+    most = _MOST_VALUES if strengths_apart(prior) else _MOST_TOGETHER
+    if not 0 < math.prod(counts) <= most:
+        return None
+    return tuple((name, site.values) for name, site in sites.items() if site.values is not None)
+
+
+def log_masses(prior: Program, levels: FloatArray, values: Values) -> FloatArray:
+    """Return log prior masses (goal_red, goal_green, alpha, strength_red, strength_green, value).
+
+    The last axis has all combinations of the further sites' values, the last site's fastest.
+    """
+    table = prior_table(prior, tuple(np.asarray(levels).tolist()), values)
+    n = len(values)
+    table = np.moveaxis(table, (-2, -1), (3, 4))
+    return table.reshape(*table.shape[: table.ndim - n], -1)
+
+
+def drawn_beside(
+    prior: Program,
+    hypotheses: Mapping[str, NDArray[Any]],
+    log_prior: FloatArray,
+    places: tuple[NDArray[np.int64], ...],
+    levels: FloatArray,
+    seed: int,
+) -> tuple[dict[str, NDArray[Any]], FloatArray]:
+    """Return (row,) draws of the further sites beside hypotheses, and log weights of the pairs.
+
+    A further site is drawn given the sites before it in the program; a pair weighs by how probable
+    the sites after it are, over what they are without it. So weighted, pairs follow the prior's
+    joint distribution if the hypotheses follow theirs.
+
+    Args:
+        prior: NumPyro program.
+        hypotheses: site of a hypothesis -> (row,) codes; strengths are not read.
+        log_prior: table of log masses (goal_red, goal_green, alpha, strength_red, strength_green).
+        places: of the rows in that table.
+        levels: (n,) of strength, each of which stands for its cell.
+        seed: the same seed gives the same draws.
+    """
+    n = len(places[0])
+    given: dict[str, NDArray[Any]] = {
+        name: np.asarray(hypotheses[name], np.int32) for name in (*GOAL_SITES, ALPHA_SITE)
+    }
+    if strengths_apart(prior):
+        flat = log_prior.reshape(*log_prior.shape[:3], -1)
+        log_own = np.logaddexp.reduce(flat, axis=-1)[places[:3]]
+        log_volume: FloatArray | float = 0.0
+    else:
+        rng = np.random.default_rng(seed)
+        log_own, log_volume = log_prior[places], np.zeros(n)
+        for name, place in zip(STRENGTH_SITES, places[3:], strict=True):
+            given[name], log_width = _within(prior, name, levels, place, rng)
+            log_volume = log_volume + log_width
+    names = tuple(further_sites(prior))
+    keys = jax.random.split(jax.random.key(seed), n)
+    values, log_density = _beside(prior, tuple(given), names)(keys, given)
+    log_weight = np.asarray(log_density, np.float64) + log_volume - log_own
+    log_weight[np.asarray(log_density) <= NO_DENSITY] = -np.inf
+    return {name: np.asarray(column) for name, column in values.items()}, log_weight
+
+
+@remembered(_PRIORS_KEPT)
+def _beside(prior: Program, given: tuple[str, ...], names: tuple[str, ...]) -> Callable[..., Any]:
+    def one(key: jax.Array, z: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], jax.Array]:
+        program = handlers.seed(handlers.substitute(prior, data=z), key)
+        trace = handlers.trace(program).get_trace()
+        return {name: trace[name]["value"] for name in names}, trace_log_density(
+            {name: trace[name] for name in given}
+        )
+
+    return compiled_quickly(jax.vmap(one))
+
+
+def _within(
+    prior: Program,
+    name: str,
+    levels: FloatArray,
+    place: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float32], FloatArray]:
+    """Return strengths drawn evenly from the cells of levels, and the logs of the cells' sizes."""
+    edges = cells(levels)
+    site = single_sites(prior)[name]
+    if site.values is None:
+        low, high = edges[place], edges[place + 1]
+        return np.asarray(rng.uniform(low, high), np.float32), np.log(high - low)
+    values = np.array(site.values)
+    cell = place_of_level(values, levels)
+    drawn, sizes = np.empty(len(place), np.float32), np.ones(len(place))
+    for level in range(len(levels)):
+        rows, options = place == level, values[cell == level]
+        if rows.any() and len(options):  # a level without any has no mass
+            drawn[rows] = rng.choice(options, rows.sum())
+            sizes[rows] = len(options)
+    return drawn, np.log(sizes)

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 from jax import random
-from numpy.typing import NDArray
 from numpyro import handlers
 
 from phase_ppl.models import priors
@@ -28,9 +27,17 @@ from phase_ppl.models.density import (
     site_shapes,
 )
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
-from phase_ppl.models.roles import in_world, is_of_any_world
+from phase_ppl.models.roles import (
+    WorldPrior,
+    as_given,
+    in_one_line,
+    in_world,
+    is_of_any_world,
+    masses_of,
+    refused,
+    space_of_prior,
+)
 from phase_ppl.models.sites import HYPOTHESIS_SITES
-from phase_ppl.models.world_prior import WorldPrior, as_given, masses, space_of_prior
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import PHASE, World
@@ -163,10 +170,8 @@ class Model(Generic[Kind]):
         prior: Program = as_given(self.prior)
         if world == PHASE:
             if is_of_any_world(prior):
-                raise InvalidSettingError(
-                    f"the prior {qualified_name(prior)} takes a world as its argument: in PHASE "
-                    f"one takes none and samples {', '.join(HYPOTHESIS_SITES)}"
-                )
+                wanted = f"in PHASE one takes none and samples {', '.join(HYPOTHESIS_SITES)}"
+                raise refused(qualified_name(prior), f"takes a world as its argument: {wanted}")
             return self
         likelihood = self.likelihood
         if type(likelihood) is RadialLikelihood:
@@ -284,16 +289,17 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     except RuntimeError as error:
         platforms = os.environ.get("JAX_PLATFORMS")
         raise InvalidSettingError(
-            f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
+            f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: "
+            f"{in_one_line(error)}"
         ) from error
     if priors.name_of(given):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     if isinstance(prior, WorldPrior):
-        masses(prior)
+        masses_of(prior)
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
     except Exception as error:  # whatever a user's program does
-        raise InvalidSettingError(f"the prior {name} cannot be run: {_reason(error)}") from error
+        raise refused(name, f"cannot be run: {in_one_line(error)}") from error
     space = space_of_prior(prior)
     _check_trace(name, trace, space)
     sites = {site: tuple(jnp.shape(s["value"])) for site, s in latent_sites(trace).items()}
@@ -301,27 +307,19 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     return sites
 
 
-def _reason(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
 def _check_trace(prior: str, trace: Mapping[str, Any], space: HypothesisSpace) -> None:
     """Refuse a run of the program whose sites are not what they should be."""
     for name, site in trace.items():
         if site["type"] == "sample" and site["is_observed"]:
-            raise InvalidSettingError(
-                f"the prior {prior} conditions on {name!r} (obs= or factor); a prior only samples"
-            )
+            raise refused(prior, f"conditions on {name!r} (obs= or factor); a prior only samples")
     latent, expected = latent_sites(trace), _expected(space)
     for name in space.sites:
         if name not in latent:
-            raise InvalidSettingError(
-                f"the prior {prior} does not sample {name!r}: expected {expected[name]}"
-            )
+            raise refused(prior, f"does not sample {name!r}: expected {expected[name]}")
     for name, site in latent.items():
         fault = _fault_of_hypothesis_site(name, site, space) if name in expected else ""
         if fault := fault or _fault(name, site, space):
-            raise InvalidSettingError(f"the prior {prior} samples {name!r}{fault}")
+            raise refused(prior, f"samples {name!r}{fault}")
 
 
 def _fault_of_hypothesis_site(name: str, site: Mapping[str, Any], space: HypothesisSpace) -> str:
@@ -329,8 +327,7 @@ def _fault_of_hypothesis_site(name: str, site: Mapping[str, Any], space: Hypothe
     expected = _expected(space)[name]
     if site["cond_indep_stack"]:
         plates = ", ".join(repr(frame.name) for frame in site["cond_indep_stack"])
-        where = f" in the plate {plates}: expected a single value outside of plates"
-        return f"{where}, {expected}"
+        return f" in the plate {plates}: expected a single value outside of plates, {expected}"
     shape, dtype = jnp.shape(site["value"]), jnp.result_type(site["value"])
     if shape != ():
         return f" of shape {shape}: expected a single value, {expected}"
@@ -348,10 +345,8 @@ def _fault(name: str, site: Mapping[str, Any], space: HypothesisSpace) -> str:
     if not name or "/" in name:
         return ": expected a name without '/', by which it is stored"
     if isinstance(site["fn"], dist.MaskedDistribution) or site["scale"] not in (None, 1.0):
-        return (
-            " with a mask or a scale: expected a plain distribution, whose density is that of its "
-            "draws"
-        )
+        plain = "a plain distribution, whose density is that of its draws"
+        return f" with a mask or a scale: expected {plain}"
     return ""
 
 
@@ -374,13 +369,17 @@ def _support_fits(distribution: dist.Distribution, limit: int | None) -> bool:
 def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]) -> None:
     """Draw often, compiled and vectorised as in kernels, and look at values and densities."""
 
+    def log_prob(site: str, entry: Mapping[str, Any]) -> jax.Array:
+        try:
+            return jnp.sum(entry["fn"].log_prob(entry["value"]))
+        except Exception as error:
+            why = f"which has no density: {in_one_line(error)}; expected a distribution"
+            raise refused(name, f"samples {site!r}, {why} with log_prob") from error
+
     def drawn(key: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
         latent = latent_sites(handlers.trace(handlers.seed(prior, key)).get_trace())
         values = {site: entry["value"] for site, entry in latent.items()}
-        return values, {site: _log_prob(name, site, entry) for site, entry in latent.items()}
-
-    def given(values: dict[str, jax.Array]) -> jax.Array:
-        return log_density(prior, values)
+        return values, {site: log_prob(site, entry) for site, entry in latent.items()}
 
     keys = random.split(random.key(1), _TRIES)
     try:
@@ -388,65 +387,47 @@ def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]
     except InvalidSettingError:
         raise
     except Exception as error:
-        raise InvalidSettingError(
-            f"the prior {name} cannot be compiled: {_reason(error)}; expected jax.numpy "
-            "throughout, such as jnp.where instead of if"
-        ) from error
+        expected = "expected jax.numpy throughout, such as jnp.where instead of if"
+        raise refused(name, f"cannot be compiled: {in_one_line(error)}; {expected}") from error
     found = {site: jnp.shape(value)[1:] for site, value in values.items()}
     if found != dict(sites):
         differing = sorted(s for s in {*found, *sites} if found.get(s) != sites.get(s))
-        raise InvalidSettingError(
-            f"the prior {name} samples {', '.join(map(repr, differing))} in some runs and not, or "
-            "with another shape, in others: expected the same sites each time"
+        raise refused(
+            name,
+            f"samples {', '.join(map(repr, differing))} in some runs and not, or with another "
+            "shape, in others: expected the same sites each time",
         )
     space = space_of_prior(prior)
-    _check_values(name, {site: np.asarray(value) for site, value in values.items()}, space)
+    for site in space.sites:
+        of_site, limit = np.asarray(values[site]), space.limits.get(site)
+        if limit is None:
+            wrong = ~((of_site > 0) & np.isfinite(of_site))
+        else:
+            wrong = (of_site < 0) | (of_site >= limit)
+        if wrong.any():
+            expected = _expected(space)[site]
+            raise refused(name, f"draws {site!r} as {of_site[wrong][0]}: expected {expected}")
     for site, densities in by_site.items():
         bad = ~np.isfinite(np.asarray(densities))
         if bad.any():
-            raise InvalidSettingError(
-                f"the prior {name} samples {site!r} with a log density of {densities[bad][0]} at "
-                f"a value that it drew, {shown(np.asarray(values[site])[bad][0].tolist())}: "
-                "expected a finite number"
+            at = shown(np.asarray(values[site])[bad][0].tolist())
+            raise refused(
+                name,
+                f"samples {site!r} with a log density of {densities[bad][0]} at a value that it "
+                f"drew, {at}: expected a finite number",
             )
     try:
-        density = compiled_quickly(jax.vmap(given))(values)
+        density = compiled_quickly(jax.vmap(functools.partial(log_density, prior)))(values)
     except Exception as error:
         raise InvalidSettingError(
             f"the density of the prior {name} cannot be evaluated at given values of its sites: "
-            f"{_reason(error)}"
+            f"{in_one_line(error)}"
         ) from error
     if (np.asarray(density) < NO_DENSITY).any():
-        raise InvalidSettingError(
-            f"the prior {name} draws values outside its own support: they have no density"
-        )
+        raise refused(name, "draws values outside its own support: they have no density")
     total = np.sum([np.asarray(densities) for densities in by_site.values()], axis=0)
     if not np.allclose(density, total, rtol=1e-3, atol=1e-2):
         raise InvalidSettingError(
             f"the density of the prior {name} changes from run to run: expected all randomness to "
             "come from numpyro.sample"
         )
-
-
-def _log_prob(prior: str, name: str, site: Mapping[str, Any]) -> jax.Array:
-    try:
-        return jnp.sum(site["fn"].log_prob(site["value"]))
-    except Exception as error:
-        raise InvalidSettingError(
-            f"the prior {prior} samples {name!r}, which has no density: {_reason(error)}; expected "
-            "a distribution with log_prob"
-        ) from error
-
-
-def _check_values(prior: str, columns: Mapping[str, NDArray[Any]], space: HypothesisSpace) -> None:
-    for name in space.sites:
-        values = columns[name]
-        if name in space.limits:
-            wrong = (values < 0) | (values >= space.limits[name])
-        else:
-            wrong = ~((values > 0) & np.isfinite(values))
-        if wrong.any():
-            raise InvalidSettingError(
-                f"the prior {prior} draws {name!r} as {values[wrong][0]}: "
-                f"expected {_expected(space)[name]}"
-            )

@@ -15,7 +15,7 @@ from numpyro import handlers
 from phase_ppl.models.bridge import request_errors
 from phase_ppl.models.density import Sites, draw, latent_sites, log_density, trace_log_density
 from phase_ppl.models.model import Model
-from phase_ppl.models.world_prior import space_of_prior
+from phase_ppl.models.roles import space_of_prior
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.scene import Scene

@@ -11,10 +11,15 @@ These sites must be independent of each other::
         phase_ppl.roles.strengths(world)
 
     phase_ppl.Model(prior=alone, likelihood=phase_ppl.StepwiseLikelihood())
+
+Bound to a world, such a prior is a :class:`WorldPrior`. In PHASE sites may depend on each other, so
+that sums are over tables of all stated hypotheses (:mod:`phase_ppl.models.effective`); elsewhere a
+mass is a sum over ways to help or hinder of products, and tables of all goals are not needed.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping
@@ -25,11 +30,13 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+from numpy.typing import NDArray
 from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
+from scipy.special import softmax
 
-from phase_ppl.models import priors
-from phase_ppl.models.effective import cells, nodes_of, place_of_level
+from phase_ppl.models import density, effective, priors
+from phase_ppl.models.density import Program, remembered
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
@@ -38,10 +45,11 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Roles
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.scene import World
-from phase_ppl.world.space import COMPANY_SITE, space_of
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import COMPANY_SITE, HypothesisSpace, space_of
 
 _DRAWS: Final = 1000  # of roles, until all can act on their goals
+_PRIORS_KEPT: Final = 8
 
 RolePrior = Callable[[World], object]
 
@@ -90,8 +98,7 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
     space, ways = space_of(world), hypothesis.all_ways(len(world.agents))
     key = jax.random.key(whole_number("seed", seed, 0))
     for _ in range(_DRAWS):
-        trace = handlers.trace(handlers.seed(program, key)).get_trace()
-        values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
+        values = density.draw(program, key)
         towards = ways[int(values[COMPANY_SITE])]
         own = [int(values[name]) for name in space.goal_sites]
         stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
@@ -159,59 +166,55 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
             not independent of each other or not what they should be.
     """
     program = functools.partial(in_world(prior, world), world)
-    name = qualified_name(prior)
+    name, space = qualified_name(prior), space_of(world)
+    wanted = (*space.goal_sites, COMPANY_SITE, *space.strength_sites)
     try:
         trace = handlers.trace(handlers.seed(program, jax.random.key(0))).get_trace()
         depends = get_dependencies(program)["prior_dependencies"]
     except Exception as error:  # whatever a user's program does
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise InvalidSettingError(f"the prior {name} cannot be run: {reason}") from error
-    space = space_of(world)
-    wanted = (*space.goal_sites, COMPANY_SITE, *space.strength_sites)
+        raise refused(name, f"cannot be run: {in_one_line(error)}") from error
     for site in wanted:
         if site not in trace:
-            raise InvalidSettingError(
-                f"the prior {name} does not sample {site!r}; in {world.name!r} it takes "
-                f"{', '.join(wanted)}"
-            )
+            takes = f"in {world.name!r} it takes {', '.join(wanted)}"
+            raise refused(name, f"does not sample {site!r}; {takes}")
         if trace[site]["is_observed"]:
-            raise InvalidSettingError(
-                f"the prior {name} conditions on {site!r} (obs=); a prior only samples"
-            )
-        others = sorted(set(depends.get(site, {})) - {site})
-        if others:
-            raise InvalidSettingError(
-                f"the prior {name} makes {site!r} depend on {', '.join(others)}: outside of PHASE "
-                "goals, company and strengths must be independent of each other"
+            raise refused(name, f"conditions on {site!r} (obs=); a prior only samples")
+        if others := sorted(set(depends.get(site, {})) - {site}):
+            raise refused(
+                name,
+                f"makes {site!r} depend on {', '.join(others)}: outside of PHASE goals, company "
+                "and strengths must be independent of each other",
             )
 
     def of_site(site: str, n: int) -> FloatArray:
         found = trace[site]["fn"]
         if not getattr(found.support, "is_discrete", False) or trace[site]["value"].shape != ():
-            raise InvalidSettingError(
-                f"the prior {name} samples {site!r} from {shown(found)}: expected one of 0..{n - 1}"
-            )
+            raise refused(name, f"samples {site!r} from {shown(found)}: expected one of 0..{n - 1}")
         values = np.asarray(found.enumerate_support(expand=False)).astype(int)
-        density = np.asarray(found.log_prob(jnp.asarray(values)), np.float64)
-        density[density < IMPOSSIBLE / 2] = -np.inf
-        outside = values[((values < 0) | (values >= n)) & np.isfinite(density)]
+        log_mass = np.asarray(found.log_prob(jnp.asarray(values)), np.float64)
+        log_mass[log_mass < IMPOSSIBLE / 2] = -np.inf
+        outside = values[((values < 0) | (values >= n)) & np.isfinite(log_mass)]
         if outside.size:
-            raise InvalidSettingError(
-                f"the prior {name} gives mass to {site}={outside[0]}: expected 0..{n - 1}"
-            )
+            raise refused(name, f"gives mass to {site}={outside[0]}: expected 0..{n - 1}")
         inside = np.full(n, -np.inf)
-        inside[values[values < n]] = density[values < n]
+        inside[values[values < n]] = log_mass[values < n]
         return inside
 
-    n_ways = len(hypothesis.all_ways(len(world.agents)))
     own = np.stack([of_site(site, space.n_goals) for site in space.goal_sites])
-    for agent, goal in np.argwhere(np.isfinite(own)).tolist():
-        if goal not in possible_goals(agent, world):
-            raise InvalidSettingError(
-                f"the prior {name} gives mass to the goal {world.goals[goal]!r} of the "
-                f"{world.agents[agent]}, whom it names"
-            )
-    return Masses(name, own, of_site(COMPANY_SITE, n_ways), trace)
+    for agent, goal in np.argwhere(np.isfinite(own) & space.impossible).tolist():
+        whose = f"the goal {world.goals[goal]!r} of the {world.agents[agent]}, whom it names"
+        raise refused(name, f"gives mass to {whose}")
+    return Masses(name, own, of_site(COMPANY_SITE, len(hypothesis.all_ways(space.n_agents))), trace)
+
+
+def refused(prior: str, fault: str) -> InvalidSettingError:
+    """Return the error for a prior with that fault."""
+    return InvalidSettingError(f"the prior {prior} {fault}")
+
+
+def in_one_line(error: BaseException) -> str:
+    """Return class and message of an error."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def log_strengths(prior: Masses, world: World, levels: tuple[float, ...]) -> FloatArray:
@@ -220,25 +223,104 @@ def log_strengths(prior: Masses, world: World, levels: tuple[float, ...]) -> Flo
     Raises:
         InvalidSettingError: strengths are all beyond the levels.
     """
-    found = []
+    newtons, rows = np.array(levels), []
     for site in space_of(world).strength_sites:
-        of_levels = _of_levels(prior.trace[site]["fn"], np.array(levels))
-        if not np.isfinite(of_levels).any():
+        found = prior.trace[site]["fn"]
+        values, weights = effective.nodes_of(found, effective.cells(newtons))
+        inside = np.asarray(found.support(jnp.asarray(values)), bool)
+        log_mass = np.full(len(values), -np.inf)
+        with np.errstate(divide="ignore"):  # of cells beyond the support
+            log_mass[inside] = found.log_prob(jnp.asarray(values[inside])) + np.log(weights[inside])
+        place = effective.place_of_level(values, newtons)
+        rows.append([np.logaddexp.reduce(log_mass[place == n]) for n in range(len(levels))])
+        if not np.isfinite(rows[-1]).any():
             low, high = STRENGTH_RANGE
-            raise InvalidSettingError(
-                f"the prior {prior.name} gives {site} no mass between {low:g} and {high:g} newtons"
-            )
-        found.append(of_levels)
-    return np.stack(found)
+            raise refused(prior.name, f"gives {site} no mass between {low:g} and {high:g} newtons")
+    return np.array(rows)
 
 
-def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
-    """Return (level,) log masses of the strengths that are nearest to each level."""
-    values, weights = nodes_of(found, cells(levels))
-    inside = np.asarray(found.support(jnp.asarray(values)), bool)
-    density = np.full(len(values), -np.inf)
-    with np.errstate(divide="ignore"):  # of cells beyond the support
-        density[inside] = found.log_prob(jnp.asarray(values[inside])) + np.log(weights[inside])
-    place = place_of_level(values, levels)
-    by_level = [np.logaddexp.reduce(density[place == level]) for level in range(len(levels))]
-    return np.array(by_level)
+# --- bound to a world -----------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class WorldPrior:
+    """A NumPyro program of a world, bound to one."""
+
+    given: Callable[..., Any]  # by the user: a program of a world, or a ready-made prior of PHASE
+    program: Callable[[World], Any]  # that it stands for
+    world: World
+
+    def __call__(self) -> None:
+        self.program(self.world)
+
+
+def as_given(prior: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a prior as the user gave it, without its world."""
+    return prior.given if isinstance(prior, WorldPrior) else prior
+
+
+def space_of_prior(prior: object) -> HypothesisSpace:
+    """Return the hypotheses that a prior is over: those of PHASE, unless it is bound to a world."""
+    return space_of(prior.world if isinstance(prior, WorldPrior) else PHASE)
+
+
+@remembered(_PRIORS_KEPT)
+def masses_of(prior: WorldPrior) -> Masses:
+    """Return the masses of own goals and ways of a prior that is bound to a world."""
+    with jax.ensure_compile_time_eval():  # kernels are made inside compiled code
+        return masses(prior.given, prior.world)
+
+
+def log_prior_of_effective(
+    prior: Program, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
+) -> FloatArray:
+    """Return (row,) the log prior of effective goals (row, agent) with strengths [N], each (row,).
+
+    Stated goals and ways to help or hinder are summed over.
+    """
+    if not isinstance(prior, WorldPrior):
+        return effective.log_prior_of_effective(prior, goals, strengths)
+    found, space = masses_of(prior), space_of_prior(prior)
+    by_way = space.log_prior_of_effective(found.goals, found.company, goals)
+    log_prior = np.logaddexp.reduce(by_way, axis=0)
+    for name in space.strength_sites:
+        law, newtons = found.trace[name]["fn"], jnp.asarray(strengths[name], jnp.float32)
+        log_density = np.asarray(law.log_prob(newtons), np.float64)
+        log_prior += np.where(np.asarray(law.support(newtons)), log_density, -np.inf)
+    return np.asarray(log_prior)
+
+
+def kept_prior(prior: Program) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
+    """Return what a file keeps of a prior over goals: name -> dimensions and values.
+
+    In PHASE ``prior_of_pairs``; elsewhere ``log_prior_goals`` and ``log_prior_company``.
+    """
+    if not isinstance(prior, WorldPrior):
+        return {"prior_of_pairs": (("pair_red", "pair_green"), effective.prior_of_pairs(prior))}
+    found = masses_of(prior)
+    return {
+        "log_prior_goals": (("agent", "goal"), found.goals),
+        "log_prior_company": (("way",), found.company),
+    }
+
+
+def drawn_stated(
+    prior: Program, goals: NDArray[np.int64], strengths: NDArray[np.floating[Any]]
+) -> NDArray[np.int64]:
+    """Return (row, agent + 1) stated goals and way for effective goals (row, agent).
+
+    Drawn by the prior given these and strengths (row, agent), newtons.
+    """
+    if not isinstance(prior, WorldPrior):
+        return effective.drawn_stated(prior, goals, strengths)
+    found, space, rng = masses_of(prior), space_of_prior(prior), np.random.default_rng(0)
+    by_way = space.log_prior_of_effective(found.goals, found.company, goals)
+    # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
+    way = (by_way + rng.gumbel(size=by_way.shape)).argmax(axis=0)
+    stated = np.array(goals, np.int64)
+    for agent in range(space.n_agents):
+        # the own goal of one that helps or hinders is not used
+        unused = rng.choice(space.n_goals, len(goals), p=softmax(found.goals[agent]))
+        idle = space.owner[way, agent] != agent
+        stated[idle, agent] = unused[idle]
+    return np.column_stack([stated, way])

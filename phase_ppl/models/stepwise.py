@@ -15,7 +15,7 @@ from typing import Any
 
 from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.models import effective, own_sites, roles
+from phase_ppl.models import effective, roles
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
@@ -88,7 +88,7 @@ def stepwise_prior(
     in newtons, ascending.
     """
     if world == PHASE:
-        further = json.dumps(list(own_sites.further_sites(prior)))
+        further = json.dumps(list(effective.further_sites(prior)))
         return {"log_prior": effective.prior_table(prior, levels)}, {"sites": further}
     masses = roles.masses(prior, world)
     found = {

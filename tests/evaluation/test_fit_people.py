@@ -25,8 +25,7 @@ import phase_ppl as ppl
 from phase_ppl.evaluation.observers.answers import Answers, expected, people
 from phase_ppl.evaluation.observers.fit import FittedObserver, PeopleFit, observer_of, sampled
 from phase_ppl.evaluation.prediction import QUESTIONS
-from phase_ppl.models.observer.observers import Evidence, observer_named
-from phase_ppl.models.observer.perception import CUES
+from phase_ppl.models.observers import CUES, Evidence, observer_named
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS

@@ -31,7 +31,7 @@ from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.world_prior import drawn_stated, log_prior_of_effective
+from phase_ppl.models.roles import drawn_stated, log_prior_of_effective
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.event import Event, Observation

@@ -9,9 +9,15 @@ import pytest
 from numpyro import handlers
 
 import phase_ppl as ppl
-from phase_ppl.models.observer import observers
-from phase_ppl.models.observer.observers import Evidence, Observer, observer_named
-from phase_ppl.models.observer.perception import CUES, Perception, surface_cues
+from phase_ppl.models import observers
+from phase_ppl.models.observers import (
+    CUES,
+    Evidence,
+    Observer,
+    Perception,
+    observer_named,
+    surface_cues,
+)
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import RELATIONS

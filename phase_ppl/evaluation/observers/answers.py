@@ -20,8 +20,7 @@ from phase_ppl.analysis.stepwise_table import summed_by_pair
 from phase_ppl.evaluation.judgments import Study
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
-from phase_ppl.models.observer.observers import HALF_LIVES, Evidence, Program, Responses
-from phase_ppl.models.observer.perception import CUES, surface_cues
+from phase_ppl.models.observers import CUES, HALF_LIVES, Evidence, Program, Responses, surface_cues
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event

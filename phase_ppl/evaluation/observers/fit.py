@@ -24,8 +24,7 @@ from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of, expected, people
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel
-from phase_ppl.models.observer.observers import OBSERVERS, Evidence, Program, observer_named
-from phase_ppl.models.observer.perception import Perception
+from phase_ppl.models.observers import OBSERVERS, Evidence, Perception, Program, observer_named
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event, Observation

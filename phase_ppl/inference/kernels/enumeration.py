@@ -28,8 +28,8 @@ from phase_ppl.models.effective import (
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
+from phase_ppl.models.roles import WorldPrior, masses_of, space_of_prior
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
-from phase_ppl.models.world_prior import WorldPrior, masses, space_of_prior
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
@@ -104,7 +104,7 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
 
 @functools.lru_cache(8)
 def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -> Grid:
-    found, space = masses(prior), space_of_prior(prior)
+    found, space = masses_of(prior), space_of_prior(prior)
     n_agents = space.n_agents
     forces = np.array(list(itertools.product(strengths, repeat=n_agents)), np.float32)
     possible = [np.flatnonzero(np.isfinite(row)) for row in found.goals]

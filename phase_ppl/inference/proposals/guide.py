@@ -28,8 +28,8 @@ from numpyro.primitives import Messenger
 from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.models.density import Program, draw, log_density, remembered
 from phase_ppl.models.hosted import Hosted
+from phase_ppl.models.roles import space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, OneOf
-from phase_ppl.models.world_prior import space_of_prior
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 

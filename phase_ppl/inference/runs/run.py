@@ -29,7 +29,7 @@ from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, event_salt
-from phase_ppl.models.world_prior import WorldPrior, as_given
+from phase_ppl.models.roles import WorldPrior, as_given
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event

@@ -41,7 +41,7 @@ from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import is_stepwise
-from phase_ppl.models.world_prior import drawn_stated
+from phase_ppl.models.roles import drawn_stated
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory, whole_number

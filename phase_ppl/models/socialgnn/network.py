@@ -1,4 +1,4 @@
-"""The network, and the training of one. Needs PyTorch (:mod:`phase_ppl.models.neural`)."""
+"""The network, and the training of one. Importing this needs PyTorch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
-from phase_ppl.models.neural import threads
 from phase_ppl.models.socialgnn.graphs import (
     AS_IT_IS,
     LOOKS,
@@ -34,6 +33,7 @@ from phase_ppl.models.socialgnn.store import (
     TrainingSettings,
     halved,
     shapes,
+    torch_threads,
 )
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Observation
@@ -99,7 +99,7 @@ class SocialGNN(nn.Module):
         return self.node(torch.cat([flat, arrived], dim=1)).relu().view(len(nodes), -1)
 
 
-# --- what trained networks say of an event. Importing this module needs PyTorch -------------------
+# --- what trained networks say of an event --------------------------------------------------------
 
 
 class Ensemble:
@@ -117,7 +117,7 @@ class Ensemble:
     def of(self, graphs: Graphs) -> dict[str, NDArray[np.float64]]:
         """Return the same for the graphs of an event's frames."""
         given = batch([graphs])
-        with threads(self._threads), torch.no_grad():
+        with torch_threads(self._threads), torch.no_grad():
             said = [network(given) for network in self._networks]
             found = {"relation": _mean([one.relation[0] for one in said])}
             if said[0].goals is not None:
@@ -171,7 +171,7 @@ def fit(
     That of the first weights, the order and looks of the events, and the dropout. ``after_epoch``
     is called after each epoch.
     """
-    with threads(settings.threads), torch.random.fork_rng(devices=[]):
+    with torch_threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return _Fit(training, validation, settings, np.random.default_rng(seed)).run(after_epoch)
 

@@ -7,13 +7,15 @@ being 0, 1, ... The JSON file beside it says how they were made.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
+import importlib
 import os
 import textwrap
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -132,6 +134,27 @@ AS_THE_AUTHORS: Final[Mapping[str, Any]] = {
     **{"decay": 0.05 / 2, "balanced": False, "looks": False},  # their lambda, of half the norm
 }
 """How the authors of SocialGNN trained it."""
+
+
+def needs_torch() -> Any:
+    """Return PyTorch, which is an extra."""
+    try:
+        return importlib.import_module("torch")
+    except ImportError as error:
+        needed = "training needs PyTorch: pip install 'phase_ppl[neural]'"
+        raise InvalidSettingError(needed) from error
+
+
+@contextlib.contextmanager
+def torch_threads(number: int) -> Iterator[None]:
+    """Have PyTorch use so many threads within; sums, and so all numbers, depend on how many."""
+    torch = needs_torch()
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 # --- files ----------------------------------------------------------------------------------------
