@@ -40,7 +40,7 @@ import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main as terminal
 from phase_ppl.dataset.events_netcdf import checksum
-from phase_ppl.inference.runs.checkpoint import Checkpoint
+from phase_ppl.inference.checkpoint import Checkpoint
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.picture import plain
 from tests.dataset.test_bad_files import FILES

@@ -30,8 +30,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # its event is the tests'
 
 import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.inference.draws import burn_in
 from phase_ppl.inference.proposals.tables import bottom_up_tables
-from phase_ppl.inference.runs.draws import burn_in
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.priors import uniform
 from phase_ppl.world.goals import N_GOALS, is_self_referring

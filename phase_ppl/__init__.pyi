@@ -74,7 +74,7 @@ from phase_ppl.inference.infer import resume as resume
 from phase_ppl.inference.registry import available_kernels as available_kernels
 from phase_ppl.inference.registry import kernel_info as kernel_info
 from phase_ppl.inference.registry import register_kernel as register_kernel
-from phase_ppl.inference.runs.sampler import Interrupted as Interrupted
+from phase_ppl.inference.sampler import Interrupted as Interrupted
 from phase_ppl.inference.settings import SimpleSettings as SimpleSettings
 from phase_ppl.inference.settings import frames as frames
 from phase_ppl.inference.settings import preset as preset

@@ -17,8 +17,8 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.inference.runs import sampler
-from phase_ppl.inference.runs.checkpoint import read_archive, write_archive
+from phase_ppl.inference import sampler
+from phase_ppl.inference.checkpoint import read_archive, write_archive
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.hypothesis import Hypothesis
 from tests.analysis.factory import random_tree

@@ -163,7 +163,7 @@ def _kernel(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _resume(options: argparse.Namespace) -> int:
-    from phase_ppl.inference.runs.checkpoint import Checkpoint
+    from phase_ppl.inference.checkpoint import Checkpoint
 
     saved = Checkpoint(options.file)
     folder = options.file.parent

@@ -49,7 +49,7 @@ from phase_ppl.analysis.quantities import relation_codes
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.entries import Entry, Spec, entries, entry_of
 from phase_ppl.inference.infer import CHAINS
-from phase_ppl.inference.runs.run import check_event
+from phase_ppl.inference.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
 from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.effective import log_prior_of_effective

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
 from phase_ppl.inference.registry import KernelInfo, described
-from phase_ppl.inference.runs.run import Kernel, Run
+from phase_ppl.inference.run import Kernel, Run
 from phase_ppl.inference.settings import PRESETS, SimpleSettings, completed
 from phase_ppl.models.model import Model
 from phase_ppl.world.checks import instance_of

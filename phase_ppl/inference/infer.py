@@ -8,10 +8,9 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.runs import length
-from phase_ppl.inference.runs.checkpoint import SUFFIXES, Checkpoint
-from phase_ppl.inference.runs.run import Kernel, Run, check_event, model_again
-from phase_ppl.inference.runs.sampler import RunOptions, sample
+from phase_ppl.inference import run as runs
+from phase_ppl.inference.run import Kernel, Run, check_event, model_again
+from phase_ppl.inference.sampler import RunOptions, sample
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
@@ -25,13 +24,10 @@ from phase_ppl.world.scene import PHASE
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.inference.checkpoint import Checkpoint
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
 CHAINS: Final = 15  # M, the paper's number of particles
-
-_NOT_OF_SAMPLING: Final = ("workers", "progress", "versions", "began")
-"""Options of a run that are not refused for a video read step by step: it uses the first two, and
-the others are made anew in every call."""
 
 
 @overload
@@ -140,26 +136,24 @@ def infer(
     The last two carry what was done until then as ``posterior``, as any error does that ends a
     run; None where the initial particles were not complete.
     """
-    options = RunOptions(
-        iterations=iterations,
-        budget=budget,
-        on_failure=on_failure,
-        retries=retries,
-        simulation_seconds=simulation_seconds,
-        workers=workers,
-        executor=executor,
-        progress=progress,
-        checkpoint=checkpoint,
-        burn_in=burn_in,
-        weights=weights,
-    )
+    of_sampling: dict[str, Any] = {
+        "iterations": iterations,
+        "budget": budget,
+        "on_failure": on_failure,
+        "retries": retries,
+        "simulation_seconds": simulation_seconds,
+        "executor": executor,
+        "checkpoint": checkpoint,
+        "burn_in": burn_in,
+        "weights": weights,
+    }
+    options = RunOptions(**of_sampling, workers=workers, progress=progress)
     if "preset" in kernel_options:
         raise InvalidSettingError(
             f"preset={shown(kernel_options['preset'])} stands for several arguments: write "
             "infer(event, **phase_ppl.preset(...))"
         )
-    given = {name: value for name, value in vars(options).items() if name not in _NOT_OF_SAMPLING}
-    given |= {"chains": chains, "settings": settings, **kernel_options}
+    of_sampling |= {"chains": chains, "settings": settings, **kernel_options}
     check_event(event)
     of_simple = kernel is not None or settings is not None
     settings = SimpleSettings() if settings is None else settings
@@ -169,7 +163,7 @@ def infer(
         model = Model(likelihood=StepwiseLikelihood())
     model = _complete_model(model, planner, settings)
     if kernel is None and is_stepwise(model.likelihood):
-        for name, value in given.items():
+        for name, value in of_sampling.items():
             if value != (CHAINS if name == "chains" else getattr(RunOptions, name, None)):
                 raise InvalidSettingError(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
@@ -181,6 +175,8 @@ def infer(
     kernel = "local_mh" if kernel is None else kernel
     run = Run(event, model, kernel, kernel_options, settings, chains, seed)
     if checkpoint is not None:
+        from phase_ppl.inference.checkpoint import SUFFIXES
+
         if as_path(checkpoint).exists():
             raise OutputError(
                 f"{checkpoint} exists and may hold a run: continue it with phase_ppl.resume, or "
@@ -242,7 +238,9 @@ def resume(
             message says in what; or must be given; or a setting cannot be used.
         OutputError, SimulationError, Interrupted: as in :func:`infer`.
     """
-    began = length.clock()
+    from phase_ppl.inference.checkpoint import SUFFIXES, Checkpoint
+
+    began = runs.clock()
     saved = Checkpoint(path)
     if settings is None:
         stored = _stored(saved, "settings", "the settings {settings} are not all plain data")
@@ -267,23 +265,23 @@ def resume(
         saved.identity["seed"],
     )
     _check_same(saved, run)
-    before = saved.asked
     if iterations is None and budget is None:
-        iterations, budget = before["iterations"], before["budget"]
-    if on_failure is None:
-        on_failure = str(before["on_failure"])
-        retries = before["retries"] if retries is None else retries
+        iterations, budget = saved.asked["iterations"], saved.asked["budget"]
+    before = saved.asked if on_failure is None else {**saved.asked, "retries": None}
     given: dict[str, Any] = {
+        "on_failure": on_failure,
+        "retries": retries,
         "simulation_seconds": simulation_seconds,
         "burn_in": burn_in,
         "weights": weights,
     }
-    others = {name: before[name] if value is None else value for name, value in given.items()}
-    changed = (on_failure, retries) != (before["on_failure"], before["retries"])
-    if changed and saved.statistics.failures:
+    asked = {name: before[name] if value is None else value for name, value in given.items()}
+    now, then = (
+        "on_failure={on_failure!r}, retries={retries}".format(**of) for of in (asked, saved.asked)
+    )
+    if now != then and saved.statistics.failures:
         raise InvalidSettingError(
-            f"on_failure={on_failure!r}, retries={retries}: {saved.path} has failed simulations, "
-            f"which went by on_failure={before['on_failure']!r}, retries={before['retries']}"
+            f"{now}: {saved.path} has failed simulations, which went by {then}"
         )
     check_output(path, SUFFIXES)
     versions = saved.versions
@@ -292,15 +290,13 @@ def resume(
     options = RunOptions(
         iterations=iterations,
         budget=budget,
-        on_failure=on_failure,
-        retries=retries,
         workers=workers,
         executor=executor,
         progress=progress,
         checkpoint=path,
         versions=versions,
         began=began,
-        **others,
+        **asked,
     )
     with locked(path):
         return sample(run, options, saved)

@@ -7,24 +7,16 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, summed_by_pair
 from phase_ppl.analysis.tree import scene_dataset
-from phase_ppl.closed_loop.goal_filter import (
-    PairFilter,
-    PolicyFilter,
-    Reading,
-    SearchSets,
-    stacked,
-)
+from phase_ppl.closed_loop.goal_filter import PairFilter, PolicyFilter, SearchSets, stacked
 from phase_ppl.models.effective import place_of_level
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
@@ -37,11 +29,22 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
 
+if TYPE_CHECKING:
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
 _OF_FRAMES: Final = ("strengths", "actions", "held", "unexplained", "log_peak")
 
 
 class Watch:
-    """An observer of one event; :func:`watch` returns one.
+    """An observer of one event, to be given its frames one by one.
+
+    Example:
+        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
+        ``event.observation.trajectory``, ``post = watch.update(frame)``
+
+    What it says after a frame is the same whatever follows, and after the last frame it is what
+    :func:`phase_ppl.infer` returns. It holds threads until ``close()``; as a context manager it
+    closes itself.
 
     Args:
         scene: where everything starts.
@@ -49,8 +52,6 @@ class Watch:
         seed: of the agents' beliefs and searches.
         threads: searches at a time; the result does not depend on it.
         event_id: name of the event.
-
-    It holds threads until ``close()``; as a context manager it closes itself.
 
     Raises:
         InvalidSettingError: the model has another likelihood, or a simulator of its own.
@@ -67,29 +68,26 @@ class Watch:
     ) -> None:
         self._clock = time.perf_counter()
         self.model = Model(likelihood=StepwiseLikelihood()) if model is None else model
-        likelihood, planner = _parts(self.model)
+        likelihood = self._likelihood = _likelihood_of(self.model)
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
         self._scene, self._event_id = scene, event_id
-        self._likelihood = likelihood
         self._seed = whole_number("seed", seed, minimum=0)
         self.threads = number_of_workers(threads, "threads")
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
-        levels = likelihood.tracking.strengths
-        in_phase = scene.world == PHASE
+        tracking, in_phase = likelihood.tracking, scene.world == PHASE
         if in_phase:
             checked_sites(self.model.prior)
-        self._prior, self._attrs = stepwise_prior(self.model.prior, scene.world, levels)
-        kind, of_goals = (
-            (PairFilter, summed_by_pair(self._prior["log_prior"]))
-            if in_phase
-            else (PolicyFilter, self._prior["log_prior_goals"])
-        )
+        prior, self._attrs = stepwise_prior(self.model.prior, scene.world, tracking.strengths)
         sets = SearchSets(
-            scene, planner, likelihood.tracking, self._seed, self.threads, likelihood.planner_seeds
+            *(scene, self.model.planner_config(), tracking, self._seed, self.threads),
+            likelihood.planner_seeds,
         )
+        kind = PairFilter if in_phase else PolicyFilter
+        of_goals = summed_by_pair(prior["log_prior"]) if in_phase else prior["log_prior_goals"]
+        self._prior = prior
         self._filter = kind(sets, likelihood.conduct, likelihood.weight, of_goals)
-        self._readings: list[Reading] = [self._filter.at_start()]
+        self._readings = [self._filter.at_start()]
 
     def __enter__(self) -> Self:
         return self
@@ -138,10 +136,16 @@ class Watch:
         Raises:
             InvalidSettingError: not even the start was seen.
         """
+        from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
+        return StepwisePosterior(self.dataset(), prior=self.model.prior)
+
+    def dataset(self) -> xr.Dataset:
+        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
-        scene = self._scene
-        likelihood, n = self._likelihood, len(self._frames)
+        scene, likelihood, n = self._scene, self._likelihood, len(self._frames)
+        readings, kind = self._readings[:n], kind_of_table(scene.world)
         settings = {
             "model": self.model.fingerprint(),
             "likelihood": likelihood.to_dict(),
@@ -150,16 +154,27 @@ class Watch:
             "resets_velocity": scene.resets_velocity,
         }
         cost = {
-            "searches": sum(one.searches for one in self._readings[:n]),
+            "searches": sum(one.searches for one in readings),
             "frames": n,
             "seconds": time.perf_counter() - self._clock,
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
             "threads": self.threads,
         }
-        found = self._read().assign_coords(
-            time=("time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"})
-        )
-        found.attrs |= {
+        columns = {name: [getattr(one, name) for one in readings] for name in _OF_FRAMES}
+        columns |= {name: [one.of_goals[name] for one in readings] for name in readings[0].of_goals}
+        columns["trajectory"] = self._frames
+        found: dict[str, Any] = {"combinations": self._filter.combinations, **self._prior}
+        for name, values in columns.items():
+            along = kind.dimensions[name].index("time")
+            found[name] = stacked(list(map(np.asarray, values)), along)
+        coords: dict[str, Any] = dict(kind.labels(scene.world))
+        if scene.world == PHASE:
+            levels = list(likelihood.tracking.strengths)
+            found["strengths"] = found["strengths"].reshape(-1, len(levels), len(levels))
+            coords |= {name: levels for name in STRENGTHS}
+        coords["time"] = "time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}
+        attrs = {
+            "schema": kind.schema,
             **self._attrs,
             "event_id": self._event_id,
             "weight": float(likelihood.weight),
@@ -167,53 +182,16 @@ class Watch:
             "cost": json.dumps(cost),
             "version": phase_ppl.__version__,
         }
-        found = found.merge(scene_dataset(scene), combine_attrs="no_conflicts")
-        return StepwisePosterior(found, prior=self.model.prior)
-
-    def _read(self) -> xr.Dataset:
-        """Return what the frames so far say."""
-        readings, world = self._readings[: len(self._frames)], self._scene.world
-        kind, levels = kind_of_table(world), list(self._likelihood.tracking.strengths)
-        columns = {name: [getattr(one, name) for one in readings] for name in _OF_FRAMES}
-        columns |= {name: [one.of_goals[name] for one in readings] for name in readings[0].of_goals}
-        columns["trajectory"] = self._frames
-        found: dict[str, Any] = {"combinations": self._filter.combinations, **self._prior}
-        for name, values in columns.items():
-            found[name] = stacked(
-                list(map(np.asarray, values)), kind.dimensions[name].index("time")
-            )
-        coords: dict[str, list[Any]] = dict(kind.labels(world))
-        if world == PHASE:
-            found["strengths"] = found["strengths"].reshape(-1, len(levels), len(levels))
-            coords |= {name: levels for name in STRENGTHS}
-        return xr.Dataset(
-            {name: (dims, found[name]) for name, dims in kind.dimensions.items()},
-            coords=coords,
-            attrs={"schema": kind.schema},
-        )
+        variables = {name: (dims, found[name]) for name, dims in kind.dimensions.items()}
+        read = xr.Dataset(variables, coords, attrs)
+        return read.merge(scene_dataset(scene), combine_attrs="no_conflicts")
 
 
-def watch(
-    scene: Scene,
-    model: Model | None = None,
-    *,
-    seed: int = 0,
-    threads: int | None = None,
-    event_id: str = "",
-) -> Watch:
-    """Return an observer of an event, to be given its frames one by one.
-
-    Example:
-        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
-        ``event.observation.trajectory``, ``post = watch.update(frame)``
-
-    What it says after a frame is the same whatever follows, and after the last frame it is what
-    :func:`phase_ppl.infer` returns. Arguments and errors as of :class:`Watch`.
-    """
-    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
+watch = Watch
+"""Return an observer of an event: see :class:`Watch`."""
 
 
-def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
+def _likelihood_of(model: Model) -> StepwiseLikelihood:
     instance_of("model", model, Model, "a phase_ppl.Model")
     likelihood = model.likelihood
     if not isinstance(likelihood, StepwiseLikelihood):
@@ -225,7 +203,7 @@ def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
             "the stepwise likelihood asks the agents of the joint simulator for their policies; "
             "the model has a simulator of its own"
         )
-    return likelihood, model.planner_config()
+    return likelihood
 
 
 # --- the whole video ------------------------------------------------------------------------------
@@ -266,7 +244,20 @@ def filter_event(
             that is a terminal. Elsewhere one line says how long it will take, if that is more
             than a minute; with False nothing does.
     """
-    with watch(event.scene, model, seed=seed, threads=threads, event_id=event.id) as watching:
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
+    return StepwisePosterior(read_event(event, model, seed, threads, progress), prior=model.prior)
+
+
+def read_event(
+    event: Event,
+    model: Model,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool | None = None,
+) -> xr.Dataset:
+    """Return what the posterior of :func:`filter_event` is made of."""
+    with Watch(event.scene, model, seed=seed, threads=threads, event_id=event.id) as watching:
         frames = list(event.observation.trajectory)
         watching.take(frames[0])
         try:
@@ -274,7 +265,7 @@ def filter_event(
                 watching.take(frame)
         except KeyboardInterrupt as stop:
             raise StepwiseInterrupted(watching.posterior()) from stop
-        return watching.posterior()
+        return watching.dataset()
 
 
 def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArray]:
@@ -308,19 +299,14 @@ class TableRunner:
     observed one, on which every frame is conditioned. Nothing is random, so seeds make no
     difference, and nothing is stopped early.
 
-    Args:
-        post: of the whole video.
-
-    Attributes:
-        statistics, workers, on_failure, retries, on_result, limit, patience, deadline: as of a
-            :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for
-            ``limit``, ``patience`` and ``deadline`` to matter.
+    ``found`` is what :func:`read_event` returns. Attributes are as of a
+    :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for ``limit``,
+    ``patience`` and ``deadline`` to matter.
     """
 
     workers, on_failure, retries = 1, "reject", 0
 
-    def __init__(self, post: StepwisePosterior) -> None:
-        found = post.dataset
+    def __init__(self, found: xr.Dataset) -> None:
         likelihood = found["log_likelihood"].values
         worst = likelihood.max(axis=(1, 2), keepdims=True) - likelihood
         self._errors = float(found.attrs["weight"]) * worst
@@ -361,11 +347,10 @@ class TableRunner:
 
     def _look_up(self, hypothesis: Hypothesis, seed: int) -> SimulationResult:
         red, green = hypothesis.effective_goals
-        errors = self._errors[:, red, green].copy()
-        red, green = place_of_level(hypothesis.strengths, self._levels)
-        errors[0] += self._strength_errors[red, green]
-        n = len(errors)
-        if not np.isfinite(errors).all():
-            reason = "impossible given what was seen"
-            return SimulationResult.failed(hypothesis, seed, n, reason)
-        return SimulationResult(hypothesis, seed, self._trajectory, errors, n, True)
+        errors, n = self._errors[:, red, green].copy(), len(self._errors)
+        errors[0] += self._strength_errors[
+            tuple(place_of_level(hypothesis.strengths, self._levels))
+        ]
+        if np.isfinite(errors).all():
+            return SimulationResult(hypothesis, seed, self._trajectory, errors, n, True)
+        return SimulationResult.failed(hypothesis, seed, n, "impossible given what was seen")

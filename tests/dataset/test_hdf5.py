@@ -36,7 +36,7 @@ import numpy as np
 import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.inference.runs.checkpoint import write_archive
+from phase_ppl.inference.checkpoint import write_archive
 from phase_ppl.world.errors import OutputError
 from tests.analysis.factory import random_tree
 from tests.analysis.readings import reading

@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.inference.runs import sampler
-from phase_ppl.inference.runs.checkpoint import Checkpoint, read_archive, write_archive
+from phase_ppl.inference import checkpoint, sampler
+from phase_ppl.inference.checkpoint import Checkpoint, read_archive, write_archive
 from phase_ppl.world import identity
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from tests.inference.runs import EVENT, MODEL, OPTIONS, assert_same_draws, infer, stops_at
@@ -231,7 +231,7 @@ def test_a_full_disk_ends_the_run_but_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = []
-    write = sampler.write_checkpoint
+    write = checkpoint.write_checkpoint
 
     def full(*given: Any) -> None:
         if len(written) == 2:
@@ -239,7 +239,7 @@ def test_a_full_disk_ends_the_run_but_loses_nothing(
         written.append(1)
         write(*given)
 
-    monkeypatch.setattr(sampler, "write_checkpoint", full)
+    monkeypatch.setattr(checkpoint, "write_checkpoint", full)
     with pytest.raises(OutputError, match="no space left") as caught:
         infer(checkpoint=tmp_path / "run.ckpt")
     kept = caught.value.posterior  # type: ignore[attr-defined]

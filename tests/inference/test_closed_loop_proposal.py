@@ -99,7 +99,7 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", interrupted)
+    monkeypatch.setattr("phase_ppl.inference.stepwise.read_event", interrupted)
     seen = dataclasses.replace(event, observation=Observation(event.observation.trajectory[:4]))
     with pytest.raises(ppl.Interrupted) as stopped:
         ppl.infer(seen, kernel="local_mh", chains=2, workers=1, progress=False)
@@ -109,7 +109,7 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
 def test_what_is_wrong_is_refused_before_the_video_is_read(
     event: Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", never_called)
+    monkeypatch.setattr("phase_ppl.inference.stepwise.read_event", never_called)
     seen = dataclasses.replace(event, observation=Observation(event.observation.trajectory[:5]))
     for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
         with pytest.raises(ppl.PhasePPLError, match=r"too small|papr|burn_in=7"):

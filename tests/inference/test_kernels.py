@@ -26,7 +26,7 @@ from phase_ppl.inference.kernels.local_mh import (
     log_window_choice,
 )
 from phase_ppl.inference.kernels.metropolis import log_ratio
-from phase_ppl.inference.runs.run import Run
+from phase_ppl.inference.run import Run
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model

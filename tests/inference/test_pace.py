@@ -14,10 +14,10 @@ import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.inference import run, sampler
+from phase_ppl.inference.checkpoint import Checkpoint
 from phase_ppl.inference.registry import KernelInfo, kernel_info
-from phase_ppl.inference.runs import length, sampler
-from phase_ppl.inference.runs.checkpoint import Checkpoint
-from phase_ppl.inference.runs.length import IDLE, Length, Pace
+from phase_ppl.inference.run import IDLE, Length, Pace
 from phase_ppl.inference.settings import Budget
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference.runs import EVENT, MODEL, OPTIONS, Watched, assert_same_draws, infer, stops_at
@@ -44,7 +44,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     fake = Clock()
-    monkeypatch.setattr(length, "clock", fake)
+    monkeypatch.setattr(run, "clock", fake)
     return fake
 
 

@@ -13,7 +13,7 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.inference.entries import entries
-from phase_ppl.inference.runs.run import Run
+from phase_ppl.inference.run import Run
 from phase_ppl.inference.settings import PRESETS, completed
 from phase_ppl.models.predicate import INDEPENDENT, Thresholds
 from phase_ppl.simulator.joint import DynamicsNoise

@@ -260,13 +260,13 @@ def _read(
 ) -> Table:
     # by object: kernels that are compared share it
     from phase_ppl.analysis.stepwise_table import table_of
-    from phase_ppl.inference.stepwise import filter_event
+    from phase_ppl.inference.stepwise import read_event
     from phase_ppl.models.model import Model
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
     event = Event(scene, observation)
-    return table_of(filter_event(event, model, threads=threads, progress=progress).dataset)
+    return table_of(read_event(event, model, threads=threads, progress=progress))
 
 
 # --- features of motion that speak for goals ------------------------------------------------------

@@ -1,8 +1,7 @@
 """Doing a run: one iteration at a time, so that nothing that was done is ever lost.
 
-:func:`sample` takes a :class:`~phase_ppl.inference.runs.run.Run` and how the call goes about it
-(:class:`RunOptions`), begins it or goes on with it, and returns its posterior. ``length.py`` says
-when it ends.
+:func:`sample` takes a :class:`~phase_ppl.inference.run.Run` and how the call goes about it
+(:class:`RunOptions`), begins it or goes on with it, and returns its posterior.
 """
 
 from __future__ import annotations
@@ -30,12 +29,10 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.diagnostics import untried_rivals
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.weights import WEIGHTINGS
+from phase_ppl.inference import run as runs
+from phase_ppl.inference.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.proposals.strength import estimator_name
-from phase_ppl.inference.runs import length
-from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
-from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
-from phase_ppl.inference.runs.length import Length, Pace
-from phase_ppl.inference.runs.run import Run, compiled, compiled_given, make_kernel
+from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
@@ -49,8 +46,8 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     OutputError,
     SimulationError,
+    check_name,
     shown,
-    unknown_name,
 )
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.identity import versions
@@ -58,23 +55,22 @@ from phase_ppl.world.progress import Progress
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
+    from phase_ppl.inference.checkpoint import Checkpoint
     from phase_ppl.inference.stepwise import TableRunner
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
-_RECORD_BYTES: Final = 3000
-_FRAME_BYTES: Final = 104
-"""Of memory that a simulation takes, and each of its frames."""
-
-_ROUNDS: Final = 3
-"""Times that rivals are tried, if every time others lead."""
+_RECORD_BYTES, _FRAME_BYTES = 3000, 104  # of memory that a simulation takes, and each of its frames
+_ROUNDS: Final = 3  # times that rivals are tried, if every time others lead
+_APART: Final = 0.5  # units by which a first frame may be off the start
 
 _NEGLIGIBLE: Final = 16.0
 """Nats below the best simulation from which on one makes no difference to any mean likelihood."""
 
-_APART: Final = 0.5  # units by which a first frame may be off the start
-
 _OVERTIME: Final = 1.1
 """An iteration is given up that goes on for so much of the seconds, and one second."""
+
+_OF_SIMULATIONS: Final = ("executor", "on_failure", "retries", "simulation_seconds")
+"""Options of a run that are of no use where nothing is simulated."""
 
 _known_simulators: Final[weakref.WeakSet[Any]] = weakref.WeakSet()
 
@@ -99,45 +95,29 @@ class Interrupted(KeyboardInterrupt):
 
 @dataclasses.dataclass(frozen=True)
 class RunOptions:
-    """How a call goes about a run.
+    """How a call goes about a run; what is not explained is as in :func:`~phase_ppl.infer`."""
 
-    Raises:
-        InvalidSettingError: ``burn_in`` leaves no iteration.
-        UnknownNameError: there is no such weighting.
-    """
-
-    iterations: int | None = None  # as given; the length of the run
+    iterations: int | None = None
     budget: Budget | None = None
-    # what becomes of failed simulations; draws depend on it where some fail
     on_failure: str = "reject"
     retries: int | None = None
-    simulation_seconds: float | None = None  # that a simulation may take; None: any
-    workers: int | None = None  # where simulations run
+    simulation_seconds: float | None = None
+    workers: int | None = None
     executor: Executor | None = None
-    progress: bool | None = None  # whether to show a bar
-    checkpoint: str | os.PathLike[str] | None = None  # file; None: none is written
-    # draws at the beginning of each chain that do not count; None: by default
+    progress: bool | None = None
+    checkpoint: str | os.PathLike[str] | None = None
     burn_in: int | None = None
-    weights: str | None = None  # name of the weighting of the posterior; None: by kernel and length
+    weights: str | None = None
     # with which the run was made so far, oldest first
     versions: Sequence[Mapping[str, Any]] = dataclasses.field(default_factory=lambda: [versions()])
     # when the call began, by ``clock``
-    began: float = dataclasses.field(default_factory=lambda: length.clock())
+    began: float = dataclasses.field(default_factory=lambda: runs.clock())
 
     def __post_init__(self) -> None:
-        if self.weights is not None and self.weights not in WEIGHTINGS:
-            raise unknown_name("weights", self.weights, WEIGHTINGS)
-        if self.burn_in is None:
-            return
-        whole_number("burn_in", self.burn_in, minimum=0)
-        _check_burn_in(self.burn_in, self.iterations)
-
-
-def _check_burn_in(burn_in: int | None, iterations: int | None) -> None:
-    if burn_in is not None and iterations is not None and burn_in >= iterations:
-        raise InvalidSettingError(
-            f"burn_in={burn_in}, but there are {iterations} iterations: expected fewer"
-        )
+        if self.weights is not None:
+            check_name("weights", self.weights, WEIGHTINGS)
+        if self.burn_in is not None:
+            whole_number("burn_in", self.burn_in, minimum=0)
 
 
 def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
@@ -166,32 +146,19 @@ def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Po
 
 
 def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
-    if is_stepwise(run.model.likelihood):
-        for name in ("executor", "on_failure", "retries", "simulation_seconds"):
-            given = getattr(options, name)
-            if given != getattr(RunOptions, name):
-                raise InvalidSettingError(
-                    f"{name}={shown(given)}: a stepwise likelihood simulates nothing"
-                )
-        from phase_ppl.inference.stepwise import TableRunner, filter_event
+    event, model, workers = run.event, run.model, options.workers
+    given = {name: getattr(options, name) for name in _OF_SIMULATIONS}
+    if not is_stepwise(model.likelihood):
+        simulator = model.build_simulator()
+        return Runner(simulator, event.scene, event.observation, workers=workers, **given)
+    for name, value in given.items():
+        if value != getattr(RunOptions, name):
+            raise InvalidSettingError(
+                f"{name}={shown(value)}: a stepwise likelihood simulates nothing"
+            )
+    from phase_ppl.inference.stepwise import TableRunner, read_event
 
-        post = filter_event(
-            *(run.event, run.model),
-            seed=run.seed,
-            threads=options.workers,
-            progress=options.progress,
-        )
-        return TableRunner(post)
-    return Runner(
-        run.model.build_simulator(),
-        run.event.scene,
-        run.event.observation,
-        workers=options.workers,
-        executor=options.executor,
-        on_failure=options.on_failure,
-        retries=options.retries,
-        simulation_seconds=options.simulation_seconds,
-    )
+    return TableRunner(read_event(event, model, run.seed, workers, options.progress))
 
 
 _split: Final = Hosted(
@@ -211,7 +178,7 @@ class Sampler:
         self, run: Run, options: RunOptions, runner: Runner | TableRunner, saved: Checkpoint | None
     ) -> None:
         self._run, self._options, self._runner = run, options, runner
-        self._n_frames = run.event.observation.n_frames
+        self._n_frames = run.n_frames
         self._bridge = SimulatorBridge(runner, self._n_frames, space_of(run.event.scene.world))
         # before a video is read, all that can be refused is
         self._data = run.data(self._bridge.handle, unread=True)
@@ -220,7 +187,11 @@ class Sampler:
             *(self._kernel, run.info, run.chains, options.iterations, options.budget),
             self._n_frames,
         )
-        _check_burn_in(options.burn_in, self._length.iterations)
+        iterations, burn_in = self._length.iterations, options.burn_in
+        if iterations is not None and burn_in is not None and burn_in >= iterations:
+            raise InvalidSettingError(
+                f"burn_in={burn_in}, but there are {iterations} iterations: expected fewer"
+            )
         self._check_memory()
         self._init, self._step = compiled(run.recipe)
         self._state: Any = None
@@ -244,11 +215,9 @@ class Sampler:
         return len(self._particles) - 1
 
     def _check_memory(self) -> None:
-        asked = min(
-            self._length.limit("simulations"), self._length.limit("frames") // self._n_frames
-        )
-        least = self._length.at_most(self._length.iterations or 0)
-        most = max(int(asked), least) if self._length.counts else least
+        limit, most = self._length.limit, self._length.at_most(self._length.iterations or 0)
+        if self._length.counts:
+            most = max(int(min(limit("simulations"), limit("frames") // self._n_frames)), most)
         check_memory(
             f"chains={self._run.chains}, {most} simulations of {self._n_frames} frames",
             most * (_RECORD_BYTES + _FRAME_BYTES * self._n_frames),
@@ -268,8 +237,9 @@ class Sampler:
         with on_cpu():
             blank = self._init.shapes(self._keys(), self._data)
         self._state, self._particles = saved.state(blank), list(saved.particles)
-        began, recent = self._options.began, saved.recent
-        pace = self._pace = Pace(self._length, began, seconds=saved.seconds, recent=recent)
+        pace = self._pace = Pace(
+            self._length, self._options.began, seconds=saved.seconds, recent=saved.recent
+        )
         pace.count(saved.records, saved.done - 1)
         if saved.done and pace.is_spent:
             raise InvalidSettingError(
@@ -315,7 +285,7 @@ class Sampler:
         runner, limit = self._runner, self._runner.limit
         runner.limit = min(limit, seconds)
         runner.patience = time.perf_counter() + seconds - self._pace.seconds
-        self._iterate(self._first_state)
+        self._iterate(lambda: self._init(self._keys(), self._data))
         runner.limit = limit
         if self._run.model.simulator is not None:
             results = [record.result for record in self._bridge.records]
@@ -329,9 +299,8 @@ class Sampler:
         state = self._in_thread(compute)
         if initial:
             state = self._all_started(state)
-        particles = particles_of(state)
+        self._particles.append(particles_of(state))
         self._state = state
-        self._particles.append(particles)
         self._pace.end(initial=initial)
         self._pace.count(self._bridge.records, self._done)
         self.keep()
@@ -342,7 +311,7 @@ class Sampler:
         Of runs so short that all their simulations are weighed. The particles share the rivals, a
         simulation each; should others lead then, theirs follow.
         """
-        run = self._run
+        chains = self._run.chains
         if self._length.budget is not None or self._rivals_from is not None:  # by an earlier call
             return
         tried: set[tuple[int, ...]] = set()
@@ -358,11 +327,11 @@ class Sampler:
             tried |= set(rivals)
             simulations = post.tree["simulations"].dataset
             known = simulations["log_likelihood"].values[simulations["completed"].values]
-            floor = np.full(run.chains, known.max() - _NEGLIGIBLE, np.float32)
-            for first in range(0, len(rivals), run.chains):
-                self._n_rivals += run.chains
+            floor = np.full(chains, known.max() - _NEGLIGIBLE, np.float32)
+            for first in range(0, len(rivals), chains):
+                self._n_rivals += chains
                 bar.expect(self._simulations())
-                goals = np.take(rivals, range(first, first + run.chains), axis=0, mode="wrap")
+                goals = np.take(rivals, range(first, first + chains), axis=0, mode="wrap")
                 work = functools.partial(self._simulate_goals, goals, floor, round_, first)
                 self._in_thread(work)
             if not rivals:
@@ -382,20 +351,16 @@ class Sampler:
         keys = self._keys(self._done, *place)
         return compiled_given(run.recipe)(keys, given, log_floor, self._data)
 
-    def _first_state(self) -> Any:
-        state = self._init(self._keys(), self._data)
-        for field in ("z", "sim_seed", "rng_key"):
-            if not hasattr(state, field):
-                raise InvalidSettingError(
-                    f"{type(state).__name__}, the state of the kernel, has no field {field!r}"
-                )
-        return state
-
     def _all_started(self, state: Any) -> Any:
         """Return the initial state with particles whose simulation failed where the next one is.
 
         Any start leaves the stationary law as it is.
         """
+        for field in ("z", "sim_seed", "rng_key"):
+            if not hasattr(state, field):
+                raise InvalidSettingError(
+                    f"{type(state).__name__}, the state of the kernel, has no field {field!r}"
+                )
         records, chain = self._bridge.records, np.arange(self._run.chains)
         done = [record for record in records if record.result.completed]
         keys = {request_key(record.sites, record.result.seed) for record in done}
@@ -453,23 +418,25 @@ class Sampler:
 
     def _expected(self) -> int:
         """Return how many simulations there will be in the end, as far as one can tell."""
-        spent = self._pace
-        if self._length.counts:
-            each = spent.frames / spent.simulations if spent.frames else self._n_frames
-            total = min(self._length.limit("simulations"), self._length.limit("frames") / each)
-            return max(math.ceil(total), spent.simulations)
-        return self._length.at_most(spent.expected)
+        spent, limit = self._pace, self._length.limit
+        if not self._length.counts:
+            return self._length.at_most(spent.expected)
+        each = spent.frames / spent.simulations if spent.frames else self._n_frames
+        total = min(limit("simulations"), limit("frames") / each)
+        return max(math.ceil(total), spent.simulations)
 
     def keep(self, records: Sequence[Record] | None = None) -> None:
         """Write the file, if there is to be one that is not up to date.
 
         With all ``records``, or those of what is complete.
         """
-        if records is None:  # those of an iteration that was interrupted will be run again
-            records = [one for one in self._bridge.records if one.iteration <= self._done]
         options, ends = self._options, self._length
         if options.checkpoint is None or self._written == self._done:
             return
+        from phase_ppl.inference.checkpoint import write_checkpoint
+
+        if records is None:  # those of an iteration that was interrupted will be run again
+            records = [one for one in self._bridge.records if one.iteration <= self._done]
         about = {
             "identity": self._run.identity(),
             "again": self._run.again(),
@@ -487,15 +454,13 @@ class Sampler:
             "spent": {
                 "statistics": dataclasses.asdict(self._runner.statistics),
                 "seconds": self._pace.seconds,
-                "recent": self._pace.recent,
+                "recent": list(self._pace.recent),
                 "calls": self._calls,
             },
             "versions": list(options.versions),
         }
-        write_checkpoint(
-            *(options.checkpoint, about, self._run.event),
-            *(self._state, self._particles, records),
-        )
+        particles, event = self._particles, self._run.event
+        write_checkpoint(options.checkpoint, about, event, self._state, particles, records)
         self._written = self._done
 
     def posterior(self, *, interrupted: bool) -> Posterior | None:
@@ -513,16 +478,16 @@ class Sampler:
         }
         if earlier:
             attrs["earlier_versions"] = json.dumps(earlier)
+        if self._rivals_from is not None:
+            attrs["rivals_from"] = self._rivals_from
+        if self._options.weights is not None:
+            attrs["weights"] = self._options.weights
         records = self._bridge.records
         tree = build_tree(run.event, run.model, kernel, self._particles, records, attrs)
         if self._options.burn_in is not None:
             # of an interrupted run at least the last draw counts
             most = tree["posterior"].sizes["draw"] - 1
             tree.attrs["burn_in"] = min(self._options.burn_in, most)
-        if self._rivals_from is not None:
-            tree.attrs["rivals_from"] = self._rivals_from
-        if self._options.weights is not None:
-            tree.attrs["weights"] = self._options.weights
         return Posterior(tree)
 
     def _settings(self) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.events_json import event_from_record, event_record
-from phase_ppl.inference.runs.draws import PARTICLE_COLUMNS, SITE, Columns, numbers_of
+from phase_ppl.inference.draws import PARTICLE_COLUMNS, SITE, Columns, numbers_of
 from phase_ppl.inference.settings import frames, seconds, simulations
 from phase_ppl.models.bridge import Record
 from phase_ppl.models.density import on_cpu
@@ -180,7 +180,7 @@ class Checkpoint:
 
     Attributes:
         path: of the file.
-        identity: what the run is (:meth:`phase_ppl.inference.runs.run.Run.identity`).
+        identity: what the run is (:meth:`phase_ppl.inference.run.Run.identity`).
         event: that it explains.
         asked: arguments of ``infer`` by name: ``iterations`` and ``budget``, one of which is None,
             ``weights`` and ``burn_in``, None where they were left open, ``on_failure``,

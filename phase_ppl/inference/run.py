@@ -1,0 +1,455 @@
+"""What a run is: the particles of a kernel on an event, and how long; ``sampler.py`` runs it.
+
+Whether another iteration begins follows from what those before really cost, not from what a kernel
+declares that a step may cost. With a budget of simulations or frames it follows from the run alone,
+so that it is the same for any number of workers and after every resumption.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import jax
+from jax import random
+from numpyro.infer.mcmc import MCMCKernel
+
+from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.proposals.guide import bottom_up_guide
+from phase_ppl.inference.proposals.tables import (
+    BottomUpTables,
+    bottom_up_tables,
+    padded,
+    window_count,
+)
+from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
+from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
+from phase_ppl.models import priors
+from phase_ppl.models.bridge import Record
+from phase_ppl.models.density import remembered
+from phase_ppl.models.hosted import Hosted
+from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import EventProgram, event_salt
+from phase_ppl.models.roles import WorldPrior, as_given
+from phase_ppl.world.checks import instance_of, whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.event import Event
+from phase_ppl.world.identity import event_digest, source_hash, stable
+from phase_ppl.world.scene import check_is_phase
+
+_KEPT_PROGRAMS: Final = 16
+_OURS: Final = "phase_ppl."
+_BY_FRAME: Final = (RadialLikelihood, InNats)
+"""Likelihoods for which it does not matter where in the video a frame is."""
+
+_SHORT, _USUAL = 16, 128
+"""Lengths to which arrays of frames are padded; longer videos take the next power of 2."""
+
+Kernel: TypeAlias = str | Factory | MCMCKernel
+"""A kernel as users give it: by name, as what makes one for an event, or as an instance."""
+
+
+class Data(NamedTuple):
+    """All that compiled code is told of an event."""
+
+    tables: BottomUpTables  # what its windows say
+    salt: jax.Array | int  # a number that stands for it
+    bridge: jax.Array | int  # handle of the bridge that simulates
+    observed: jax.Array | int | None  # number of frames, where arrays are longer
+
+
+class Recipe(NamedTuple):
+    """What compiled programs depend on. Events with the same share them."""
+
+    info: KernelInfo
+    options: tuple[tuple[str, Any], ...]  # of the kernel
+    model: Model
+    settings: SimpleSettings
+    n_frames: int  # length of the arrays of frames
+
+
+@dataclasses.dataclass(eq=False)
+class Run:
+    """All that determines the draws of a run, but for how many there are.
+
+    Raises:
+        InvalidEventError: ``event`` is no event.
+        InvalidSettingError, UnknownNameError: a setting that cannot be used.
+    """
+
+    event: Event  # what is explained
+    model: Model  # prior, simulator, likelihood
+    kernel: Kernel  # as the user gave it
+    options: Mapping[str, Any]  # of the kernel
+    settings: SimpleSettings  # of SIMPLE
+    chains: int  # particles M
+    seed: int  # a whole number >= 0
+
+    def __post_init__(self) -> None:
+        check_event(self.event)
+        world, model = self.event.scene.world, self.model
+        self.info = described(self.kernel)
+        if is_stepwise(model.likelihood):
+            check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
+        self.model = model = model.in_world(world)
+        guided = "guide" in self.info.needs and model.is_joint
+        self.settings = self.settings.settled(world, guided=guided)
+        self.chains = whole_number("chains", self.chains)
+        self.seed = whole_number("seed", self.seed, minimum=0)
+        if self.info.even_chains and self.chains % 2:
+            raise InvalidSettingError(
+                f"chains={self.chains}: kernel {self.info.name!r} needs an even number, such as "
+                f"{self.chains + 1}"
+            )
+        self.n_frames = self.event.observation.n_frames
+        # a likelihood of one's own may depend on where a frame is
+        self._is_padded = self.info.any_length and type(model.error_likelihood) in _BY_FRAME
+
+    def identity(self) -> dict[str, Any]:
+        """Return as plain data what a run must have in common with another to be the same."""
+        own_values = vars(self.kernel) if isinstance(self.kernel, MCMCKernel) else {}
+        plain = bool | int | float | str
+        factory = self.info.factory if isinstance(self.kernel, str) else self.kernel
+        return {
+            "event": event_digest(self.event),
+            "model": stable(self.model.fingerprint()),
+            "kernel": {
+                "name": self.info.name,
+                "source": source_hash(factory),
+                "values": {k: v for k, v in sorted(own_values.items()) if isinstance(v, plain)},
+                "options": stable(dict(self.options)),
+            },
+            "settings": stable(vars(self.settings)),
+            "chains": self.chains,
+            "seed": self.seed,
+        }
+
+    def again(self) -> dict[str, Any]:
+        """Return what makes the run again from a file; None for what is no plain data."""
+        model = self.model
+        prior, stored = priors.name_of(as_given(model.prior)), None
+        if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
+            stored = {
+                "prior": prior,
+                "beta": model.likelihood.beta,
+                "planner": model.planner_config().to_dict(),
+                "noise": model.noise,
+            }
+        return {
+            "model": stored,
+            "kernel": self.kernel if isinstance(self.kernel, str) else None,
+            "options": _plain(self.options),
+            "settings": _plain(vars(self.settings)),
+        }
+
+    @functools.cached_property
+    def recipe(self) -> Recipe:
+        """What the compiled programs depend on: not on the simulator, which runs beside them."""
+        options, n_frames = tuple(self.options.items()), self.n_frames
+        model = dataclasses.replace(self.model, simulator=None, planner=None)
+        if self._is_padded:
+            longer = max(_USUAL, 1 << (n_frames - 1).bit_length())
+            n_frames = _SHORT if n_frames <= _SHORT else longer
+        return Recipe(self.info, options, model, self.settings, n_frames)
+
+    def data(
+        self,
+        bridge: int,
+        progress: bool | None = None,
+        threads: int | None = None,
+        *,
+        unread: bool = False,
+    ) -> Data:
+        """Return what compiled code is told of the event and the bridge with that handle.
+
+        The closed loop reads the video in so many ``threads``; or as if it had not to, to see
+        whether a kernel works.
+        """
+        scene, observation, settings = self.event.scene, self.event.observation, self.settings
+        if unread and settings.proposal == "closed_loop":
+            settings = dataclasses.replace(settings, proposal=None)
+        tables = bottom_up_tables(scene, observation, settings, progress, threads)
+        tables = padded(tables, window_count(self.recipe.n_frames, settings.window))
+        observed = self.n_frames if self._is_padded else None
+        return Data(tables, event_salt(scene, observation), bridge, observed)
+
+    def check(self, iterations: int | None, budget: Budget | None) -> None:
+        """Make the kernel and trace a step of it, with nothing simulated."""
+        kernel = make_kernel(self.recipe, self.data(0, unread=True))
+        Length.of(kernel, self.info, self.chains, iterations, budget, self.n_frames)
+        # one program: NumPyro's own kernels are made ready by init
+        jax.eval_shape(
+            lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}),
+            random.split(random.key(0), self.chains),
+        )
+
+
+def check_event(given: object) -> None:
+    """Raise InvalidEventError if something is no event."""
+    if not isinstance(given, Event):
+        raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
+
+
+def model_again(stored: Mapping[str, Any]) -> Model:
+    """Return the model that :meth:`Run.again` wrote down."""
+    from phase_ppl.agents.config import PlannerConfig
+
+    return Model(
+        prior=stored["prior"],
+        likelihood=RadialLikelihood(stored["beta"]),
+        planner=PlannerConfig.from_dict(stored["planner"]),
+        noise=stored["noise"],
+    )
+
+
+def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return options or settings if JSON gives them back as they are; else None."""
+    try:
+        again: dict[str, Any] = json.loads(json.dumps(dict(options), allow_nan=False))
+    except (TypeError, ValueError):
+        return None
+    # a list is no tuple, and 1 is not True
+    return again if repr(again) == repr(dict(options)) else None
+
+
+# --- compiled programs ----------------------------------------------------------------------------
+
+
+def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
+    """Return the kernel for an event."""
+    info, options, model, settings, n_frames = recipe
+    tables, salt, bridge, observed = data
+    program = EventProgram(model, bridge, n_frames, salt, observed)
+    supplies: dict[str, Any] = {"settings": settings} if "settings" in info.needs else {}
+    if "guide" in info.needs:
+        share = settings.prior_share
+        supplies["guide"] = bottom_up_guide(model.prior, model.sites, tables, prior_share=share)
+    return info.make(program, **supplies, **dict(options))
+
+
+@remembered(_KEPT_PROGRAMS)
+def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
+    """Return the two compiled functions of a recipe: (keys, data) and (state, data) -> state."""
+
+    def init(keys: jax.Array, data: Data) -> Any:
+        return make_kernel(recipe, data).init(keys, 0, None, (), {})
+
+    def step(state: Any, data: Data) -> Any:
+        kernel = make_kernel(recipe, data)
+        if getattr(kernel, "_sample_fn", True) is None:
+            # NumPyro's own kernels are made ready by init
+            jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
+        return kernel.sample(state, (), {})
+
+    return Hosted(init, _identity(recipe, "init")), Hosted(step, _identity(recipe, "step"))
+
+
+@remembered(_KEPT_PROGRAMS)
+def compiled_given(recipe: Recipe) -> Hosted:
+    """Return the compiled function (keys, given sites, log floors, data) -> errors (chain, time).
+
+    Each particle simulates a hypothesis of which some sites are given, the others proposed by
+    SIMPLE, whatever the kernel.
+    """
+
+    def simulate(
+        keys: jax.Array, given: dict[str, jax.Array], log_floor: jax.Array, data: Data
+    ) -> Any:
+        kernel = make_kernel(recipe._replace(info=KERNELS["local_mh"], options=()), data)
+        assert isinstance(kernel, LocalMH), "it is registered by that name"
+        return jax.vmap(kernel.simulate_given)(keys, given, log_floor)
+
+    return Hosted(simulate, _identity(recipe, "given sites"))
+
+
+def _identity(recipe: Recipe, what: str) -> str | None:
+    """Return what tells ``what`` is compiled of a recipe from others.
+
+    None unless all of its code is this package's.
+    """
+    info, options, model, settings, length = recipe
+    plain, prior = _plain(dict(options)), priors.name_of(as_given(model.prior))
+    known = KERNELS.entries.get(info.name) is info and info.factory.__module__.startswith(_OURS)
+    likelihood = model.error_likelihood
+    if plain is None or prior is None or not known or type(likelihood) not in _BY_FRAME:
+        return None
+    numbers = settings.eta, settings.window, settings.prior_share
+    parts = info.name, plain, prior, model.noise, numbers, length
+    kind = likelihood if isinstance(likelihood, RadialLikelihood) else "nats"
+    world = f" {model.prior.world.to_dict()!r}" if isinstance(model.prior, WorldPrior) else ""
+    return f"{what} of {parts!r} {kind!r}{world}"
+
+
+# --- how long a run is ----------------------------------------------------------------------------
+
+ITERATIONS: Final = 6  # L, the paper's number of iterations
+RECENT: Final = 3  # iterations whose mean is what the next one is expected to take
+
+IDLE: Final = 100
+"""Iterations in a row without a simulation, after which a budget will never be spent: so it is
+where all hypotheses have been simulated and their noise is fixed."""
+
+clock: Callable[[], float] = time.perf_counter  # seconds of wall time
+
+
+class Length(NamedTuple):
+    """When a run ends."""
+
+    chains: int  # number of particles M
+    iterations: int | None = None  # L, after the initial particles; None: until the budget is spent
+    budget: Budget | None = None  # none where there is a number of iterations
+    sims_at_start: int = 1  # the most simulations of each initial particle
+    sims_per_step: int = 1  # the most simulations that an iteration takes per particle
+
+    @classmethod
+    def of(
+        cls,
+        kernel: Any,
+        info: KernelInfo,
+        chains: int,
+        iterations: int | None,
+        budget: Budget | None,
+        n_frames: int,
+    ) -> Length:
+        """Return the length of a run, as the user gave it, with a kernel made for the event."""
+        if budget is not None and iterations is not None:
+            raise InvalidSettingError("give either iterations or a budget, not both")
+        if budget is not None:
+            instance_of("budget", budget, Budget, BUDGETS)
+        per_step = getattr(kernel, "sims_per_step", info.sims_per_step)
+        length = cls(chains, iterations, budget, getattr(kernel, "sims_at_start", 1), per_step)
+        if own := getattr(kernel, "n_iterations", None):
+            length._check_own(info.name, own(chains), n_frames)
+            return length._replace(iterations=own(chains), budget=None)
+        if budget is None:
+            wanted = ITERATIONS if iterations is None else whole_number("iterations", iterations)
+            return length._replace(iterations=wanted)
+        at_start = length.at_most(0)
+        small = f"a budget of {budget} is too small: {chains} initial particles"
+        # what an iteration takes is not known before, but a simulation for each particle is little
+        if length.limit("simulations") < at_start + chains:
+            raise InvalidSettingError(f"{small} and one iteration need {at_start + chains}")
+        if length.limit("frames") <= at_start * n_frames:
+            raise InvalidSettingError(
+                f"{small} need {at_start * n_frames}, and iterations come on top"
+            )
+        return length
+
+    def _check_own(self, name: str, needed: int, n_frames: int) -> None:
+        """Raise InvalidSettingError if it contradicts a kernel that decides its own length."""
+        takes = f"with {self.chains} chains it takes {needed}"
+        if self.limit("seconds") < math.inf:
+            raise InvalidSettingError(
+                f"a budget of seconds is of no use to kernel {name!r}: {takes} iterations, "
+                "whatever their time"
+            )
+        if self.iterations not in (None, needed):
+            raise InvalidSettingError(
+                f"iterations={self.iterations}, but kernel {name!r} decides itself: {takes}; "
+                "leave iterations out"
+            )
+        least = self.at_most(needed)
+        for unit, amount in (("simulations", least), ("frames", least * n_frames)):
+            if self.limit(unit) < amount:
+                raise InvalidSettingError(
+                    f"a budget of {self.budget} is too small: kernel {name!r} takes {amount}"
+                )
+
+    def at_most(self, iterations: int) -> int:
+        """Return the most simulations that so many iterations take."""
+        return self.chains * (self.sims_at_start + iterations * self.sims_per_step)
+
+    def limit(self, unit: str) -> float:
+        """Return the budget, where it is in that unit; else inf."""
+        return self.budget.amount if self.budget and self.budget.unit == unit else math.inf
+
+    @property
+    def counts(self) -> bool:
+        """Whether the run ends when so many simulations or frames were made."""
+        return self.budget is not None and self.budget.unit != "seconds"
+
+
+class Pace:
+    """What a run has cost so far, and whether another iteration is to begin.
+
+    The call began at that :func:`clock`; ``seconds`` the run took before, in other calls, and
+    ``recent`` its last iterations there.
+
+    Attributes:
+        done: finished iterations; -1: not even the initial particles are there.
+        simulations: made by the initial particles and the finished iterations; those run again
+            because they failed do not count.
+        frames: simulated by them.
+        recent: seconds that the last iterations took.
+    """
+
+    def __init__(
+        self, length: Length, began: float, *, seconds: float = 0.0, recent: Iterable[float] = ()
+    ) -> None:
+        self.done, self.simulations, self.frames = -1, 0, 0
+        self.recent = deque(recent, maxlen=RECENT)
+        self._length, self._begin = length, began - seconds
+        self._first_guess, self._mark = False, 0.0
+        self._last = 0  # the last iteration that took a simulation
+
+    def count(self, records: Sequence[Record], done: int) -> None:
+        """Take in what so many iterations have cost, at least as many as before."""
+        new = [record for record in records[self.simulations :] if record.iteration <= done]
+        self.done = done
+        self.simulations += len(new)
+        self.frames += sum(record.result.frames_simulated for record in new)
+        self._last = new[-1].iteration if new else self._last
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether a budget of simulations or frames is used up."""
+        limit = self._length.limit
+        return self.simulations >= limit("simulations") or self.frames >= limit("frames")
+
+    @property
+    def seconds(self) -> float:
+        """Seconds that the run has taken so far, in all calls."""
+        return clock() - self._begin
+
+    def begin(self) -> None:
+        """Note that the initial particles or an iteration begin."""
+        self._mark = clock()
+
+    def end(self, *, initial: bool = False) -> None:
+        """Note that they ended.
+
+        Until there is an iteration, the initial particles say what one takes: they compile and
+        simulate too, and are never stopped early.
+        """
+        taken = clock() - self._mark
+        if initial:
+            taken *= self._length.sims_per_step / max(self._length.sims_at_start, 1)
+        elif self._first_guess:
+            self.recent.clear()
+        self._first_guess = initial
+        self.recent.append(taken)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether another iteration is to begin."""
+        if self._length.counts:
+            return not self.is_spent and self.done - self._last < IDLE
+        return self.done < self.expected
+
+    @property
+    def expected(self) -> int:
+        """How many iterations there will be in all, as far as the clock can tell."""
+        if self._length.iterations is not None:
+            return self._length.iterations
+        done, left = max(self.done, 0), self._length.limit("seconds") - self.seconds
+        if left == math.inf or not self.recent:
+            return done
+        each = max(math.fsum(self.recent) / len(self.recent), 1e-6)
+        return done + max(int(left / each), 0)
