@@ -187,8 +187,16 @@ class Watch:
         return read.merge(scene_dataset(scene), combine_attrs="no_conflicts")
 
 
-watch = Watch
-"""Return an observer of an event: see :class:`Watch`."""
+def watch(
+    scene: Scene,
+    model: Model | None = None,
+    *,
+    seed: int = 0,
+    threads: int | None = None,
+    event_id: str = "",
+) -> Watch:
+    """Return an observer of an event, to be given its frames one by one; all as of :class:`Watch`."""
+    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
 
 
 def _likelihood_of(model: Model) -> StepwiseLikelihood:
