@@ -195,7 +195,7 @@ def watch(
     threads: int | None = None,
     event_id: str = "",
 ) -> Watch:
-    """Return an observer of an event, to be given its frames one by one; all as of :class:`Watch`."""
+    """Return an observer of an event, to be given its frames: all as of :class:`Watch`."""
     return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
 
 
