@@ -21,7 +21,7 @@ import numpy as np
 from common import dev_events, interval, write
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.tables import true_answer
+from phase_ppl.evaluation.tables import true_answers
 from phase_ppl.world.event import Event
 
 KINDS = ("goals", "relation", "all", "verdict")
@@ -40,7 +40,7 @@ def answers(folder: Path, events: Sequence[Event]) -> list[dict[str, list[tuple[
         together = bool(post.diagnostics()["decided"])
         pairs: dict[str, list[tuple[bool, bool]]] = {kind: [] for kind in KINDS}
         for name, leader in post.leaders().items():
-            right = leader["label"] == true_answer(event, name)
+            right = leader["label"] == true_answers(event).get(name)
             for kind in ("goals" if name.startswith("goal_") else "relation", "all"):
                 pairs[kind].append((right, leader["sure"]))
             pairs["verdict"].append((right, together))

@@ -19,7 +19,7 @@ import numpy as np
 from common import write
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.tables import kinds_of, true_answer
+from phase_ppl.evaluation.tables import kinds_of, true_answers
 from phase_ppl.world.hypothesis import Roles
 
 FRAMES = 90
@@ -103,7 +103,7 @@ def probability_of_true_goals(evaluation: ppl.Evaluation) -> float:
     """Return the mean over events and agents of what is given to the true goal."""
     world = evaluation.events[0].scene.world
     found = [
-        evaluation.predictions[event.id].estimate(question, str(true_answer(event, question)))
+        evaluation.predictions[event.id].estimate(question, true_answers(event)[question])
         for event in evaluation.events
         for question in kinds_of(world)["goal"]
     ]

@@ -19,8 +19,7 @@ from phase_ppl.world.files import writable_folder, write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
-    from phase_ppl.evaluation.evaluation import Evaluation
-    from phase_ppl.evaluation.folder import ResultsFolder
+    from phase_ppl.evaluation.evaluation import Evaluation, ResultsFolder
 
 AGAINST: Final = "against.json"
 """The file in the folder of results that holds the differences from another model."""
@@ -261,7 +260,7 @@ def _check_several(
     from phase_ppl.evaluation.answer_sets import stored_label
     from phase_ppl.evaluation.comparison import check_names, stored_names
     from phase_ppl.evaluation.evaluate import settings_of
-    from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder, holds_predictions
+    from phase_ppl.evaluation.evaluation import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.prediction import reference_predictions
     from phase_ppl.evaluation.registry import ready
 
@@ -318,11 +317,11 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
 
 def _draw(evaluation: Evaluation, folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
-    from phase_ppl.evaluation.folder import PAGE
-    from phase_ppl.evaluation.report import contents, write_page
+    from phase_ppl.evaluation.evaluation import PAGE
+    from phase_ppl.evaluation.report import page_of, write_page
 
     def draw_page(event_id: str) -> None:
-        page = contents.page_of(evaluation, event_id)
+        page = page_of(evaluation, event_id)
         write_page(page, folder.folder_of(event_id) / PAGE)
 
     return drawn(evaluation, folder.path, list(evaluation.predictions), draw_page, options)
@@ -369,7 +368,7 @@ def add_references(parser: argparse.ArgumentParser) -> None:
 
 
 def _compare_models(options: argparse.Namespace) -> int:
-    from phase_ppl.evaluation.folder import SETTINGS
+    from phase_ppl.evaluation.evaluation import SETTINGS
 
     if options.out is not None:
         if (options.out / SETTINGS).is_file():
@@ -408,8 +407,8 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
 
 def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
     """Write a comparison with its figures and pages; return the exit code."""
-    from phase_ppl.evaluation.folder import entry_name
-    from phase_ppl.evaluation.report import contents, write_page
+    from phase_ppl.evaluation.evaluation import entry_name
+    from phase_ppl.evaluation.report import event_page, write_page
 
     found.save(out)
     problems = []
@@ -421,7 +420,7 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
 
         def draw_page(event_id: str) -> None:
             place, event = events[event_id]
-            page = contents.event_page(event, found.answers)
+            page = event_page(event, found.answers)
             write_page(page, pages / f"{entry_name(place, event_id)}.html")
 
         problems = drawn(found, out, list(events), draw_page, options)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from phase_ppl.evaluation.answer_sets import PEOPLE
 from phase_ppl.evaluation.bootstrap import LEVEL
@@ -19,7 +19,7 @@ INTERVALS: Final = (
     f"intervals of {LEVEL:.0%}: of right answers Clopper-Pearson, of the rest from resampled events"
 )
 
-_LABEL: Final = 22  # most characters of a name
+_LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair
 _EVENTS: Final = "n_events"
 
 Row = tuple[str, Mapping[str, Any]]  # name, metrics
@@ -58,7 +58,22 @@ def aligned(table: Sequence[Sequence[str]], width: int | None = WIDTH) -> list[s
     return [line.rstrip(" \\") for line in lines if line.strip()]
 
 
-def short(name: str, most: int) -> str:
+class Table(NamedTuple):
+    """A table of figures as text, for a terminal or a page."""
+
+    title: str
+    headings: Sequence[str]  # of the names first
+    rows: Sequence[tuple[Sequence[str], Sequence[str]]]  # a name, or those of a pair; cells
+    note: str = ""  # what stands below
+
+    def lines(self) -> list[str]:
+        """Return it for a terminal."""
+        most = _LABEL if all(len(names) == 1 for names, _ in self.rows) else _OF_PAIR
+        body = [[" - ".join(_short(n, most) for n in names), *row] for names, row in self.rows]
+        return ["", self.title, *aligned([self.headings, *body]), *wrapped(self.note)]
+
+
+def _short(name: str, most: int) -> str:
     """Return a name; of a long one both ends, as one of them tells it from others."""
     return name if len(name) <= most else f"{name[: most // 2 - 1]}...{name[2 - most // 2 :]}"
 
@@ -80,14 +95,15 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
 # --- tables of metrics ----------------------------------------------------------------------------
 
 
-def metric_tables(models: Sequence[Row], people: Mapping[str, Any] | None = None) -> list[str]:
-    """Return the lines of all tables of models' metrics, or of their differences.
+def metric_tables(
+    models: Sequence[Row], people: Mapping[str, Any] | None = None
+) -> Iterator[Table]:
+    """Yield all tables of models' metrics, or of their differences.
 
     Below them come people, where there are any
     (:func:`~phase_ppl.evaluation.metrics.human_accuracy`). Rows, columns and tables without a
     figure are left out.
     """
-    lines = []
     for title, columns, rows in _tables(models, people):
         figures = [heading for heading, place in columns.items() if place != _EVENTS]
         cells = {
@@ -97,9 +113,9 @@ def metric_tables(models: Sequence[Row], people: Mapping[str, Any] | None = None
         kept = {n: row for n, row in cells.items() if any(row[h] != NOTHING for h in figures)}
         used = [h for h in columns if any(row[h] != NOTHING for row in kept.values())]
         if kept:
-            body = [[short(name, _LABEL), *(row[h] for h in used)] for name, row in kept.items()]
-            lines += ["", title, *aligned([["", *used], *body])]
-    return lines
+            yield Table(
+                title, ["", *used], [([n], [row[h] for h in used]) for n, row in kept.items()]
+            )
 
 
 def _tables(

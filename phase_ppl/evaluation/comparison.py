@@ -20,16 +20,14 @@ from phase_ppl.evaluation.cells import (
     INTERVALS,
     KIND_WORDS,
     NOTHING,
-    aligned,
+    Table,
     figure_text,
     metric_tables,
     p_text,
-    short,
     wrapped,
 )
 from phase_ppl.evaluation.differences import LEAST_EVENTS
-from phase_ppl.evaluation.evaluation import Evaluation, evaluation_of
-from phase_ppl.evaluation.folder import COMPARISON, EVENTS, SETTINGS
+from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evaluation, evaluation_of
 from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_curve
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.tables import world_of
@@ -484,7 +482,6 @@ def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list
 # --- printed --------------------------------------------------------------------------------------
 
 PAIRS: Final = 15  # pairs of models that are printed at most; of more, those with the first model
-_NAME: Final = 19  # most characters of a name in a pair
 
 _DIFFERENCES: Final = {
     "right answers": "accuracy",
@@ -501,60 +498,67 @@ def _text(c: ModelComparison) -> str:
     lines = wrapped(f"{head}; {INTERVALS}")
     for note in c.notes:
         lines += wrapped(f"note: {note}")
-    lines += metric_tables(list(c.metrics.items()), c.people)
-    return "\n".join([*lines, *_difference_lines(c), *_equivalence_lines(c)])
+    tables = [*metric_tables(list(c.metrics.items()), c.people), *difference_tables(c, PAIRS)]
+    for table in [*tables, *equivalence_tables(c)]:
+        lines += table.lines()
+    return "\n".join(lines)
 
 
-def _difference_lines(c: ModelComparison) -> list[str]:
-    """Return the tables of paired differences: in right answers, in log probabilities."""
+def difference_tables(c: ModelComparison, most: int | None = None) -> list[Table]:
+    """Return the tables of paired differences: in right answers, in log probabilities.
+
+    Of more than ``most`` pairs those with the first model; the note below says how many are left.
+    """
     rows = [r for r in c.differences if r["scenario"] is None]
     found = {(r["one"], r["other"], r["measure"]): r for r in rows}
-    lines, left_out = [], 0
+    headings = ["one minus other", KIND_WORDS["goal"], "p", KIND_WORDS["relation"], "p"]
+    tables, left_out = [], 0
     for title, measure in _DIFFERENCES.items():
         measures = [f"{kind}_{measure}" for kind in KIND_WORDS]
         pairs = list(dict.fromkeys((one, other) for one, other, m in found if m in measures))
-        if not pairs:
-            continue
-        if len(pairs) > PAIRS and c.settings["against"] is None:
+        if most is not None and len(pairs) > most and c.settings["against"] is None:
             shown = [pair for pair in pairs if c.models[0] in pair]
             pairs, left_out = shown, max(left_out, len(pairs) - len(shown))
-        table = [["one minus other", KIND_WORDS["goal"], "p", KIND_WORDS["relation"], "p"]]
-        for one, other in pairs:
-            cells = [f"{short(one, _NAME)} - {short(other, _NAME)}"]
-            for name in measures:
-                row = found.get((one, other, name))
-                cells += [figure_text(row, signed=True), p_text(row["p_holm"] if row else None)]
-            table.append(cells)
-        lines += ["", f"paired differences in {title}", *aligned(table)]
-    if lines:
-        lines += wrapped("p: bootstrap, corrected by Holm over the pairs")
-    if left_out:
-        lines += wrapped(
-            f"{left_out} more pairs, all corrected together, are in comparison.json; --against "
-            "NAME compares with one model alone"
-        )
-    return lines
+        body = []
+        for pair in pairs:
+            of_pair = [found.get((*pair, name)) for name in measures]
+            cells = [
+                (figure_text(r, signed=True), p_text(r["p_holm"] if r else None)) for r in of_pair
+            ]
+            body.append((pair, [text for both in cells for text in both]))
+        if body:
+            tables.append(Table(f"paired differences in {title}", headings, body))
+    if tables:
+        note = "p: bootstrap, corrected by Holm over the pairs"
+        if left_out:
+            note += (
+                f"; {left_out} more pairs, all corrected together, are in comparison.json; "
+                "--against NAME compares with one model alone"
+            )
+        tables[-1] = tables[-1]._replace(note=note)
+    return tables
 
 
-def _equivalence_lines(c: ModelComparison) -> list[str]:
+def equivalence_tables(c: ModelComparison) -> list[Table]:
+    """Return the table of equivalence with people, if there is one."""
     rows = [row for row in c.equivalence if row["scenario"] is None]
     if not rows:
         return []
     margin = c.settings["margin"]
-    table = [["model minus people", "", "value", "90 %", "p equiv.", "p differ", "verdict"]]
+    headings = ["model minus people", "", "value", "90 %", "p equiv.", "p differ", "verdict"]
+    body = []
     for row in rows:
         word = KIND_WORDS[row["measure"].removesuffix("_accuracy")]
         between = NOTHING if row["low"] is None else f"[{row['low']:+.2f}, {row['high']:+.2f}]"
         tests = [p_text(row[p]) for p in ("p_equivalent_holm", "p_holm")]
-        model = short(row["model"], 24)
-        table.append([model, word, f"{row['value']:+.2f}", between, *tests, row["verdict"]])
+        cells = [word, f"{row['value']:+.2f}", between, *tests, row["verdict"]]
+        body.append(([row["model"]], cells))
     parts = "scenario" if c.world == PHASE else "agent and pair"
-    words = (
+    note = (
         f"Tested is a model's being right minus the share of people who are right, event by event. "
         f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
         "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
         f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
         f"comparison.json has differences and equivalence by {parts} too."
     )
-    title = f"equivalence with people, margin {margin:g}"
-    return ["", title, *aligned(table), *wrapped(words)]
+    return [Table(f"equivalence with people, margin {margin:g}", headings, body, note)]

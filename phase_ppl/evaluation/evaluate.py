@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from phase_ppl.dataset.hdf5 import SIGNATURE, with_event_id
-from phase_ppl.evaluation.evaluation import Evaluation, cost_of
-from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
+from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
 from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
@@ -104,7 +103,7 @@ def evaluate(
             ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In another
             world than PHASE the answers are to ``goal_<agent>`` and ``relation_<one>_<other>``,
             and models by name are "stepwise", "predicate", "last_frame" and what ``infer`` does.
-        out: folder to keep everything in (:mod:`phase_ppl.evaluation.folder`), event by event;
+        out: folder to keep everything in (:mod:`phase_ppl.evaluation.evaluation`), event by event;
             by default nothing is kept.
         workers: processes, at most; by default one per usable core. 1 runs the model in this
             process, as do models that are not to run side by side. With an ``executor``, how many

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from phase_ppl.analysis.posterior import load_posterior
 from phase_ppl.evaluation.evaluate import evaluate
-from phase_ppl.evaluation.evaluation import Evaluation
-from phase_ppl.evaluation.folder import POSTERIOR
+from phase_ppl.evaluation.evaluation import POSTERIOR, Evaluation
 from phase_ppl.evaluation.judgments import Study, all_events, judged, load_judgments
 from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of
 from phase_ppl.evaluation.observers.fit import PeopleFit, as_observer, sampled

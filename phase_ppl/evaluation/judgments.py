@@ -32,7 +32,7 @@ from phase_ppl.dataset.documents import in_front
 from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.csv_file import read_rows
-from phase_ppl.evaluation.folder import EVENTS, SETTINGS
+from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
 from phase_ppl.evaluation.ratings import Judgments, event_judgments

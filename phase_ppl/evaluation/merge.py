@@ -14,8 +14,14 @@ from phase_ppl.dataset.generated import PLAN, GeneratedEvents
 from phase_ppl.dataset.generation.generate import assemble, part_file
 from phase_ppl.dataset.generation.plan import slots
 from phase_ppl.evaluation.evaluate import whole_digest
-from phase_ppl.evaluation.evaluation import Evaluation, cost_of
-from phase_ppl.evaluation.folder import COMPARISON, METRICS, SETTINGS, ResultsFolder
+from phase_ppl.evaluation.evaluation import (
+    COMPARISON,
+    METRICS,
+    SETTINGS,
+    Evaluation,
+    ResultsFolder,
+    cost_of,
+)
 from phase_ppl.inference.compare import runs_left, together
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.files import as_path, locked, writable_folder, write_json

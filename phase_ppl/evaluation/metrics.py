@@ -95,7 +95,7 @@ from phase_ppl.evaluation.prediction import (
     reference_predictions,
 )
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.tables import Facts, Said, at_truth, kinds_of, true_answer
+from phase_ppl.evaluation.tables import Facts, Said, at_truth, kinds_of, true_answers
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
@@ -487,7 +487,7 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
         return parts[kind][SCENARIOS.index(event.truth.scenario) if world == PHASE else place]
 
     rows = [
-        (who, kind, part_of(event, kind, i), float(row[question] == true_answer(event, question)))
+        (who, kind, part_of(event, kind, i), float(row[question] == true_answers(event)[question]))
         for event in events
         if event.truth is not None and (judgments := event_judgments(event)) is not None
         for who, row in judgments.responses.items()

@@ -238,9 +238,9 @@ def reproduce(
         result = Reproduction(cells, comparison, real, notes, drawn, folder)
         record = {**given, "real": real, "notes": notes, "cells": [one.to_dict() for one in cells]}
         write_json(folder / RESULT, record)
-        from phase_ppl.evaluation.report import contents, write_page
+        from phase_ppl.evaluation.report import reproduction_page, write_page
 
-        write_page(contents.reproduction_page(result, progress=progress), folder / PAGE)
+        write_page(reproduction_page(result, progress=progress), folder / PAGE)
         return result
 
 

@@ -171,11 +171,6 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
     )
 
 
-def true_answer(event: Event, question: str) -> str | None:
-    """Return the true answer; None where the event has no truth."""
-    return true_answers(event).get(question)
-
-
 def true_answers(event: Event) -> dict[str, str]:
     """Return question -> true answer; empty where the event has no truth."""
     truth = event.truth

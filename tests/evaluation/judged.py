@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.prediction import Prediction, probabilities_of
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.hypothesis import RELATIONS
@@ -66,3 +67,9 @@ def shares(id: str, **probabilities: Mapping[str, float] | Sequence[float]) -> P
 
 def by_id(*predictions: Prediction) -> dict[str, Prediction]:
     return {prediction.event_id: prediction for prediction in predictions}
+
+
+def values(metrics: Mapping[str, Any], *paths: str) -> list[float | None]:
+    """Return the values of figures at places in the metrics, parts joined by dots."""
+    figures = [at(metrics, path) for path in paths]
+    return [figure and figure["value"] for figure in figures]

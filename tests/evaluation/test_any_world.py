@@ -23,8 +23,10 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Roles
+from tests.evaluation.judged import values
 
 TRIO, SOLO = ppl.worlds.TRIO, ppl.worlds.SOLO
+PAIRS = ("red & green", "red & purple", "green & purple")
 HOME, FIELD = "Get blue ball to home", "Get blue ball to field"
 ONE_PROCESS: dict[str, Any] = {"workers": 1, "progress": False}
 
@@ -66,13 +68,11 @@ def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
 ) -> None:
     found = ppl.evaluate(events, always_home, **ONE_PROCESS)
     metrics = found.metrics
-    by_agent = {name: part["goal_accuracy"]["value"] for name, part in metrics["by_agent"].items()}
-    assert by_agent == {"red agent": 1.0, "green agent": 0.5, "purple agent": 1.0}
+    agents, pairs = metrics["by_agent"], metrics["by_pair"]
+    assert (list(agents), list(pairs)) == (list(TRIO.agents), list(PAIRS))
+    assert values(agents, *(f"{name}.goal_accuracy" for name in agents)) == [1.0, 0.5, 1.0]
+    assert values(pairs, *(f"{name}.relation_accuracy" for name in pairs)) == [0.5, 0.0, 0.0]
     assert metrics["goal_accuracy"]["value"] == pytest.approx(5 / 6)
-    by_pair = {
-        name: part["relation_accuracy"]["value"] for name, part in metrics["by_pair"].items()
-    }
-    assert by_pair == {"red & green": 0.5, "red & purple": 0.0, "green & purple": 0.0}
     assert metrics["n"]["truth"] == 2
     with_lapse = 0.99 * np.array([1.0, 1.0, 0.9, 0.0, 0.6, 0.6]) + 0.01 / len(TRIO.goals)
     assert metrics["goal_log_score_truth"]["value"] == pytest.approx(np.log(with_lapse).mean())
@@ -115,8 +115,8 @@ def test_what_came_true_is_what_the_last_frame_says(events: list[ppl.Event]) -> 
     assert came_true[HOME] == 1.0
     assert first.answers["relation_red_green"] == "friendly"
     against = found.against(ppl.evaluate(events, always_home, **ONE_PROCESS))
-    assert against["by_agent"]["green agent"]["goal_accuracy"]["value"] == 0.0
-    assert against["by_agent"]["purple agent"]["goal_accuracy"]["value"] == -1.0
+    of_agents = [f"by_agent.{name} agent.goal_accuracy" for name in ("green", "purple")]
+    assert values(against, *of_agents) == [0.0, -1.0]
 
 
 def test_where_nothing_came_true_all_goals_that_can_be_had_are_alike() -> None:
@@ -158,8 +158,7 @@ def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path
     rows = {row["measure"]: row for row in compared.differences}
     alone = sources["home"].against(sources["last"])
     for measure in ("by_agent.purple agent.goal_accuracy", "by_pair.red & green.relation_accuracy"):
-        part, name, inner = measure.split(".")
-        assert rows[measure]["value"] == alone[part][name][inner]["value"]
+        assert [rows[measure]["value"]] == values(alone, measure)
     assert rows["by_agent.purple agent.goal_accuracy"]["value"] == 1.0
     text = str(compared)
     for word in ("goals right, by agent", "relations right, by pair", "green & purple", "p: boot"):
@@ -202,7 +201,8 @@ LESIONS = ("no_physics", "noisy_physics", "full_observation", "true_state", "no_
 def test_lesions_of_simple_are_asked_about_any_world(model: str) -> None:
     scene = SOLO.random_scene(0)
     event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=4, id="solo")
-    found = ppl.evaluate([event], model, chains=2, iterations=1, **ONE_PROCESS)
+    quick = {"kernel": "prior_mh", "chains": 2, "iterations": 1}
+    found = ppl.evaluate([event], model, **quick, **ONE_PROCESS)
     assert found.predictions["solo"].probabilities["goal_red"].sum() == pytest.approx(1)
 
 
@@ -224,10 +224,10 @@ def test_people_are_scored_by_agent_and_pair_beside_a_model(
     assert study.judgments["trio-1"].majority("relation_red_purple") == "friendly"
     found = study.accuracy(events)
     # p1 errs about purple's goal in the second, p2 about green's in both
-    assert found["by_agent"]["green agent"]["goal_accuracy"]["value"] == pytest.approx(0.5)
-    assert found["by_agent"]["purple agent"]["goal_accuracy"]["value"] == pytest.approx(0.75)
-    assert found["by_pair"]["red & green"]["relation_accuracy"]["value"] == 1.0
-    assert found["by_pair"]["red & purple"]["relation_accuracy"]["value"] == 0.0  # they compete
+    of_agents = [f"by_agent.{name} agent.goal_accuracy" for name in ("green", "purple")]
+    of_pairs = [f"by_pair.red & {name}.relation_accuracy" for name in ("green", "purple")]
+    # red and purple compete
+    assert values(found, *of_agents, *of_pairs) == pytest.approx([0.5, 0.75, 1.0, 0.0])
 
     evaluation = ppl.evaluate(events, always_home, judgments=study, out=tmp_path / "out",
                               **ONE_PROCESS)  # fmt: skip
@@ -397,8 +397,8 @@ def test_the_terminal_evaluates_and_reports_models_and_people_of_another_world(
         assert {"scatter_goals.png", "scatter_relations.png"} <= drawn
         assert "confusion.png" not in drawn  # there are no scenarios
         page = ppl.report(folder).read_text("utf-8")
-        for words in ("Goal of the purple agent", "Relation of red &amp; green", "By agent",
-                      "By pair", "red &amp; purple"):  # fmt: skip
+        for words in ("Goal of the purple agent", "Relation of red &amp; green", "red &amp; purple",
+                      "Goals right, by agent", "Relations right, by pair"):  # fmt: skip
             assert words in page
     (of_event, *_) = sorted((out / "pages").glob("*.html"))
     assert "the red agent helps the green agent" in of_event.read_text("utf-8")

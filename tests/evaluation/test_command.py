@@ -12,14 +12,14 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.cli.evaluate import models_of, options_of
-from phase_ppl.evaluation import figures
-from phase_ppl.evaluation.report import contents
+from phase_ppl.evaluation import figures, report
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
 from tests.test_cli import fails
 
 pytestmark = pytest.mark.usefixtures("unpainted")
+Printed = pytest.CaptureFixture[str]
 
 
 @pytest.fixture(autouse=True)
@@ -36,28 +36,17 @@ def _models(own_models: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     def stops() -> Any:
         raise KeyboardInterrupt
 
-    models = {
-        "right": right,
-        "wrong": wrong,
-        "fails": FailsAt(4, raises),
-        "stops": FailsAt(4, stops),
-        "stops_once": stops_once,
+    models: dict[str, Any] = {
+        "right": lambda size=1: right,
+        "wrong": lambda: wrong,
+        "fails": lambda: FailsAt(4, raises),
+        "stops": lambda: FailsAt(4, stops),
+        "stops_once": lambda: stops_once,
+        "any": lambda **options: right,
     }
-    for name, model in models.items():
-        ppl.register_model(name, parallel=False)(_factory(name, model))
-    ppl.register_model("any", parallel=False)(lambda **options: right)
-
-
-def _factory(name: str, model: Any) -> Any:
-    def make(size: int = 1) -> Any:
-        return model
-
-    def make_without_options() -> Any:
-        return model
-
-    chosen = make if name == "right" else make_without_options
-    chosen.__qualname__ = name
-    return chosen
+    for name, factory in models.items():
+        factory.__qualname__ = name
+        ppl.register_model(name, parallel=False)(factory)
 
 
 @pytest.fixture
@@ -79,9 +68,9 @@ BOTH = ("--model", "right", "--model")
 
 
 def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    events: Path, capsys: Printed
 ) -> None:
-    out = tmp_path / "out put"
+    out = Path("out put")
     assert evaluate(events, "--model", "last_frame", "--out", out, "--limit", 1) == 0
     printed = capsys.readouterr()
     assert "last_frame: 1 of 1 events, seed 0" in printed.out
@@ -92,7 +81,7 @@ def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
 
 
 def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_is_kept(
-    events: Path, capsys: pytest.CaptureFixture[str]
+    events: Path, capsys: Printed
 ) -> None:
     command = ["evaluate", str(events), "--model", "right", "--workers", "1"]
     assert main(command) == 0
@@ -103,14 +92,12 @@ def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_
     assert "predicting" in capsys.readouterr().err
 
 
-def test_a_failing_event_is_told_by_the_exit_code(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
+def test_a_failing_event_is_told_by_the_exit_code(events: Path, capsys: Printed) -> None:
+    out = Path("out")
     assert evaluate(events, "--model", "fails", "--out", out, "--no-figures") == 1
     assert "failed: b: ValueError: not today" in capsys.readouterr().out
     assert not (out / "figures").exists()
-    assert evaluate(events, *BOTH, "fails", "--out", tmp_path / "two", "--no-figures") == 1
+    assert evaluate(events, *BOTH, "fails", "--out", "two", "--no-figures") == 1
     written = capsys.readouterr()
     assert "fails: failed: b: ValueError: not today" in written.err
     words = "fails predicts 2 of 3 events (1 failed); its scores are about those"
@@ -118,17 +105,14 @@ def test_a_failing_event_is_told_by_the_exit_code(
 
 
 def test_a_failing_figure_costs_no_results(
-    events: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    events: Path, capsys: Printed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(folder: Any, *given: Any, **more: Any) -> Any:
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(figures, "draw_figures", broken)
-    monkeypatch.setattr(contents, "page_of", broken)
-    out = tmp_path / "out"
+    monkeypatch.setattr(report, "page_of", broken)
+    out = Path("out")
     assert evaluate(events, "--model", "right", "--out", out) == 1
     written = capsys.readouterr()
     assert "the figures cannot be drawn: no ink" in written.err
@@ -137,10 +121,8 @@ def test_a_failing_figure_costs_no_results(
     assert (out / "metrics.json").exists()
 
 
-def test_ctrl_c_says_how_to_go_on_and_resume_does(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
+def test_ctrl_c_says_how_to_go_on_and_resume_does(events: Path, capsys: Printed) -> None:
+    out = Path("out")
     assert evaluate(events, "--model", "stops", "--out", out) == 130
     errors = capsys.readouterr().err
     assert "1 of 3 events are finished" in errors
@@ -151,10 +133,8 @@ def test_ctrl_c_says_how_to_go_on_and_resume_does(
     assert evaluate(events, "--model", "stops", "--out", out, "--resume") == 130
 
 
-def test_against_compares_with_another_folder_also_later(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    one, other = tmp_path / "one", tmp_path / "other"
+def test_against_compares_with_another_folder_also_later(events: Path, capsys: Printed) -> None:
+    one, other = Path("one"), Path("other")
     assert evaluate(events, "--model", "wrong", "--out", other, "--no-figures") == 0
     args = ["--model", "right", "--out", one, "--no-figures", "--against", other]
     assert evaluate(events, *args) == 0
@@ -168,7 +148,7 @@ def test_against_compares_with_another_folder_also_later(
 
 
 def test_what_cannot_be_compared_with_is_refused_before_the_work(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    events: Path, capsys: Printed
 ) -> None:
     Path("empty").mkdir()
     ppl.save_events([still("x", predictions={"theirs": {"relation": "neutral"}})], "x.json")
@@ -185,9 +165,9 @@ def test_what_cannot_be_compared_with_is_refused_before_the_work(
 
 
 def test_a_finished_evaluation_leads_to_its_report_and_is_no_folder_of_events(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    events: Path, capsys: Printed
 ) -> None:
-    out = tmp_path / "out put"
+    out = Path("out put")
     assert evaluate(events, "--model", "right", "--out", out, "--no-figures") == 0
     assert f"phase-ppl report '{out}'" in capsys.readouterr().out
     error = fails(capsys, "evaluate", out, "--model", "right")
@@ -196,10 +176,8 @@ def test_a_finished_evaluation_leads_to_its_report_and_is_no_folder_of_events(
     assert f"{out} holds no posterior.nc\n" in capsys.readouterr().err
 
 
-def test_asked_for_a_posterior_an_evaluation_names_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = make_folder(tmp_path / "out")
+def test_asked_for_a_posterior_an_evaluation_names_one(capsys: Printed) -> None:
+    folder = make_folder(Path("out"))
     folder.add(prediction("one"), with_posterior)
     assert main(["diagnose", str(folder.path)]) == 2
     error = capsys.readouterr().err
@@ -207,8 +185,8 @@ def test_asked_for_a_posterior_an_evaluation_names_one(
     assert main(["diagnose", error.rsplit("such as ", 1)[1].strip()]) == 0
 
 
-def test_options_and_judgments_reach_the_evaluation(events: Path, tmp_path: Path) -> None:
-    study, out = tmp_path / "people.csv", tmp_path / "out"
+def test_options_and_judgments_reach_the_evaluation(events: Path) -> None:
+    study, out = Path("people.csv"), Path("out")
     study.write_text("participant,video,relation\np1,a,neutral\np2,a,friendly\n")
     given = ["--option", "size=3", "--judgments", study, "--out", out, "--no-figures"]
     assert evaluate(events, "--model", "right", *given) == 0
@@ -236,15 +214,13 @@ def test_options_and_judgments_reach_the_evaluation(events: Path, tmp_path: Path
         ("collaborate --model right --against nowhere", "nowhere: no such folder"),
     ],
 )
-def test_bad_input_ends_with_one_line(
-    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_ends_with_one_line(arguments: str, message: str, capsys: Printed) -> None:
     assert message in fails(capsys, "evaluate", *shlex.split(arguments))
 
 
 def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> None:
     odd = ["../../x", "a/b c", "a?b c", "x" * 300, "x" * 299 + "y"]
-    path, out = tmp_path / "odd.json", tmp_path / "out"
+    path, out = Path("odd.json"), Path("out")
     ppl.save_events([still(id, shift=0.1 * i) for i, id in enumerate(odd)], path)
     assert evaluate(path, "--model", "right", "--out", out, "--no-figures") == 0
     assert list(ppl.Evaluation.load(out).predictions) == odd
@@ -256,9 +232,9 @@ def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> N
 
 
 def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    events: Path, capsys: Printed
 ) -> None:
-    out = tmp_path / "out"
+    out = Path("out")
     both = [*BOTH, "other=wrong", "--out", out, "--limit", 2]
     (out / "pages").mkdir(parents=True)
     (out / "pages" / "0007-of_an_event_no_more_compared.html").touch()
@@ -280,10 +256,8 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
     ]  # fmt: skip
 
 
-def test_an_interrupted_evaluation_of_several_models_goes_on(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
+def test_an_interrupted_evaluation_of_several_models_goes_on(events: Path, capsys: Printed) -> None:
+    out = Path("out")
     both = [*BOTH, "stops_once", "--out", out, "--no-figures"]
     Path("stop").touch()
     assert evaluate(events, *both) == 130
@@ -361,7 +335,7 @@ def test_labels_are_names_of_folders_and_different() -> None:
     ],
 )
 def test_what_is_wrong_is_found_before_the_first_model_is_asked(
-    arguments: str, message: str, events: Path, capsys: pytest.CaptureFixture[str]
+    arguments: str, message: str, events: Path, capsys: Printed
 ) -> None:
     if "single" in arguments:
         assert evaluate(events, "--model", "right", "--out", "single", "--no-figures") == 0
@@ -369,9 +343,7 @@ def test_what_is_wrong_is_found_before_the_first_model_is_asked(
     assert message in fails(capsys, "evaluate", events, *shlex.split(arguments))
 
 
-def test_folders_are_compared_later_and_under_names(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_folders_are_compared_later_and_under_names(capsys: Printed) -> None:
     stored = {"theirs": {"relation": "neutral"}}
     ppl.save_events([still(i, shift=k, predictions=stored) for k, i in enumerate("ab")], "e.json")
     for model in ("right", "wrong"):
@@ -384,7 +356,7 @@ def test_folders_are_compared_later_and_under_names(
     assert "Nothing was saved" in printed
     given = ["x=right", "y=wrong", "--against", "y", "--margin", 0.2, "--out", "c", "--no-figures"]
     assert run("compare-models", *given, *resamples) == 0
-    kept = json.loads((tmp_path / "c" / "comparison.json").read_text())
+    kept = json.loads(Path("c/comparison.json").read_text())
     assert [one["name"] for one in kept["models"]] == ["x", "y"]
     assert kept["settings"] == {"margin": 0.2, "against": "y", "seed": 0, "resamples": 50}
     for arguments, message in (

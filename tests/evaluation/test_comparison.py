@@ -15,9 +15,9 @@ import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.cells import WIDTH
 from phase_ppl.evaluation.differences import holm
+from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.figures import DRAWINGS, NothingToDrawError, draw_figures
-from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.evaluation.report.contents import event_page
+from phase_ppl.evaluation.report import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
 from tests.analysis.pages import texts_apart
@@ -34,10 +34,8 @@ from tests.evaluation.judged import (
 from tests.evaluation.test_figures import shown_in
 from tests.world.examples import DEV, needs_dev
 
-WRITTEN = {
-    **{"name": "x", "kind": "model", "predictions": [], "settings": {}},
-    **{"failures": {}, "folder": None},
-}
+WRITTEN = {"name": "x", "kind": "model", "predictions": [], "settings": {}, "failures": {},
+           "folder": None}  # fmt: skip
 """A model in comparison.json."""
 
 STORED = {"theirs": {"relation": "friendly"}, "right": {"relation": "neutral"}}
@@ -65,18 +63,17 @@ def evaluation(
     **more: Any,
 ) -> ppl.Evaluation:
     """Return an evaluation of a model that gives the same answer always, or else the truth."""
-    made = by_id(
-        *(
-            answers(e.id, *goals, relation=relation or e.truth.relation)  # type: ignore[union-attr]
-            for e in of
-        )
-    )
-    costed = {
-        i: dataclasses.replace(p, cost={"seconds": 2.0, "cpu_seconds": 1.5})
-        for i, p in made.items()
-    }
-    settings = {"model": name, "seed": 0}
-    return ppl.Evaluation(of, more.pop("predictions", costed), {}, settings, {}, **more)
+    made: dict[str, ppl.Prediction] = {}
+    for event in of:
+        assert event.truth is not None
+        made[event.id] = answers(event.id, *goals, relation=relation or event.truth.relation)
+    made = more.pop("predictions", costing(made, seconds=2.0, cpu_seconds=1.5))
+    return ppl.Evaluation(of, made, {}, {"model": name, "seed": 0}, {}, **more)
+
+
+def costing(predictions: Mapping[str, ppl.Prediction], **cost: float) -> dict[str, ppl.Prediction]:
+    """Return predictions that cost this."""
+    return {i: dataclasses.replace(p, cost=cost) for i, p in predictions.items()}
 
 
 def kept(path: Path, found: ppl.Evaluation) -> Path:
@@ -114,26 +111,22 @@ def three() -> ppl.ModelComparison:
 
 
 def test_differences_are_of_every_pair_on_the_same_resamples(three: ppl.ModelComparison) -> None:
-    c = three
-    relation = {"measure": "relation_accuracy", "scenario": None}
-    found = row(c.differences, one="right", other="friend", **relation)
-    assert found["value"] == pytest.approx(1 / 3)  # all competing ones
-    assert found["ci_low"] <= found["value"] <= found["ci_high"]
-    assert found["n_events"] == 12
-    between = row(c.differences, one="friend", other="foe", **relation)
-    assert between["value"] == pytest.approx(1 / 3)
-    competing = {"measure": "relation_accuracy", "scenario": "competing"}
-    assert row(c.differences, one="friend", other="foe", **competing)["value"] == -1
-    assert row(c.differences, one="friend", other="foe", **competing)["n_events"] == 4
+    for one, other, scenario, value, n in (
+        ("right", "friend", None, 1 / 3, 12),  # all competing ones
+        ("friend", "foe", None, 1 / 3, 12),
+        ("friend", "foe", "competing", -1, 4),
+    ):
+        place = {"measure": "relation_accuracy", "scenario": scenario}
+        found = row(three.differences, one=one, other=other, **place)
+        assert (found["value"], found["n_events"]) == pytest.approx((value, n))
+        assert found["ci_low"] <= found["value"] <= found["ci_high"]
 
 
 def test_p_is_corrected_over_the_pairs_of_a_measure(three: ppl.ModelComparison) -> None:
     relation = [r for r in three.differences if r["measure"] == "relation_accuracy"]
-    for family in (
-        [r for r in relation if r["scenario"] is None],
-        [r for r in relation if r["scenario"]],
-    ):
-        assert len(family) in (3, 6)
+    for of_scenarios, n in ((False, 3), (True, 6)):
+        family = [r for r in relation if (r["scenario"] is not None) == of_scenarios]
+        assert len(family) == n
         assert [r["p_holm"] for r in family] == pytest.approx(holm([r["p"] for r in family]))
     alone = compare(*(evaluation(n) for n in ("a", "b")))
     equal = row(alone.differences, measure="relation_accuracy", scenario=None)
@@ -190,9 +183,8 @@ def test_the_log_probability_of_the_truth_tells_apart_who_is_as_often_right() ->
 def test_against_one_model_only_its_pairs_are_tested() -> None:
     models = [evaluation(), evaluation("friend", "friendly"), evaluation("foe", "adversarial")]
     c = compare(*models, against="friend")
-    assert {(r["one"], r["other"]) for r in c.differences} == {
-        ("right", "friend"), ("foe", "friend"),
-    }  # fmt: skip
+    pairs = {(r["one"], r["other"]) for r in c.differences}
+    assert pairs == {("right", "friend"), ("foe", "friend")}
     with pytest.raises(UnknownNameError, match="'friend'"):
         compare(*models, against="frend")
 
@@ -230,10 +222,7 @@ def test_equivalence_with_people_is_of_right_answers_event_by_event(
 def test_a_handful_of_events_that_agree_shows_no_equivalence() -> None:
     few = judged_events(n=9, wrong=0)
     c = ppl.compare_models([evaluation(of=few), evaluation("other", of=few)])
-    assert c.equivalence
-    for found in c.equivalence:
-        assert found["p_equivalent"] is None
-        assert found["verdict"] == "undecided"
+    assert {(r["p_equivalent"], r["verdict"]) for r in c.equivalence} == {(None, "undecided")}
 
 
 def test_what_is_not_there_is_none_and_never_a_guess() -> None:
@@ -248,8 +237,7 @@ def test_what_is_not_there_is_none_and_never_a_guess() -> None:
     assert not [r for r in c.differences if r["measure"].startswith("goal")]
     assert row(c.differences, measure="relation_accuracy", scenario=None)["n_events"] == 11
     assert "half predicts 11 of 12 events" in str(c)
-    costless = {i: dataclasses.replace(p, cost={}) for i, p in part.items()}
-    c = compare(evaluation("free", predictions=costless))
+    c = compare(evaluation("free", predictions=costing(part)))
     assert c.metrics["free"]["cpu_seconds"] is None
 
 
@@ -286,10 +274,7 @@ def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> 
 
 def test_a_cost_that_has_no_place_on_the_axis_is_left_out() -> None:
     for seconds in (0.0, -1.0):
-        costed = {
-            i: dataclasses.replace(p, cost={"cpu_seconds": seconds})
-            for i, p in evaluation().predictions.items()
-        }
+        costed = costing(evaluation().predictions, cpu_seconds=seconds)
         free = evaluation("free", predictions=costed)
         with pytest.raises(NothingToDrawError, match="CPU seconds"):
             DRAWINGS["costs"].draw(compare(free, resamples=50))
@@ -364,17 +349,11 @@ def test_models_are_called_by_their_names_or_their_folders_or_as_one_likes(tmp_p
         (({"people": evaluation()},), {}, InvalidSettingError, "called 'people', as people are"),
         (({"": evaluation()},), {}, InvalidSettingError, "called '', expected a name"),
         (({1: evaluation()},), {}, InvalidSettingError, "called 1, expected a name"),
-        (
-            ({"theirs": evaluation(), "theirs (stored)": evaluation()},),
-            {"stored": "all"},
-            InvalidSettingError,
-            r"two models are called 'theirs \(stored\)'",
-        ),
+        (({"theirs": evaluation(), "theirs (stored)": evaluation()},), {"stored": "all"},
+         InvalidSettingError, r"two models are called 'theirs \(stored\)'"),
     ],
-)
-def test_bad_input_is_named(
-    models: Any, more: dict[str, Any], error: type[Exception], message: str
-) -> None:
+)  # fmt: skip
+def test_bad_input_is_named(models: Any, more: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         compare(*models, **more)
 
@@ -385,8 +364,8 @@ def test_models_in_the_events_are_compared_by_name() -> None:
     assert c.metrics["theirs"]["relation_accuracy"]["value"] == pytest.approx(2 / 3)
     assert c.metrics["right (stored)"]["relation_accuracy"]["value"] == 0
     assert c.metrics["theirs"]["cpu_seconds"] is None
-    assert compare(evaluation(), stored=["theirs"]).models == ["right", "theirs"]
-    assert compare(evaluation(), stored="theirs").models == ["right", "theirs"]
+    for stored in (["theirs"], "theirs"):
+        assert compare(evaluation(), stored=stored).models == ["right", "theirs"]
     of = [dataclasses.replace(e, predictions={"people": STORED["theirs"]}) for e in EVENTS]
     assert compare(evaluation(of=of), stored="all").models == ["right", "people (stored)"]
 
@@ -408,8 +387,8 @@ def many(of: Sequence[Event]) -> ppl.ModelComparison:
             p = 0.05 + 0.9 * ((7 * k + 3 * i) % 10) / 10
             goals = {BLUE_TO_RED: p, BLUE_TO_GREEN: 1 - p}
             made.append(shares(event.id, goal_red=goals, goal_green=goals, relation=[p, 0, 1 - p]))
-        costed = [dataclasses.replace(p, cost={"cpu_seconds": 10.0**k / 1e4}) for p in made]
-        models[name] = evaluation(name, predictions=by_id(*costed), of=of)
+        costed = costing(by_id(*made), cpu_seconds=10.0**k / 1e4)
+        models[name] = evaluation(name, predictions=costed, of=of)
     return compare(models, stored=["theirs"], resamples=200)
 
 
@@ -454,17 +433,14 @@ def test_a_comparison_is_saved_and_read_again(crowd: ppl.ModelComparison, tmp_pa
         ("models", [WRITTEN | {"failures": []}], r"failures of a model is \[\]"),
         ("models", [WRITTEN | {"name": 3}], "a model is called 3"),
         ("models", [WRITTEN, WRITTEN], "two models are called 'x'"),
-        (
-            "models",
-            [WRITTEN | {"predictions": [answers("event 9").to_dict()]}],
-            "x predicts 'event 9', which is no event of events.json",
-        ),
+        ("models", [WRITTEN | {"predictions": [answers("event 9").to_dict()]}],
+         "x predicts 'event 9', which is no event of events.json"),
         ("notes", "a note", "notes is 'a note', expected a list"),
         ("settings", [], r"settings is \[\], expected an object"),
         ("settings", {"margin": 2, "against": None, "seed": 0, "resamples": 1}, "margin=2"),
         ("settings", {}, "has no 'margin'"),
     ],
-)
+)  # fmt: skip
 def test_a_damaged_file_is_refused(field: str, value: Any, message: str, tmp_path: Path) -> None:
     compare(evaluation(of=EVENTS[:2]), resamples=5).save(tmp_path)
     file = tmp_path / "comparison.json"

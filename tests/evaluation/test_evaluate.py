@@ -13,7 +13,7 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.evaluate import Progress
-from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -21,12 +21,14 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.event import Truth
+from tests.evaluation.judged import values
 from tests.evaluation.toys import (
     EVENTS,
     GREEN_TO_RED,
     RED_TO_RED,
     Counted,
     FailsAt,
+    changed,
     evaluate,
     guesses,
     raises,
@@ -35,6 +37,9 @@ from tests.evaluation.toys import (
     still,
     wrong,
 )
+
+WRONG = {"relation": "friendly"}
+"""A prediction in the events, of which all are neutral."""
 
 # --- answers -----------------------------------------------------------------------------------
 
@@ -150,16 +155,12 @@ def test_truth_judgments_and_references_do_not_reach_a_model() -> None:
         return guesses(*given)
 
     event = still()
-    other = dataclasses.replace(
-        event,
-        id="x",
-        truth=Truth("get to green agent", "get to red agent"),
-        judgments={"relation_counts": {"friendly": 9}},
-        predictions={"someone": {"relation": "friendly"}},
-    )
+    truth = Truth("get to green agent", "get to red agent")
+    said = {"judgments": {"relation_counts": {"friendly": 9}}, "predictions": {"someone": WRONG}}
+    other = dataclasses.replace(event, id="x", truth=truth, **said)
     one, two = (evaluate(e, curious).predictions[e.id] for e in (event, other))
-    for question, values in one.probabilities.items():
-        assert values.tobytes() == two.probabilities[question].tobytes()
+    for question, given in one.probabilities.items():
+        assert given.tobytes() == two.probabilities[question].tobytes()
     for scene, observation, seed in asked:
         assert (type(scene), type(observation), type(seed)) == (ppl.Scene, ppl.Observation, int)
 
@@ -211,15 +212,12 @@ def test_events_come_from_a_file_a_folder_or_a_bundled_name(tmp_path: Path) -> N
         ({"events": [3]}, InvalidEventError, "3 is no event"),
         ({"events": "nowhere.json"}, InvalidEventError, "nowhere.json: no such file"),
         ({"events": [still(predictions={"x": 1})]}, InvalidEventError, "still: predictions: x"),
-        (
-            {"events": [still(judgments={"relation_counts": {"hostile": 1}})]},
-            UnknownNameError,
-            "hostile",
-        ),
+        ({"events": [still(judgments={"relation_counts": {"hostile": 1}})]}, UnknownNameError,
+         "hostile"),
         ({"limit": 0}, InvalidSettingError, "limit=0"),
         ({"workers": 0}, InvalidSettingError, "workers=0"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_evaluated_is_refused_at_once(
     given: Any, error: type[Exception], message: str
 ) -> None:
@@ -231,11 +229,8 @@ def test_what_cannot_be_evaluated_is_refused_at_once(
 
 
 def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
-    judged = dataclasses.replace(
-        EVENTS[0],
-        judgments={"relation_counts": {"friendly": 1, "neutral": 3}},
-        predictions={"rival": {"relation": "friendly"}},
-    )
+    votes = {"relation_counts": {"friendly": 1, "neutral": 3}}
+    judged = dataclasses.replace(EVENTS[0], judgments=votes, predictions={"rival": WRONG})
     found = evaluate([judged, *EVENTS[1:]], out=tmp_path)
 
     def refuse(constant: str) -> None:
@@ -250,13 +245,12 @@ def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
         *("calibration", "confusion", "human", "people", "reference_models", "failures"),
         *("settings", "cost"),
     }
-    assert kept["goal_accuracy"]["value"] == kept["relation_accuracy"]["value"] == 1
-    assert kept["reference_models"]["rival"]["relation_accuracy"]["value"] == 0
-    assert kept["people"]["relation_accuracy"]["value"] == 0.75
+    of_all = ("", "reference_models.rival.", "people.")
+    right = values(kept, "goal_accuracy", *(f"{who}relation_accuracy" for who in of_all))
+    assert right == [1, 1, 0, 0.75]
     assert set(kept["cost"]) == {"seconds", "simulations", "workers", "wall_seconds", "events"}
     assert set(kept["cost"]["events"]) == set("abcd")
-    assert kept["settings"]["seed"] == 0
-    assert kept["settings"]["model"] == "right"
+    assert (kept["settings"]["model"], kept["settings"]["seed"]) == ("right", 0)
     assert "workers" not in json.dumps(kept["settings"])
 
 
@@ -292,40 +286,39 @@ def test_differences_are_paired_over_common_events(tmp_path: Path) -> None:
     found = one.against(tmp_path)
     assert (found["one"], found["other"], found["n_events"]) == ("right", "wrong", 2)
     # the wrong one names the green agent's goal for red, and no goal for green
-    assert found["goal_accuracy"]["value"] == 1
-    assert found["relation_accuracy"]["value"] == 1
-    assert two.against(one)["relation_accuracy"]["value"] == -1
+    assert values(found, "goal_accuracy", "relation_accuracy") == [1, 1]
+    assert values(two.against(one), "relation_accuracy") == [-1]
     json.dumps(found, allow_nan=False)
 
 
 def test_opponents_are_models_that_have_seen_the_same() -> None:
-    rival = {"rival": {"relation": "friendly"}}
-    one = evaluate([dataclasses.replace(event, predictions=rival) for event in EVENTS[:2]])
-    assert one.against("rival")["relation_accuracy"]["value"] == 1
-    with pytest.raises(InvalidEventError, match=r"rivla: no such folder.*\(rival\)"):
-        one.against("rivla")
-    with pytest.raises(InvalidSettingError, match="right predicts none of the 2 events"):
-        one.against(evaluate(EVENTS[2:]))
-    with pytest.raises(InvalidEventError, match="'a' is not the same in both"):
-        one.against(evaluate([still("a", shift=0.7)]))
-    with pytest.raises(InvalidSettingError, match="3 is neither an evaluation"):
-        one.against(3)  # type: ignore[arg-type]
+    one = evaluate(
+        [dataclasses.replace(event, predictions={"rival": WRONG}) for event in EVENTS[:2]]
+    )
+    assert values(one.against("rival"), "relation_accuracy") == [1]
+    others: list[tuple[Any, type[Exception], str]] = [
+        ("rivla", InvalidEventError, r"rivla: no such folder.*\(rival\)"),
+        (evaluate(EVENTS[2:]), InvalidSettingError, "right predicts none of the 2 events"),
+        (evaluate([still("a", shift=0.7)]), InvalidEventError, "'a' is not the same in both"),
+        (3, InvalidSettingError, "3 is neither an evaluation"),
+    ]
+    for other, error, message in others:
+        with pytest.raises(error, match=message):
+            one.against(other)
 
 
 # --- what is shown -----------------------------------------------------------------------------
 
 
 def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
-    rivals = {f"a_rival_with_a_long_name_{i}": {"relation": "friendly"} for i in range(4)}
+    rivals = {f"a_rival_with_a_long_name_{i}": WRONG for i in range(4)}
     votes = {"relation_counts": {"neutral": 3, "friendly": 1}}
     events = [dataclasses.replace(e, predictions=rivals, judgments=votes) for e in EVENTS]
     found = evaluate(events, FailsAt(3, raises), out=tmp_path / ("long" * 30))
     printed = str(found)
     assert max(map(len, printed.splitlines())) <= 100
-    assert "people" in printed
-    assert all(f"g_name_{i}" in printed for i in range(4))
-    assert "1.00 [0.29, 1.00]" in printed
-    assert "independent (4)" in printed
+    names = [f"g_name_{i}" for i in range(4)]
+    assert all(w in printed for w in ("people", *names, "1.00 [0.29, 1.00]", "independent (4)"))
     assert repr(found) == "<Evaluation of FailsAt: 3 of 4 events, 1 failed>"
 
 
@@ -370,11 +363,9 @@ def test_finished_events_are_not_asked_again_and_failed_ones_are(tmp_path: Path)
     assert model.calls() == {3: 1, 4: 2, 5: 1, 6: 1}
     assert not second.failures
     assert not (out / "failures.json").exists()
-    whole = evaluate(model=guesses).predictions
-    for name, given in second.predictions.items():
-        assert given.probabilities["goal_red"].tolist() == pytest.approx(
-            whole[name].probabilities["goal_red"].tolist(), abs=1e-15
-        )
+    for name, whole in evaluate(model=guesses).predictions.items():
+        again = second.predictions[name].probabilities["goal_red"]
+        np.testing.assert_allclose(again, whole.probabilities["goal_red"], rtol=0, atol=1e-15)
 
 
 def test_resume_begins_where_there_is_nothing_and_goes_on_with_more_events(tmp_path: Path) -> None:
@@ -390,9 +381,8 @@ def test_resume_begins_where_there_is_nothing_and_goes_on_with_more_events(tmp_p
 def test_truth_may_change_and_only_the_metrics_with_it(tmp_path: Path) -> None:
     model, out = Counted(tmp_path / "calls"), tmp_path / "out"
     evaluate(model=model, out=out)
-    corrected = [
-        dataclasses.replace(event, truth=Truth(GREEN_TO_RED, GREEN_TO_RED)) for event in EVENTS
-    ]
+    truth = Truth(GREEN_TO_RED, GREEN_TO_RED)
+    corrected = [dataclasses.replace(event, truth=truth) for event in EVENTS]
     found = evaluate(corrected, model, out=out, resume=True)
     assert found.metrics["goal_accuracy"]["value"] == 0.5
     assert ResultsFolder.open(out).events[0].truth == corrected[0].truth
@@ -420,10 +410,8 @@ def test_other_settings_and_events_are_refused_and_named(
 
 def test_other_versions_are_refused_while_there_is_something_left(tmp_path: Path) -> None:
     evaluate(out=tmp_path, limit=2)
-    file = tmp_path / "settings.json"
-    record = json.loads(file.read_text())
-    record["versions"]["numpy"] = "1.0"
-    file.write_text(json.dumps(record))
+    before = {**evaluate(limit=1).settings["versions"], "numpy": "1.0"}
+    changed(tmp_path / "settings.json", versions=before)
     found = evaluate(out=tmp_path, resume=True, limit=2)
     assert found.settings["versions"]["numpy"] == "1.0"
     with pytest.raises(InvalidSettingError, match=r"other versions: numpy is '2.*', was '1\.0'"):
@@ -434,8 +422,7 @@ def test_while_nothing_is_finished_there_are_no_figures_and_settings_may_change(
     tmp_path: Path,
 ) -> None:
     found = evaluate(model=lambda *_: raises(), out=tmp_path)
-    assert len(found.failures) == 4
-    assert found.metrics["n_events"] == 0
+    assert (len(found.failures), found.metrics["n_events"]) == (4, 0)
     assert found.metrics["goal_accuracy"] is None
     assert "0 of 4 events" in str(found)
     assert evaluate(out=tmp_path, seed=3, resume=True).settings["seed"] == 3
@@ -466,8 +453,8 @@ def test_a_damaged_prediction_is_made_again_with_a_note(content: str, tmp_path: 
         ppl.Evaluation.load(out)
     second = evaluate(model=model, out=out, resume=True)
     assert model.calls() == {3: 1, 4: 2, 5: 1, 6: 1}
-    assert len(second.notes) == 1
-    assert str(damaged) in second.notes[0]
+    (note,) = second.notes
+    assert str(damaged) in note
     assert "note: " in str(second)
     assert second.metrics["n_events"] == 4
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,10 +14,10 @@ from scipy import stats
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
+from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.experiments import LABELS, Likeness
 from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of
-from phase_ppl.evaluation.figures.layout import opened
-from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.figures.rows import opened
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -168,41 +169,47 @@ def tags_file(tmp_path: Path) -> Path:
     return file
 
 
-def test_there_are_23_labels() -> None:
-    assert len(set(LABELS)) == 23
-
-
 def test_a_video_has_a_category_that_half_of_its_viewers_see(tags_file: Path) -> None:
     tags = ppl.load_tags(tags_file)
     assert tags.viewers.to_dict() == {"a": 3, "b": 2, "c": 1}
     assert tags.shares.loc["a", "helping"] == pytest.approx(2 / 3)
     categories = tags.categories()
-    assert categories.loc["a", "helping"]
-    assert not categories.loc["a", "collaborating"]
+    assert categories.loc["a", ["helping", "collaborating"]].tolist() == [True, False]
     assert categories.loc["b", "chasing"], "exactly half is enough"
     found = tags.summary()
     assert found.loc["helping", "percent"] == pytest.approx(100 / 3)
     assert found.loc["collaborating", ["percent", "used"]].tolist() == [0, 1]
     assert found.index[-1] == "dancing", "labels of others come last"
-    assert ppl.load_tags(tags_file).summary(0.7).loc["helping", "percent"] == 0
+    assert tags.summary(0.7).loc["helping", "percent"] == 0
+
+
+LABELLED = "participant,video,label\n"
+RATED = "participant,video,group,rating\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("load", "text", "message"),
     [
-        ("", "is empty"),
-        ("participant,video\np,a\n", "expected a column label"),
-        ("participant,video,label\n", "holds no rows"),
-        ("participant,video,label\np,a,x,y\n", "line 2: has 4 cells, expected 3"),
-        ("participant,video,label\n,a,x\n", "line 2: participant is empty"),
-        ("participant,video,label\np,a,x\np,a,x\n", "line 3: has .* a second time"),
+        (ppl.load_tags, "", "is empty"),
+        (ppl.load_tags, "participant,video\np,a\n", "expected a column label"),
+        (ppl.load_tags, LABELLED, "holds no rows"),
+        (ppl.load_tags, f"{LABELLED}p,a,x,y\n", "line 2: has 4 cells, expected 3"),
+        (ppl.load_tags, f"{LABELLED},a,x\n", "line 2: participant is empty"),
+        (ppl.load_tags, f"{LABELLED}p,a,x\np,a,x\n", "line 3: has .* a second time"),
+        (ppl.load_likeness, f"{RATED}p,a,g,6\n", "line 2: rating is '6', expected 1 to 5"),
+        (ppl.load_likeness, f"{RATED}p,a,g,4.0\n", "rating is '4.0'"),
+        (ppl.load_likeness, f"{RATED}p,a,g,4\np,a,g,4\n",
+         "line 3: has participant 'p', video 'a' a second time"),
+        (ppl.load_likeness, f"{RATED}p,a,g,4\np,b,h,4\n",
+         "line 3: participant 'p' is in two groups"),
+        (ppl.load_likeness, f"{RATED}p,a,g,4\nq,a,g,4\n", r"groups are \['g'\], expected two"),
     ],
-)
-def test_mistakes_in_labels_are_named(tmp_path: Path, text: str, message: str) -> None:
-    file = tmp_path / "tags.csv"
+)  # fmt: skip
+def test_mistakes_in_files_are_named(tmp_path: Path, load: Any, text: str, message: str) -> None:
+    file = tmp_path / "said.csv"
     file.write_text(text, "utf-8")
-    with pytest.raises(InvalidEventError, match=f"tags.csv.*{message}"):
-        ppl.load_tags(file)
+    with pytest.raises(InvalidEventError, match=f"said.csv.*{message}"):
+        load(file)
 
 
 def test_other_columns_of_other_peoples_files_do_not_matter(tmp_path: Path) -> None:
@@ -211,36 +218,35 @@ def test_other_columns_of_other_peoples_files_do_not_matter(tmp_path: Path) -> N
     assert ppl.load_tags(file).table.values.tolist() == [["p", "a", "helping"]]
 
 
-@pytest.mark.parametrize("majority", [0, -1, 1.1, "half"])
-def test_a_majority_is_a_share(tags_file: Path, majority: object) -> None:
-    with pytest.raises(InvalidSettingError, match="majority="):
-        ppl.figures.tags(tags_file, majority=majority)  # type: ignore[arg-type]
-
-
 def test_the_figure_of_labels_shows_their_percentages(tags_file: Path, tmp_path: Path) -> None:
-    figure = ppl.figures.tags(tags_file, tmp_path / "tags.png")
-    (axes,) = figure.axes
+    (axes,) = ppl.figures.tags(tags_file, tmp_path / "tags.png").axes
     names = [label.get_text() for label in axes.get_yticklabels()]
     assert names == ["dancing", *reversed(LABELS)]
+    assert len(set(names)) == 1 + 23
     widths = dict(zip(names, [bar.get_width() for bar in axes.patches], strict=True))
-    assert widths["helping"] == pytest.approx(100 / 3)
-    assert widths["stalking"] == 0
+    assert [widths["helping"], widths["stalking"]] == pytest.approx([100 / 3, 0])
     assert len(axes.lines) == 1, "collaborating was chosen by somebody"
     assert (tmp_path / "tags.png").stat().st_size > 1000
 
 
 def ratings(played: float, generated: float, n: int = 30, noise: float = 0.4) -> Likeness:
+    """Return ratings of five videos by each of ``n`` participants of a group."""
     rng = np.random.default_rng(0)
-    rows = [
+    return rated(
         {
-            "participant": f"{group}{who}",
-            "video": f"{group}-{video}",
-            "group": group,
-            "rating": int(np.clip(round(rng.normal(mean, noise)), 1, 5)),
+            group: np.clip(rng.normal(mean, noise, (n, 5)).round(), 1, 5).astype(int).tolist()
+            for group, mean in (("generated", generated), ("played", played))
         }
-        for group, mean in (("generated", generated), ("played", played))
-        for who in range(n)
-        for video in range(5)
+    )
+
+
+def rated(given: dict[str, list[list[int]]]) -> Likeness:
+    """Return ratings from group -> participant -> rating of each video."""
+    rows = [
+        {"participant": f"{group}{who}", "video": f"{group}-{video}", "group": group, "rating": one}
+        for group, of_group in given.items()
+        for who, of_one in enumerate(of_group)
+        for video, one in enumerate(of_one)
     ]
     return Likeness(pd.DataFrame(rows))
 
@@ -258,24 +264,18 @@ def test_equivalence_is_shown_by_two_one_sided_tests() -> None:
     assert same.equivalence(reach * 1.001)["equivalent"]
     assert not same.equivalence(reach * 0.999)["equivalent"]
     assert same.equivalence(reach)["p"] == pytest.approx(0.05)
-    assert not ratings(4.0, 3.4).equivalence()["equivalent"]
-    assert ratings(4.0, 3.4).equivalence()["difference"] > 0
+    apart = ratings(4.0, 3.4).equivalence()
+    assert not apart["equivalent"]
+    assert apart["difference"] > 0
 
 
-def test_ratings_without_any_difference_show_nothing() -> None:
-    rows = [{"participant": f"{g}{k}", "video": f"{g}v", "group": g, "rating": 4}
-            for g in ("played", "generated") for k in range(3)]  # fmt: skip
-    found = Likeness(pd.DataFrame(rows)).equivalence()
-    assert (found["difference"], found["equivalent"]) == (0, False)
-    assert found["p"] is None
-    assert figures.likeness(Likeness(pd.DataFrame(rows))).axes
-
-
-def test_one_group_may_be_all_alike() -> None:
-    rows = [{"participant": f"{g}{k}", "video": f"{g}v", "group": g, "rating": rating}
-            for g, given in (("played", (4, 4, 4)), ("generated", (3, 4, 5)))
-            for k, rating in enumerate(given)]  # fmt: skip
-    found = Likeness(pd.DataFrame(rows)).equivalence()  # warnings are errors here
+def test_ratings_without_any_difference_show_nothing_and_one_group_may_be_all_alike() -> None:
+    alike = rated(dict.fromkeys(("played", "generated"), [[4]] * 3))
+    found = alike.equivalence()
+    assert (found["difference"], found["equivalent"], found["p"]) == (0, False, None)
+    assert figures.likeness(alike).axes
+    # warnings are errors here
+    found = rated({"played": [[4]] * 3, "generated": [[3], [4], [5]]}).equivalence()
     assert found["ci_low"] == pytest.approx(-found["ci_high"])
     assert 0 < found["p"] < 0.5
 
@@ -287,40 +287,25 @@ def test_the_summary_has_deviations_of_videos_and_of_people() -> None:
     assert (found["sd_participants"] > 0).all()
 
 
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ("p,a,g,6\n", "line 2: rating is '6', expected 1 to 5"),
-        ("p,a,g,4.0\n", "rating is '4.0'"),
-        ("p,a,g,4\np,a,g,4\n", "line 3: has participant 'p', video 'a' a second time"),
-        ("p,a,g,4\np,b,h,4\n", "line 3: participant 'p' is in two groups"),
-        ("p,a,g,4\nq,a,g,4\n", r"groups are \['g'\], expected two"),
-    ],
-)
-def test_mistakes_in_ratings_are_named(tmp_path: Path, rows: str, message: str) -> None:
-    file = tmp_path / "likeness.csv"
-    file.write_text(f"participant,video,group,rating\n{rows}", "utf-8")
-    with pytest.raises(InvalidEventError, match=message):
-        ppl.load_likeness(file)
-
-
 def test_the_figure_of_ratings_says_whether_equivalence_is_shown(tmp_path: Path) -> None:
     file = tmp_path / "likeness.csv"
     ratings(4.0, 4.0).table.to_csv(file, index=False)
     figure = ppl.figures.likeness(file, tmp_path / "likeness.pdf")
     shares, means, difference = figure.axes
-    heights = [bar.get_height() for bar in shares.patches]
-    assert sum(heights) == pytest.approx(2)
+    assert sum(bar.get_height() for bar in shares.patches) == pytest.approx(2)
     assert "equivalence is shown" in figure.get_supxlabel().replace("\n", " ")
     assert [t.get_text().split("\n")[0] for t in means.get_xticklabels()] == ["played", "generated"]
     assert difference.lines[-1].get_markerfacecolor() != "white"
 
 
 @pytest.mark.parametrize("draw", [ppl.figures.tags, ppl.figures.likeness])
-def test_figures_refuse_what_they_cannot_draw(draw: object, tmp_path: Path) -> None:
+def test_figures_refuse_what_they_cannot_draw(draw: Any, tags_file: Path, tmp_path: Path) -> None:
     for bad in (3, None, ppl.load_event("compete"), tmp_path / "nothing.csv"):
         with pytest.raises(PhasePPLError):
-            draw(bad)  # type: ignore[operator]
+            draw(bad)
+    for majority in (0, -1, 1.1, "half"):
+        with pytest.raises(InvalidSettingError, match="majority="):
+            ppl.figures.tags(tags_file, majority=majority)  # type: ignore[arg-type]
     with pytest.raises(InvalidSettingError, match="margin"):
         ratings(4, 4).equivalence(0)
     with pytest.raises(PhasePPLError, match="unknown by"):

@@ -33,6 +33,7 @@ from tests.evaluation.judged import (
     by_id,
     make_event,
     shares,
+    values,
 )
 
 EVENTS = [
@@ -63,15 +64,13 @@ def relations(n: int, right: int) -> dict[str, Prediction]:
 def test_accuracies_are_shares_of_goals_and_of_relations() -> None:
     metrics = evaluate_predictions(EVENTS, ANSWERS)
     assert metrics["n_events"] == 4
-    assert metrics["goal_accuracy"]["value"] == (2 + 1 + 1 + 0) / 8
-    assert metrics["relation_accuracy"]["value"] == 3 / 4
+    assert values(metrics, "goal_accuracy", "relation_accuracy") == [(2 + 1 + 1 + 0) / 8, 3 / 4]
     by_scenario = metrics["by_scenario"]
     assert list(by_scenario) == list(SCENARIOS)
     assert by_scenario["collaborative"]["n"] == 2
-    assert by_scenario["collaborative"]["goal_accuracy"]["value"] == 3 / 4
-    assert by_scenario["collaborative"]["relation_accuracy"]["value"] == 1
-    assert by_scenario["competing"]["goal_accuracy"]["value"] == 1 / 2
-    assert by_scenario["independent"]["goal_accuracy"]["value"] == 0
+    goals = [f"{name}.goal_accuracy" for name in SCENARIOS]
+    assert values(by_scenario, *goals) == [3 / 4, 0, 1 / 2, None]
+    assert values(by_scenario, "collaborative.relation_accuracy") == [1]
     assert {figure for name, figure in by_scenario["opposing"].items() if name != "n"} == {None}
 
 
@@ -109,10 +108,7 @@ def test_intervals_of_accuracies_cover(n: int, p: float, alike: float | None) ->
             scores[:, 1] = np.where(rng.random(n) < alike, scores[:, 0], scores[:, 1])
         found = proportion(scores)
         assert found is not None
-        low, high = found["ci_low"], found["ci_high"]
-        assert low is not None
-        assert high is not None
-        covered.append(low <= p <= high)
+        covered.append(found["ci_low"] <= p <= found["ci_high"])  # type: ignore[operator]
     # 600 draws of a coverage of 0.945, the least of many more draws, are below this once in 200
     assert np.mean(covered) >= 0.92
 
@@ -128,9 +124,7 @@ def test_intervals_of_shares_of_people_cover(n: int) -> None:
 def test_shares_that_are_all_the_same_have_an_interval() -> None:
     found = proportion([[0.5], [0.5]])
     assert found is not None
-    assert found["value"] == 0.5
-    assert found["ci_low"] < 0.4  # type: ignore[operator]
-    assert found["ci_high"] > 0.6  # type: ignore[operator]
+    assert found["ci_low"] < 0.4 < found["value"] == 0.5 < 0.6 < found["ci_high"]  # type: ignore[operator]
     assert proportion([[np.nan, np.nan]]) is None
 
 
@@ -170,9 +164,8 @@ def test_top3_needs_a_probability() -> None:
         shares("a", goal_red=third, goal_green=third),
         shares("b", goal_red=fourth, goal_green={BLUE_TO_GREEN: 1.0}),
     )
-    metrics = evaluate_predictions(events, made)
-    assert metrics["goal_top3_accuracy"]["value"] == 2 / 4
-    assert metrics["goal_accuracy"]["value"] == 0
+    found = values(evaluate_predictions(events, made), "goal_top3_accuracy", "goal_accuracy")
+    assert found == [2 / 4, 0]
     # the first goals in label order would be second and third, of probability 0
     sure = by_id(shares("a", goal_red={PINK_TO_BLUE: 1.0}))
     first = make_event("a", (GOALS[0], PINK_TO_BLUE))
@@ -181,10 +174,8 @@ def test_top3_needs_a_probability() -> None:
 
 def test_ties_go_to_the_first_in_label_order_and_are_counted() -> None:
     events = [make_event("a", COLLABORATIVE), make_event("b", COMPETING)]
-    tied = [0.4, 0.2, 0.4]
-    metrics = evaluate_predictions(
-        events, by_id(shares("a", relation=tied), shares("b", relation=tied))
-    )
+    tied = by_id(*(shares(name, relation=[0.4, 0.2, 0.4]) for name in "ab"))
+    metrics = evaluate_predictions(events, tied)
     assert metrics["relation_accuracy"]["value"] == 1 / 2
     assert metrics["ties"] == {"goal_red": None, "goal_green": None, "relation": 2}
 
@@ -198,17 +189,13 @@ def test_log_score_of_the_truth_has_a_lapse_of_one_in_a_hundred() -> None:
     metrics = evaluate_predictions(events, made)
     relation = (np.log(0.99 * 0.5 + 0.01 / 3) + np.log(0.01 / 3)) / 2
     goal = (np.log(0.99 + 0.01 / 36) + np.log(0.99 * 0.25 + 0.01 / 36)) / 2
-    assert metrics["relation_log_score_truth"]["value"] == pytest.approx(relation, abs=1e-12)
-    assert metrics["goal_log_score_truth"]["value"] == pytest.approx(goal, abs=1e-12)
+    found = values(metrics, "relation_log_score_truth", "goal_log_score_truth")
+    assert found == pytest.approx([relation, goal], abs=1e-12)
     competing = metrics["by_scenario"]["competing"]["relation_log_score_truth"]
     assert competing == {"value": pytest.approx(np.log(0.01 / 3)), "ci_low": None, "ci_high": None}
     sure = metrics["calibration"]["relation"]
-    assert {least: one["n"] for least, one in sure.items()} == {
-        "0": 2,
-        "0.5": 2,
-        "0.8": 1,
-        "0.95": 1,
-    }
+    of_sure = {least: one["n"] for least, one in sure.items()}
+    assert of_sure == {"0": 2, "0.5": 2, "0.8": 1, "0.95": 1}
     assert sure["0.8"]["accuracy"]["value"] == 0
 
 
@@ -271,19 +258,12 @@ def test_seed_decides_the_interval_and_nothing_else() -> None:
     ("given", "error", "message"),
     [
         ({"seed": -1}, InvalidSettingError, "seed"),
-        ({"resamples": 0}, InvalidSettingError, "resamples"),
-        ({"resamples": 1.5}, InvalidSettingError, "resamples"),
-        (
-            {"predictions": {"a": ANSWERS["b"]}},
-            InvalidSettingError,
-            "the prediction for 'a' is of the event 'b'",
-        ),
+        *(({"resamples": n}, InvalidSettingError, "resamples") for n in (0, 1.5)),
+        ({"predictions": {"a": ANSWERS["b"]}}, InvalidSettingError, "'a' is of the event 'b'"),
         ({"events": [EVENTS[0]] * 2}, InvalidEventError, "two events with the id 'a'"),
     ],
 )
-def test_what_cannot_be_is_refused(
-    given: dict[str, Any], error: type[Exception], message: str
-) -> None:
+def test_what_cannot_be_is_refused(given: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         evaluate_predictions(**{"events": EVENTS, "predictions": ANSWERS, **given})
 
@@ -294,11 +274,9 @@ def test_what_cannot_be_is_refused(
 def test_difference_is_that_of_the_two_figures() -> None:
     better = {**ANSWERS, "c": answers("c", *COMPETING, relation="adversarial")}
     found = paired_difference(EVENTS, better, ANSWERS)
-    assert found["n_events"] == 4
-    assert found["goal_accuracy"]["value"] == pytest.approx(1 / 8)
-    assert found["relation_accuracy"]["value"] == pytest.approx(1 / 4)
-    assert found["by_scenario"]["competing"]["goal_accuracy"]["value"] == 1 / 2
-    assert found["by_scenario"]["collaborative"]["n"] == 2
+    assert (found["n_events"], found["by_scenario"]["collaborative"]["n"]) == (4, 2)
+    places = ("goal_accuracy", "relation_accuracy", "by_scenario.competing.goal_accuracy")
+    assert values(found, *places) == pytest.approx([1 / 8, 1 / 4, 1 / 2])
     back = paired_difference(EVENTS, ANSWERS, better)["goal_accuracy"]
     assert back["value"] == -found["goal_accuracy"]["value"]
     assert back["ci_low"] == pytest.approx(-found["goal_accuracy"]["ci_high"])
@@ -326,10 +304,8 @@ def test_p_is_small_only_where_the_difference_is_clear() -> None:
         paired_difference(alike(30), relations(30, right), relations(30, 0))["relation_accuracy"]
         for right in (12, 2)
     )
-    assert clear["p"] < 0.01
-    assert clear["ci_low"] > 0
-    assert unclear["p"] > 0.2
-    assert unclear["ci_low"] < 0
+    assert clear["p"] < 0.01 < 0.2 < unclear["p"]
+    assert unclear["ci_low"] < 0 < clear["ci_low"]
 
 
 @pytest.mark.parametrize(("n", "least"), [(2, 1 / 2), (3, 1 / 4), (5, 1 / 16)])
@@ -349,8 +325,7 @@ def test_difference_is_over_what_both_answer() -> None:
     found = paired_difference(EVENTS, one, other)
     # red's goal in a (both right) and in b (one right, other wrong)
     assert found["n_events"] == 2
-    assert found["goal_accuracy"]["value"] == 1 / 2
-    assert found["relation_accuracy"] is None
+    assert values(found, "goal_accuracy", "relation_accuracy") == [1 / 2, None]
     assert paired_difference(EVENTS, one, {})["goal_accuracy"] is None
 
 
@@ -371,51 +346,37 @@ def test_shares_and_majorities_of_votes() -> None:
     ]
     found = human_accuracy(events)
     assert found["n_events"] == 3
-    assert found["relation_accuracy"]["value"] == pytest.approx((0.6 + 0.4 + 0.5) / 3)
-    assert found["majority"]["relation_accuracy"]["value"] == pytest.approx(1 / 3)
+    of_competing = "by_scenario.competing.relation_accuracy"
+    places = ("relation_accuracy", "majority.relation_accuracy", of_competing)
+    assert values(found, *places) == pytest.approx([(0.6 + 0.4 + 0.5) / 3, 1 / 3, 0.4])
+    assert values(found["majority"], of_competing) == [0]
     assert found["ties"] == {"goal_red": None, "goal_green": None, "relation": 1}
-    competing = found["by_scenario"]["competing"]
-    assert competing["relation_accuracy"]["value"] == pytest.approx(0.4)
-    assert competing["n"] == 1
-    assert found["majority"]["by_scenario"]["competing"]["relation_accuracy"]["value"] == 0
-    assert found["goal_accuracy"] is None
-    assert found["by_participant"] is None
-    assert found["confusion"] is None
+    assert found["by_scenario"]["competing"]["n"] == 1
+    assert found["goal_accuracy"] is found["by_participant"] is found["confusion"] is None
     # an agent whose goal nobody named does not count
     one = {"goal_counts": {"red agent": {BLUE_TO_RED: 1, PINK_TO_BLUE: 3}}}
     of_goals = human_accuracy([make_event("a", COLLABORATIVE, judgments=one)])
-    assert of_goals["goal_accuracy"]["value"] == 0.25
-    assert of_goals["majority"]["goal_accuracy"]["value"] == 0
+    assert values(of_goals, "goal_accuracy", "majority.goal_accuracy") == [0.25, 0]
 
 
 def test_responses_tell_what_each_participant_got_right() -> None:
     both = {"goal_red": BLUE_TO_RED, "goal_green": BLUE_TO_RED, "relation": "friendly"}
+    other = {"goal_red": BLUE_TO_RED, "goal_green": PINK_TO_BLUE}
     events = [
-        make_event(
-            "a",
-            COLLABORATIVE,
-            judgments=responses(
-                p=both, q={"goal_red": BLUE_TO_RED, "goal_green": PINK_TO_BLUE}, r={}
-            ),
-        ),
+        make_event("a", COLLABORATIVE, judgments=responses(p=both, q=other, r={})),
         make_event("b", COMPETING, judgments=responses(p=both)),
     ]
     found = human_accuracy(events)
     by_participant = found["by_participant"]
     assert by_participant == participant_accuracy(events)
     assert by_participant["n_participants"] == 2
-    assert by_participant["goal_accuracy"]["value"] == pytest.approx((3 / 4 + 1 / 2) / 2)
-    assert by_participant["relation_accuracy"]["value"] == 1 / 2
     assert by_participant["by_scenario"]["collaborative"]["n"] == 2
     # by events it is another mean: 3 of 4 in one, 1 of 2 in the other
-    assert found["goal_accuracy"]["value"] == pytest.approx((3 / 4 + 1 / 2) / 2)
-    assert found["relation_accuracy"]["value"] == 1 / 2
-    assert found["confusion"]["collaborative"] == {
-        "collaborative": 1,
-        "independent": 1,
-        "competing": 0,
-        "opposing": 0,
-    }
+    for place in (by_participant, found):
+        right = values(place, "goal_accuracy", "relation_accuracy")
+        assert right == pytest.approx([(3 / 4 + 1 / 2) / 2, 1 / 2])
+    counts = dict(zip(SCENARIOS, (1, 1, 0, 0), strict=True))
+    assert found["confusion"]["collaborative"] == counts
     assert found["confusion"]["competing"]["collaborative"] == 1
 
 

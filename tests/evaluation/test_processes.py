@@ -20,11 +20,14 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation.evaluate import COMPILED_OF
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Truth
 from tests.evaluation import toys
 from tests.evaluation.toys import EVENTS, Counted, FailsAt, guesses, several, still
 
 ROOT = Path(ppl.__file__).parents[1]
 PATIENCE = 60.0
+IN_ROOT: dict[str, Any] = {"cwd": ROOT, "env": {**os.environ, "PYTHONPATH": str(ROOT)}}
+"""How scripts are run."""
 
 
 def evaluate(model: Any, events: Any = EVENTS, **more: Any) -> ppl.Evaluation:
@@ -62,12 +65,7 @@ def test_truth_judgments_ids_and_predictions_never_reach_a_worker() -> None:
         import gc
 
         things = gc.get_objects()
-        found = [
-            repr(type(thing))
-            for thing in things
-            if type(thing).__module__ == "phase_ppl.world.event"
-            and type(thing).__name__ in ("Event", "Truth")
-        ]
+        found = [repr(type(thing)) for thing in things if type(thing) in (ppl.Event, Truth)]
         for thing in things:
             if type(thing) in (dict, list, tuple):
                 values = thing.values() if type(thing) is dict else thing
@@ -122,21 +120,18 @@ def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending
     assert len(evaluate(holds_a_lock, workers=1).predictions) == 4
 
 
-class CannotLoad:
-    """Goes to a worker and falls apart there."""
-
-    def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
-        raise AssertionError
-
-    def __reduce__(self) -> Any:
-        return _falls_apart, ()
-
-
 def _falls_apart() -> None:
     raise ImportError("no module named elsewhere")
 
 
 def test_a_model_that_cannot_be_loaded_there_is_refused() -> None:
+    class CannotLoad:
+        def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
+            raise AssertionError
+
+        def __reduce__(self) -> Any:
+            return _falls_apart, ()
+
     with pytest.raises(InvalidSettingError, match=r"cannot be loaded.*named elsewhere"):
         evaluate(CannotLoad())
 
@@ -170,13 +165,8 @@ def test_a_script_without_a_guard_works_and_leaves_nothing_behind(tmp_path: Path
         print(len(ppl.evaluate(several(4), has_a_bar, workers=2, progress=False).predictions))
         """)
     )
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, **IN_ROOT, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.stdout, done.stderr) == ("4\n", "")
 
 
@@ -204,15 +194,9 @@ SCRIPT = """
 def started(folder: Path) -> subprocess.Popen[str]:
     """Start the script; return it once two events are finished and others have begun."""
     (folder / "script.py").write_text(textwrap.dedent(SCRIPT))
-    run = subprocess.Popen(
-        [sys.executable, str(folder / "script.py"), str(folder)],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    command = [sys.executable, str(folder / "script.py"), str(folder)]
+    run = subprocess.Popen(command, **IN_ROOT, **pipes, text=True, start_new_session=True)
     wait_until(lambda: run.poll() is not None or (finished(folder) == 2 and begun(folder) > 2))
     assert run.poll() is None, run.communicate()[1]
     return run
@@ -260,15 +244,14 @@ def test_a_run_that_is_stopped_goes_on_without_repeating_what_is_finished(
     model = Counted(tmp_path / "calls", guesses)
     before = model.calls()
     assert (before[6], before[5]) == (1, 1)
-    subprocess.run(run.args, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
+    subprocess.run(run.args, **IN_ROOT, check=True)
     after = model.calls()
     assert (after[6], after[5]) == (1, 1)
     assert (after[4], after[3]) == (before.get(4, 0) + 1, before.get(3, 0) + 1)
-    found = ppl.Evaluation.load(tmp_path / "out")
-    assert found.metrics["n_events"] == 4
-    whole = evaluate(guesses, workers=1).predictions
-    for name, given in found.predictions.items():
-        assert given.answers == whole[name].answers
+    found = ppl.Evaluation.load(tmp_path / "out").predictions
+    assert list(found) == list("abcd")
+    for name, whole in evaluate(guesses, workers=1).predictions.items():
+        assert found[name].answers == whole.answers
 
 
 def test_ctrl_c_in_this_process_keeps_what_was_done(tmp_path: Path) -> None:

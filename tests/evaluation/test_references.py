@@ -16,7 +16,14 @@ from phase_ppl.evaluation.metrics import human_accuracy, reference_models
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from phase_ppl.world.picture import plain
-from tests.evaluation.judged import BLUE_TO_RED, COLLABORATIVE, COMPETING, PINK_TO_BLUE, make_event
+from tests.evaluation.judged import (
+    BLUE_TO_RED,
+    COLLABORATIVE,
+    COMPETING,
+    PINK_TO_BLUE,
+    make_event,
+    values,
+)
 from tests.evaluation.toys import GREEN_TO_RED, RED_TO_RED, right, several
 from tests.world.examples import DEV, needs_dev
 
@@ -34,17 +41,12 @@ def test_what_a_file_gives_is_read_and_nothing_added() -> None:
         make_event("c"),
     ]
     found = reference_predictions(events)
-    assert {model: list(made) for model, made in found.items()} == {
-        "simple": ["a"],
-        "gnn": ["a", "b"],
-    }
+    ids = {model: list(made) for model, made in found.items()}
+    assert ids == {"simple": ["a"], "gnn": ["a", "b"]}
     simple = found["simple"]["a"]
     # the answer given stays, even where another is more probable
-    assert simple.answers == {
-        "goal_red": BLUE_TO_RED,
-        "goal_green": PINK_TO_BLUE,
-        "relation": "adversarial",
-    }
+    given = (BLUE_TO_RED, PINK_TO_BLUE, "adversarial")
+    assert simple.answers == dict(zip(("goal_red", "goal_green", "relation"), given, strict=True))
     assert list(simple.probabilities) == ["relation"]
     assert simple.probabilities["relation"].sum() == pytest.approx(1, abs=1e-15)
     assert found["gnn"]["a"].answers == {"relation": "neutral"}
@@ -132,8 +134,7 @@ def test_models_that_predict_other_events_are_measured_on_theirs() -> None:
     ]
     found = reference_models(events)
     assert [found[name]["n_events"] for name in ("one", "two")] == [2, 3]
-    assert found["one"]["relation_accuracy"]["value"] == 1 / 2
-    assert found["two"]["relation_accuracy"]["value"] == 1 / 3
+    assert values(found, "one.relation_accuracy", "two.relation_accuracy") == [1 / 2, 1 / 3]
     assert found["one"]["human"]["split_half_r"] != found["two"]["human"]["split_half_r"]
 
 
@@ -149,8 +150,7 @@ EVENTS = [
 def test_it_is_scored_and_compared_as_any_other_evaluation() -> None:
     found = reference_evaluation(EVENTS, "rival")
     assert found.name == "rival"
-    assert found.metrics["goal_accuracy"]["value"] == 1
-    assert found.metrics["relation_accuracy"]["value"] == 0
+    assert values(found.metrics, "goal_accuracy", "relation_accuracy") == [1, 0]
     assert list(found.predictions) == ["a", "c"]
     assert found.failures == {"b": "the event carries no prediction of rival"}
     assert "rival: 2 of 3 events" in str(found)
@@ -170,27 +170,19 @@ def test_published_figures_of_the_authors_models() -> None:
     found = reference_models(events)
     simple = found["simple_authors"]
     assert simple["n_events"] == 50
-    assert simple["goal_accuracy"]["value"] == pytest.approx(0.88)
-    by_scenario = {
-        name: (entry["n"], round(entry["goal_accuracy"]["value"], 3))
-        for name, entry in simple["by_scenario"].items()
-    }
-    assert by_scenario == {
-        "collaborative": (19, 0.974),
-        "independent": (14, 0.929),
-        "competing": (5, 0.6),
-        "opposing": (12, 0.792),
-    }
-    assert simple["relation_accuracy"]["value"] == pytest.approx(0.9)
-    assert simple["human"]["relation_r"]["value"] == pytest.approx(0.645, abs=5e-4)
-    assert simple["human"]["split_half_r"]["value"] == pytest.approx(0.90, abs=0.01)
-    assert simple["human"]["goal_r"] is None
-    assert simple["goal_top3_accuracy"] is None
-    assert found["socialgnn_2023"]["relation_accuracy"]["value"] == pytest.approx(0.68)
-    assert found["socialgnn_2023"]["human"]["relation_r"] is None
-    assert found["socialgnn_2023"]["confusion"] is None
-    # what people agree on least bounds how well they are predicted
+    assert values(simple, "goal_accuracy", "relation_accuracy") == pytest.approx([0.88, 0.9])
+    by_scenario = [(of["n"], *values(of, "goal_accuracy")) for of in simple["by_scenario"].values()]
+    assert [n for n, _ in by_scenario] == [19, 14, 5, 12]
+    goals = [value for _, value in by_scenario]
+    assert goals == pytest.approx([0.974, 0.929, 0.6, 0.792], abs=5e-4)
     human = simple["human"]
+    assert human["relation_r"]["value"] == pytest.approx(0.645, abs=5e-4)
+    assert human["split_half_r"]["value"] == pytest.approx(0.90, abs=0.01)
+    assert human["goal_r"] is simple["goal_top3_accuracy"] is None
+    of_gnn = found["socialgnn_2023"]
+    assert values(of_gnn, "relation_accuracy", "human.relation_r") == [pytest.approx(0.68), None]
+    assert of_gnn["confusion"] is None
+    # what people agree on least bounds how well they are predicted
     assert human["log_score"]["value"] < human["log_score_people"]["value"]
     alone = reference_evaluation(events, "simple_authors").metrics
     for name in ("goal_accuracy", "relation_accuracy", "by_scenario"):

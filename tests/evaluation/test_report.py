@@ -15,9 +15,8 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
-from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
-from phase_ppl.evaluation.report import write_page
-from phase_ppl.evaluation.report.contents import MAX_ROWS, page, page_of, rows_of
+from phase_ppl.evaluation.evaluation import POSTERIOR, ResultsFolder
+from phase_ppl.evaluation.report import MAX_ROWS, page, page_of, rows_of, write_page
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.files import write_json
 from phase_ppl.world.goals import GOALS
@@ -101,7 +100,7 @@ def event(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None:
     page = Page(evaluation.read_text("utf-8"))
     for words in ("Evaluation of SIMPLE", "3 of 3 events", "Summary", "Figures", "Failures",
-                  "Settings", "Accuracy by scenario", "With one particle"):  # fmt: skip
+                  "Settings", "Goals right, by true scenario", "With one particle"):  # fmt: skip
         assert words in page.text
     videos = [d for d in page.all("details") if "data-name" in d]
     assert [d["data-name"] for d in videos] == ["one", HOSTILE, "three"]

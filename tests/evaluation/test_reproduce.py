@@ -12,6 +12,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
+from phase_ppl.evaluation import report
 from phase_ppl.evaluation import reproduce as module
 from phase_ppl.evaluation.paper import (
     NO_REPRODUCTION,
@@ -22,7 +23,6 @@ from phase_ppl.evaluation.paper import (
     Printed,
     verdict,
 )
-from phase_ppl.evaluation.report import contents
 from phase_ppl.evaluation.reproduce import Asked, expected_seconds, models_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
@@ -138,7 +138,7 @@ def models(monkeypatch: pytest.MonkeyPatch, unpainted: None) -> None:
 def cheap(models: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have pages without figures too, which take most of the time."""
     monkeypatch.setattr(module, "_drawings", lambda *given: iter(()))
-    monkeypatch.setattr(contents, "drawings_of", lambda results: {})
+    monkeypatch.setattr(report, "drawings_of", lambda results: {})
 
 
 @pytest.fixture(scope="module")

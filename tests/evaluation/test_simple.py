@@ -107,16 +107,16 @@ def test_it_explains_bundled_events_with_workers_as_without(tmp_path: Path) -> N
     two = ppl.evaluate(events, workers=2, out=tmp_path, **short)
     assert not one.failures
     for name, given in one.predictions.items():
-        for question, values in given.probabilities.items():
-            assert values.tobytes() == two.predictions[name].probabilities[question].tobytes()
+        for question, shares in given.probabilities.items():
+            assert shares.tobytes() == two.predictions[name].probabilities[question].tobytes()
     assert len(list(tmp_path.glob("events/*/posterior.nc"))) == 2
 
 
 # --- lesions: each is SIMPLE with one thing changed ---------------------------------------------
 
 LESIONS = (
-    *("no_physics", "noisy_physics", "full_observation", "true_state"),
-    *("no_cost_weight", "no_social_goals"),
+    *("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight"),
+    "no_social_goals",
 )
 
 

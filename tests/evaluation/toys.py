@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -84,6 +85,11 @@ EVENTS = several(4)
 def evaluate(events: Any = EVENTS, model: Any = right, **more: Any) -> ppl.Evaluation:
     """Evaluate quietly in one process."""
     return ppl.evaluate(events, model, **{"workers": 1, "progress": False, **more})
+
+
+def changed(file: Path, **fields: Any) -> None:
+    """Change fields of a JSON file."""
+    file.write_text(json.dumps({**json.loads(file.read_text()), **fields}))
 
 
 def raises() -> Any:

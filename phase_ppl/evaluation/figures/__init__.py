@@ -9,9 +9,8 @@ what a figure is about, it raises :class:`NothingToDrawError`.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final
 
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.figures.grids import (
@@ -19,22 +18,24 @@ from phase_ppl.evaluation.figures.grids import (
     costs,
     differences,
     film_strips,
+    people,
     scatter_goals,
     scatter_relations,
 )
-from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source, opened
 from phase_ppl.evaluation.figures.rows import (
+    DRAWINGS,
+    Drawing,
+    NothingToDrawError,
+    Results,
+    Source,
     accuracy,
     correlation,
     equivalence,
     likeness,
-    people,
+    opened,
     tags,
 )
 from phase_ppl.world.files import writable_folder
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = [
     "DRAWINGS",
@@ -54,77 +55,6 @@ __all__ = [
 ]
 
 FOLDER: Final = "figures"  # of the figures, in that of the results
-
-
-class Drawing(NamedTuple):
-    """A kind of figure."""
-
-    title: str  # what it shows, in a few words
-    alt: str  # what stands in its place for those who do not see it
-    draw: Callable[..., Figure]  # draws results, and writes the figure to a path
-    compares: bool = False  # whether it is one of comparisons of models only
-
-
-DRAWINGS: Final = {
-    "accuracy": Drawing(
-        "Accuracy by scenario, or by agent and pair",
-        "Bars: share of right goals and relations of everybody, over all events and by true "
-        "scenario, in other worlds than PHASE by agent and pair, with 95 % intervals; the numbers "
-        "are in the tables above.",
-        accuracy,
-    ),
-    "confusion": Drawing(
-        "Which scenario is taken for which",
-        "Matrices of counts: true scenario against the scenario of the goals answered.",
-        confusion,
-    ),
-    "correlation": Drawing(
-        "Correlation with people",
-        "Bars: correlation of each model with people; the numbers are in the table.",
-        correlation,
-    ),
-    "scatter_goals": Drawing(
-        "Goals: models against people",
-        "Points: probability of a goal for a model against that for people.",
-        scatter_goals,
-    ),
-    "scatter_relations": Drawing(
-        "Relations: models against people",
-        "Points: probability of a relation for a model against that for people.",
-        scatter_relations,
-    ),
-    "people": Drawing(
-        "Doubt: models against people",
-        "Points: probabilities of relations against people's shares, as they are and given the "
-        "truth; bars: both correlations, beside what people reach among themselves.",
-        people,
-    ),
-    "film_strips": Drawing(
-        "An event of every scenario, or the first few",
-        "Film strips: an event of every scenario, from first to last frame.",
-        film_strips,
-    ),
-    "costs": Drawing(
-        "Accuracy against CPU seconds",
-        "Points: share of right answers against CPU seconds per event, with intervals.",
-        costs,
-        compares=True,
-    ),
-    "differences": Drawing(
-        "Differences between models",
-        "Matrices: difference in right answers between every two models.",
-        differences,
-        compares=True,
-    ),
-    "equivalence": Drawing(
-        "Models beside people",
-        "Points with intervals: right answers of models minus those of people, beside the margin "
-        "of equivalence; the numbers are in the table.",
-        equivalence,
-        compares=True,
-    ),
-}
-"""Name of a figure, and of its file -> what it is."""
 
 
 def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list[Path]:

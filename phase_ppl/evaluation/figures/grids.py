@@ -1,4 +1,4 @@
-"""Figures with axes per model or event: confusion, probabilities, costs, differences, films."""
+"""Figures with axes per model or event: confusion, probabilities, costs, films, doubt."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from phase_ppl.analysis.figures.style import (
     NORMAL,
     SMALL,
     direct_labels,
-    in_style,
     new_figure,
     titled,
     written,
@@ -25,14 +24,15 @@ from phase_ppl.analysis.figures.style import (
 from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.differences import ALPHA
-from phase_ppl.evaluation.figures.layout import (
+from phase_ppl.evaluation.figures.rows import (
     KIND_TITLES,
     SCENARIO_COLOURS,
     NothingToDrawError,
     PathLike,
+    Results,
     Source,
-    cells,
     compared,
+    drawing,
     fitting,
     in_words,
     name_rows,
@@ -41,11 +41,11 @@ from phase_ppl.evaluation.figures.layout import (
     width_of,
 )
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.tables import kinds_of, true_answers, world_of
+from phase_ppl.evaluation.tables import facts, kinds_of, said, true_answers, world_of
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
@@ -67,7 +67,10 @@ _Cloud = Counter[tuple[float, float]]
 _Texts = dict[tuple[int, int], tuple[str, dict[str, Any]]]
 
 
-@in_style
+@drawing(
+    "Which scenario is taken for which",
+    "Matrices of counts: true scenario against the scenario of the goals answered.",
+)
 def confusion(source: Source, path: PathLike | None = None) -> Figure:
     """Draw, for all who answered both goals, true scenario against scenario of their goals.
 
@@ -128,9 +131,26 @@ def _confusion(axes: Axes, counts: IntArray) -> None:
         weight = "bold" if row == column else "normal"
         style = {"fontsize": NORMAL, "color": colour, "fontweight": weight}
         texts[row, column] = (str(n) if n else "\N{MIDDLE DOT}", style)
-    cells(axes, colormaps["Blues"](shares / 1.15), texts)
+    _cells(axes, colormaps["Blues"](shares / 1.15), texts)
 
 
+def _cells(axes: Axes, colours: FloatArray, texts: _Texts) -> None:
+    """Draw a matrix of cells of colours (row, column, RGBA), with texts, each with its style."""
+    axes.imshow(colours, aspect="auto")
+    for (row, column), (text, style) in texts.items():
+        axes.text(column, row, text, ha="center", va="center", **style)
+    n_rows, n_columns = colours.shape[:2]
+    axes.hlines(np.arange(1, n_rows) - 0.5, -0.5, n_columns - 0.5, color="white", lw=1.2)
+    axes.vlines(np.arange(1, n_columns) - 0.5, -0.5, n_rows - 0.5, color="white", lw=1.2)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0, labelsize=SMALL, pad=3)
+    axes.xaxis.tick_top()
+
+
+@drawing(
+    "Goals: models against people",
+    "Points: probability of a goal for a model against that for people.",
+)
 def scatter_goals(source: Source, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of goals against people's.
 
@@ -140,6 +160,10 @@ def scatter_goals(source: Source, path: PathLike | None = None) -> Figure:
     return _scatter(source, path, "goal", "agents' goals")
 
 
+@drawing(
+    "Relations: models against people",
+    "Points: probability of a relation for a model against that for people.",
+)
 def scatter_relations(source: Source, path: PathLike | None = None) -> Figure:
     """Draw models' probabilities of relations against people's.
 
@@ -149,7 +173,6 @@ def scatter_relations(source: Source, path: PathLike | None = None) -> Figure:
     return _scatter(source, path, "relation", "relations")
 
 
-@in_style
 def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Figure:
     """Draw a row per model, a column per true scenario."""
     results = opened(source)
@@ -218,7 +241,11 @@ def _cloud(axes: Axes, points: _Cloud, colour: str, scale: float) -> None:
     axes.set_yticks([0, 0.5, 1], ["0", "0.5", "1"])
 
 
-@in_style
+@drawing(
+    "Accuracy against CPU seconds",
+    "Points: share of right answers against CPU seconds per event, with intervals.",
+    compares=True,
+)
 def costs(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the accuracy of the models of a comparison against CPU seconds per event.
 
@@ -278,7 +305,11 @@ def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
     direct_labels(axes, found, gap=0.07)
 
 
-@in_style
+@drawing(
+    "Differences between models",
+    "Matrices: difference in right answers between every two models.",
+    compares=True,
+)
 def differences(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the differences in right answers between models: row minus column.
 
@@ -344,7 +375,7 @@ def _differences(
             sure = row["p_holm"] is not None and row["p_holm"] <= ALPHA
             text, colour = number(value, signed=True), INK
         texts[i, j] = (text, {"color": colour, "fontweight": "bold" if sure else "normal"})
-    cells(axes, colours, texts)
+    _cells(axes, colours, texts)
     name_rows(axes, rows)
     labels = [o.label for o in columns]
     axes.set_xticks(
@@ -355,7 +386,10 @@ def _differences(
         tick.set_color(answers.colour)
 
 
-@in_style
+@drawing(
+    "An event of every scenario, or the first few",
+    "Film strips: an event of every scenario, from first to last frame.",
+)
 def film_strips(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the first event of every true scenario as a film strip; without truth, the first.
 
@@ -389,3 +423,111 @@ def film_strips(source: Source, path: PathLike | None = None) -> Figure:
         axes.imshow(strip, interpolation="antialiased")
         axes.set_axis_off()
     return written(figure, path)
+
+
+# --- doubt ----------------------------------------------------------------------------------------
+
+_MARKS: Final = dict(zip(RELATIONS, ("o", "s", "^"), strict=True))
+_MOST: Final = 6
+_PARTS: Final = ("relation_r", "relation_r_given_truth")
+
+
+@drawing(
+    "Doubt: models against people",
+    "Points: probabilities of relations against people's shares, as they are and given the "
+    "truth; bars: both correlations, beside what people reach among themselves.",
+)
+def people(source: Source, path: PathLike | None = None) -> Figure:
+    """Draw models' probabilities of relations against people's shares, and how near r can come.
+
+    For each model a row: probabilities against shares; the same less the mean over events of the
+    same true relation; and both correlations with their intervals, beside what halves of the people
+    reach, as they are (grey line) and for all raters (dashed).
+
+    Raises:
+        NothingToDrawError: nobody judged relations to which a model gives probabilities.
+    """
+    results = opened(source)
+    shown = [o for o in results.measured if o.kind != "people" and o.metrics.get("doubt")][:_MOST]
+    if not shown:
+        raise NothingToDrawError(
+            "nobody judged relations in the world PHASE to which a model gives probabilities"
+        )
+    figure = new_figure(
+        *(7.2, 0.7 + 2.15 * len(shown)),
+        note="Marks: an answer to a video, circles friendly, squares neutral, triangles "
+        "adversarial; colours: true scenario. Given the truth: less the mean of the videos with "
+        "the same true relation. Right: 95 % intervals; line: halves of "
+        "the people, dashed: of all people, by Spearman and Brown.",
+    )
+    grid = figure.subplots(len(shown), 3, squeeze=False, width_ratios=(1, 1, 0.8))
+    for (left, middle, right), answers in zip(grid, shown, strict=True):
+        p, shares, truth, colours = _probabilities(answers, results)
+        _doubts(left, p, shares, colours, (0.0, 1.0))
+        left.set_ylabel("people")
+        size = fitting([answers.label], 2.0)
+        left.set_title(answers.label, color=answers.colour, fontweight="bold", fontsize=size)
+        known = truth >= 0
+        p, shares = (_given_truth(values[known], truth[known]) for values in (p, shares))
+        _doubts(middle, p, shares, colours[known], (-1.0, 1.0))
+        middle.set_title("given the truth", fontsize=NORMAL, color=GREY)
+        _correlation_bars(right, answers.metrics["doubt"], answers.colour)
+    for axes in grid[-1, :2]:
+        axes.set_xlabel("model")
+    return written(figure, path)
+
+
+def _probabilities(
+    answers: AnswerSet, results: Results
+) -> tuple[FloatArray, FloatArray, IntArray, np.ndarray]:
+    """Return probabilities and shares (event, answer), true relations, and colours of events."""
+    events = [event for event in results.events if event.id in answers.predictions]
+    known, model = facts(events), said(events, answers.predictions)
+    p, shares = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
+    there = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0])
+    scenarios = scenarios_of(results)
+    colours = [SCENARIO_COLOURS.get(scenarios.get(event.id, ""), GREY) for event in events]
+    return p[there], shares[there], known.truth["relation"][there, 0], np.array(colours)[there]
+
+
+def _given_truth(values: FloatArray, truth: IntArray) -> FloatArray:
+    found = values.copy()
+    for group in np.unique(truth):
+        found[truth == group] -= values[truth == group].mean(axis=0)
+    return found
+
+
+def _doubts(
+    axes: Axes, x: FloatArray, y: FloatArray, colours: np.ndarray, ends: tuple[float, float]
+) -> None:
+    axes.plot(ends, ends, color="#bbbbbb", lw=0.7, zorder=0)
+    style: dict[str, Any] = {"s": 13, "alpha": 0.65, "linewidths": 0, "clip_on": False}
+    for answer, mark in enumerate(_MARKS.values()):
+        axes.scatter(x[:, answer], y[:, answer], c=colours, marker=mark, **style)
+    ticks = sorted({*ends, 0.0})
+    axes.set(xlim=ends, ylim=ends, xticks=ticks, yticks=ticks)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def _correlation_bars(axes: Axes, doubt: dict[str, Any], colour: str) -> None:
+    """Draw both correlations with their intervals, and the ceilings."""
+    for place, name in enumerate(_PARTS):
+        found = doubt[name]
+        if found is None:
+            continue
+        axes.bar(place, found["value"], width=0.55, color=colour, alpha=0.85)
+        if found["ci_low"] is not None:
+            axes.vlines(place, found["ci_low"], found["ci_high"], INK, lw=1.1)
+        suffix = name.removeprefix("relation_r")
+        for ceiling, line in ((f"split_half_r{suffix}", "-"), (f"spearman_brown{suffix}", "--")):
+            value = doubt["ceiling"].get(ceiling)
+            if value is not None:
+                axes.plot([place - 0.38, place + 0.38], [value, value], line, color=GREY, lw=1.3)
+        axes.annotate(
+            f"{found['value']:.2f}", (place, 0), (9, 3), textcoords="offset points", ha="center",
+            color="white" if found["value"] > 0.2 else INK,
+        )  # fmt: skip
+    axes.axhline(0, color=INK, lw=0.6)
+    axes.set_xticks([0, 1], ["r", "r given\nthe truth"])
+    lowest = min(found["ci_low"] or 0.0 for found in map(doubt.get, _PARTS) if found)
+    axes.set(xlim=(-0.6, 1.6), ylim=(min(lowest, 0.0), 1.0))

@@ -1,10 +1,11 @@
-"""Figures with a row per model: right answers, correlation with people, equivalence with people."""
+"""Figures with a row per model, those of what people say of videos, and what all have in common."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from phase_ppl.analysis.figures.style import (
 )
 from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.cells import number
+from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
 from phase_ppl.evaluation.experiments import (
     MAJORITY,
     MARGIN,
@@ -29,31 +32,113 @@ from phase_ppl.evaluation.experiments import (
     load_likeness,
     load_tags,
 )
-from phase_ppl.evaluation.figures.layout import (
-    KIND_TITLES,
-    SCENARIO_COLOURS,
-    NothingToDrawError,
-    PathLike,
-    Results,
-    Source,
-    compared,
-    fitting,
-    in_words,
-    name_rows,
-    opened,
-    scenarios_of,
-    width_of,
-)
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.tables import facts, kinds_of, said
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.evaluation.tables import facts, kinds_of, true_scenario
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.errors import shown as in_short
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+PathLike: TypeAlias = str | os.PathLike[str]
+Results: TypeAlias = Evaluation | ModelComparison
+Source: TypeAlias = Results | PathLike
+
+KIND_TITLES: Final = {"goal": "Goals", "relation": "Relations"}
+
+SCENARIO_COLOURS: Final = dict(
+    zip(SCENARIOS, ("#009e73", "#4d6fb3", "#c98a00", "#b8336a"), strict=True)
+)
+"""To be told apart without seeing red and green apart."""
+
+_CHARACTER: Final = 0.6  # mean width of a character, as a share of its size
+_WIDEST: Final = 2.2  # inches that names of rows take at most; longer ones are written smaller
+
+
+class NothingToDrawError(InvalidSettingError):
+    """The results lack what a figure is about; the message says what."""
+
+
+class Drawing(NamedTuple):
+    """A kind of figure."""
+
+    title: str  # what it shows, in a few words
+    alt: str  # what stands in its place for those who do not see it
+    draw: Callable[..., Figure]  # draws results, and writes the figure to a path
+    compares: bool  # whether it is one of comparisons of models only
+
+
+DRAWINGS: Final[dict[str, Drawing]] = {}
+"""Name of a figure, and of its file -> what it is."""
+
+_Draw = TypeVar("_Draw", bound=Callable[..., Any])
+
+
+def drawing(title: str, alt: str, *, compares: bool = False) -> Callable[[_Draw], _Draw]:
+    """Have a function draw in the common style, and keep it in :data:`DRAWINGS`."""
+
+    def keep(draw: _Draw) -> _Draw:
+        styled: Any = in_style(draw)
+        DRAWINGS[draw.__name__] = Drawing(title, alt, styled, compares)
+        return styled
+
+    return keep
+
+
+def opened(source: Source) -> Results:
+    """Open the folder of an evaluation or of a comparison, where it is none of them itself."""
+    if not isinstance(source, str | os.PathLike):
+        return source
+    comparison = (Path(source) / COMPARISON).is_file()
+    return (ModelComparison if comparison else Evaluation).load(source)
+
+
+def compared(source: Source) -> ModelComparison:
+    """Open a comparison of models; NothingToDrawError: the results are of an evaluation."""
+    found = opened(source)
+    if not isinstance(found, ModelComparison):
+        raise NothingToDrawError("the results are of an evaluation, not of a comparison of models")
+    return found
+
+
+def scenarios_of(results: Results) -> dict[str, str]:
+    """Return event -> true scenario, of the events of PHASE whose truth is known."""
+    return {event.id: name for event in results.events if (name := true_scenario(event))}
+
+
+# --- layout ---------------------------------------------------------------------------------------
+
+
+def fitting(texts: Iterable[str], width: float = _WIDEST, most: float = NORMAL) -> float:
+    """Return the font size, points, at which the longest text fits into ``width`` inches."""
+    return min(most, 72 * width / (_CHARACTER * max((len(text) for text in texts), default=1)))
+
+
+def width_of(shown: Iterable[AnswerSet]) -> float:
+    """Return about how many inches names take beside a figure, with what surrounds them."""
+    labels = [answers.label for answers in shown]
+    return _CHARACTER * max(map(len, labels), default=0) * fitting(labels) / 72 + 0.2
+
+
+def name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
+    """Write the names of the rows on the left, in their colours."""
+    labels = [answers.label for answers in shown]
+    axes.set_yticks(range(len(shown)), labels, fontsize=fitting(labels))
+    axes.tick_params(axis="y", length=0)
+    for text, answers in zip(axes.get_yticklabels(), shown, strict=True):
+        text.set_color(answers.colour)
+
+
+def in_words(counts: Iterable[int]) -> str:
+    """Return how many there are, such as of the events of several models: "n = 9 to 10"."""
+    known = sorted(counts)
+    least, most = known[0], known[-1]
+    return f"n = {most}" if least == most else f"n = {least} to {most}"
+
+
+# --- right answers, and agreement with people ---------------------------------------------------
 
 Part = tuple[str, ...]  # where the metrics have a part of the answers; (): all
 
@@ -65,7 +150,12 @@ _CORRELATIONS: Final = {
 """Correlation with people -> title, and that of people with each other."""
 
 
-@in_style
+@drawing(
+    "Accuracy by scenario, or by agent and pair",
+    "Bars: share of right goals and relations of everybody, over all events and by true "
+    "scenario, in other worlds than PHASE by agent and pair, with 95 % intervals; the numbers "
+    "are in the tables above.",
+)
 def accuracy(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the accuracy of goals and relations, over all events and by true scenario.
 
@@ -110,7 +200,12 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
     return written(figure, path)
 
 
-@in_style
+@drawing(
+    "Models beside people",
+    "Points with intervals: right answers of models minus those of people, beside the margin "
+    "of equivalence; the numbers are in the table.",
+    compares=True,
+)
 def equivalence(source: Source, path: PathLike | None = None) -> Figure:
     """Draw how much more often models are right than people, beside the margin of equivalence.
 
@@ -231,7 +326,10 @@ def _against_people(
     axes.xaxis.set_major_formatter("{x:g}")
 
 
-@in_style
+@drawing(
+    "Correlation with people",
+    "Bars: correlation of each model with people; the numbers are in the table.",
+)
 def correlation(source: Source, path: PathLike | None = None) -> Figure:
     """Draw how well models, and people among themselves, correlate with people's answers.
 
@@ -379,107 +477,3 @@ def _points(axes: Axes, place: int, values: np.ndarray, colour: str) -> None:
         aside = (np.arange(len(here)) - (len(here) - 1) / 2) * min(0.05, 0.8 / max(1, len(here)))
         axes.plot(place + aside, here, "o", ms=2.6, color=colour, alpha=0.6, mew=0)
     axes.plot([place - 0.25, place + 0.25], [values.mean()] * 2, color=INK, lw=1.5)
-
-
-# --- doubt ----------------------------------------------------------------------------------------
-
-_MARKS: Final = dict(zip(RELATIONS, ("o", "s", "^"), strict=True))
-_MOST: Final = 6
-_PARTS: Final = ("relation_r", "relation_r_given_truth")
-
-
-@in_style
-def people(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw models' probabilities of relations against people's shares, and how near r can come.
-
-    For each model a row: probabilities against shares; the same less the mean over events of the
-    same true relation; and both correlations with their intervals, beside what halves of the people
-    reach, as they are (grey line) and for all raters (dashed).
-
-    Raises:
-        NothingToDrawError: nobody judged relations to which a model gives probabilities.
-    """
-    results = opened(source)
-    shown = [o for o in results.measured if o.kind != "people" and o.metrics.get("doubt")][:_MOST]
-    if not shown:
-        raise NothingToDrawError(
-            "nobody judged relations in the world PHASE to which a model gives probabilities"
-        )
-    figure = new_figure(
-        *(7.2, 0.7 + 2.15 * len(shown)),
-        note="Marks: an answer to a video, circles friendly, squares neutral, triangles "
-        "adversarial; colours: true scenario. Given the truth: less the mean of the videos with "
-        "the same true relation. Right: 95 % intervals; line: halves of "
-        "the people, dashed: of all people, by Spearman and Brown.",
-    )
-    grid = figure.subplots(len(shown), 3, squeeze=False, width_ratios=(1, 1, 0.8))
-    for (left, middle, right), answers in zip(grid, shown, strict=True):
-        p, shares, truth, colours = _probabilities(answers, results)
-        _scatter(left, p, shares, colours, (0.0, 1.0))
-        left.set_ylabel("people")
-        size = fitting([answers.label], 2.0)
-        left.set_title(answers.label, color=answers.colour, fontweight="bold", fontsize=size)
-        known = truth >= 0
-        p, shares = (_given_truth(values[known], truth[known]) for values in (p, shares))
-        _scatter(middle, p, shares, colours[known], (-1.0, 1.0))
-        middle.set_title("given the truth", fontsize=NORMAL, color=GREY)
-        _correlation_bars(right, answers.metrics["doubt"], answers.colour)
-    for axes in grid[-1, :2]:
-        axes.set_xlabel("model")
-    return written(figure, path)
-
-
-def _probabilities(
-    answers: AnswerSet, results: Results
-) -> tuple[FloatArray, FloatArray, IntArray, np.ndarray]:
-    """Return probabilities and shares (event, answer), true relations, and colours of events."""
-    events = [event for event in results.events if event.id in answers.predictions]
-    known, model = facts(events), said(events, answers.predictions)
-    p, shares = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
-    there = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0])
-    scenarios = scenarios_of(results)
-    colours = [SCENARIO_COLOURS.get(scenarios.get(event.id, ""), GREY) for event in events]
-    return p[there], shares[there], known.truth["relation"][there, 0], np.array(colours)[there]
-
-
-def _given_truth(values: FloatArray, truth: IntArray) -> FloatArray:
-    found = values.copy()
-    for group in np.unique(truth):
-        found[truth == group] -= values[truth == group].mean(axis=0)
-    return found
-
-
-def _scatter(
-    axes: Axes, x: FloatArray, y: FloatArray, colours: np.ndarray, ends: tuple[float, float]
-) -> None:
-    axes.plot(ends, ends, color="#bbbbbb", lw=0.7, zorder=0)
-    style: dict[str, Any] = {"s": 13, "alpha": 0.65, "linewidths": 0, "clip_on": False}
-    for answer, mark in enumerate(_MARKS.values()):
-        axes.scatter(x[:, answer], y[:, answer], c=colours, marker=mark, **style)
-    ticks = sorted({*ends, 0.0})
-    axes.set(xlim=ends, ylim=ends, xticks=ticks, yticks=ticks)
-    axes.set_aspect("equal", adjustable="box")
-
-
-def _correlation_bars(axes: Axes, doubt: dict[str, Any], colour: str) -> None:
-    """Draw both correlations with their intervals, and the ceilings."""
-    for place, name in enumerate(_PARTS):
-        found = doubt[name]
-        if found is None:
-            continue
-        axes.bar(place, found["value"], width=0.55, color=colour, alpha=0.85)
-        if found["ci_low"] is not None:
-            axes.vlines(place, found["ci_low"], found["ci_high"], INK, lw=1.1)
-        suffix = name.removeprefix("relation_r")
-        for ceiling, line in ((f"split_half_r{suffix}", "-"), (f"spearman_brown{suffix}", "--")):
-            value = doubt["ceiling"].get(ceiling)
-            if value is not None:
-                axes.plot([place - 0.38, place + 0.38], [value, value], line, color=GREY, lw=1.3)
-        axes.annotate(
-            f"{found['value']:.2f}", (place, 0), (9, 3), textcoords="offset points", ha="center",
-            color="white" if found["value"] > 0.2 else INK,
-        )  # fmt: skip
-    axes.axhline(0, color=INK, lw=0.6)
-    axes.set_xticks([0, 1], ["r", "r given\nthe truth"])
-    lowest = min(found["ci_low"] or 0.0 for found in map(doubt.get, _PARTS) if found)
-    axes.set(xlim=(-0.6, 1.6), ylim=(min(lowest, 0.0), 1.0))

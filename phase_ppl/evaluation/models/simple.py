@@ -11,7 +11,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.evaluation.folder import POSTERIOR
+from phase_ppl.evaluation.evaluation import POSTERIOR
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.registry import Answer, MoreOptions, Predict, register_model
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
