@@ -112,7 +112,8 @@ def equivalence(
     rows: list[Row] = []
     for model, predictions in models.items():
         chosen = tables.predicted(events, predictions)
-        known, said = tables.facts(chosen), tables.said(chosen, predictions)
+        known = tables.facts(chosen)
+        said = tables.said(known, predictions)
         weights = resampled(len(chosen), seed, resamples)
         for kind in known.people:
             more = said.right[kind] - tables.at_truth(known.people[kind], known.truth[kind])

@@ -64,12 +64,11 @@ def doubt_of(
 ) -> dict[str, Any] | None:
     """Return what the module describes."""
     chosen = predicted(events, predictions)
-    return doubt(facts(chosen), said(chosen, predictions), [event.id for event in chosen])
+    known = facts(chosen)
+    return doubt(known, said(known, predictions))
 
 
-def doubt(
-    known: Facts, model: Said, ids: Sequence[str], seed: int = 0, resamples: int = 1000
-) -> dict[str, Any] | None:
+def doubt(known: Facts, model: Said, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:
     """Return what the module describes, of events as arrays; None in other worlds than PHASE."""
     if known.world != PHASE or not any(known.judgments):
         return None
@@ -80,7 +79,7 @@ def doubt(
     p, people, truth = p[there], people[there], known.truth["relation"][there, 0]
     judged = [one for one, is_there in zip(known.judgments, there, strict=True) if is_there and one]
     counts = np.array([one.counts["relation"] for one in judged])
-    names = [name for name, is_there in zip(ids, there, strict=True) if is_there]
+    names = [name for name, is_there in zip(known.ids, there, strict=True) if is_there]
     rng = np.random.default_rng([seed, _STREAM])
     drawn = people_drawn(judged, counts, rng, resamples) if known.by_participant else None
     weights = resampled(len(p), seed, resamples)

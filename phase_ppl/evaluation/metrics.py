@@ -183,35 +183,35 @@ class Scores:
 
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
         """Return what :func:`evaluate_predictions` does."""
-        chosen, ids, known, weights = self._of_events(predictions)
-        model = tables.said(chosen, predictions)
+        known, weights = self._of_events(predictions)
+        model = tables.said(known, predictions)
         true_goals = np.where(known.truth["goal"] < 0, np.nan, 0.0)
         judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
         result: dict[str, Any] = {
-            "n_events": len(chosen),
+            "n_events": len(known.ids),
             "n": {"events": len(self._events), "truth": events_with(true_goals), **judged},
         }
         curves = model_curves(known, model, weights) | people_curves(known, model, weights)
         put(result, {path: curve.figure() for path, curve in curves.items()})
-        if ids not in self._among_people:
-            self._among_people[ids] = _among_people(known, weights, self._seed)
-        put(result, self._among_people[ids])
+        if known.ids not in self._among_people:
+            self._among_people[known.ids] = _among_people(known, weights, self._seed)
+        put(result, self._among_people[known.ids])
         count_scenarios(result, known.scenario)
         result["calibration"] = calibration(model)
         result["confusion"] = confusion(known.scenario, model.scenario)
-        result["doubt"] = doubt(known, model, ids, self._seed, self._resamples)
-        result["ties"] = count_ties([predictions[name] for name in ids], known.world)
+        result["doubt"] = doubt(known, model, self._seed, self._resamples)
+        result["ties"] = count_ties([predictions[name] for name in known.ids], known.world)
         return result
 
     def difference(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> dict[str, Any]:
         """Return what :func:`paired_difference` does."""
-        chosen, ids, known, _ = self._of_events(one, other)
-        first, second = tables.said(chosen, one), tables.said(chosen, other)
-        of_one = self._of(ids, first.where_known(second))
-        of_other = self._of(ids, second.where_known(first))
-        result: dict[str, Any] = {"n_events": len(chosen)}
+        known, weights = self._of_events(one, other)
+        first, second = tables.said(known, one), tables.said(known, other)
+        of_one = self._of(known, weights, first.where_known(second))
+        of_other = self._of(known, weights, second.where_known(first))
+        result: dict[str, Any] = {"n_events": len(known.ids)}
         differences = {
             path: difference(curve.values, of_other[path].values, curve.n, curve.scores is not None)
             for path, curve in of_one.items()
@@ -220,10 +220,8 @@ class Scores:
         count_scenarios(result, known.scenario)
         return result
 
-    def _of_events(
-        self, *models: Mapping[str, Prediction]
-    ) -> tuple[list[Event], tuple[str, ...], Facts, FloatArray]:
-        """Return the events that all models predict, their ids, facts and resamples."""
+    def _of_events(self, *models: Mapping[str, Prediction]) -> tuple[Facts, FloatArray]:
+        """Return facts and resamples of the events that all models predict."""
         chosen = list(self._events)
         for predictions in models:
             chosen = tables.predicted(chosen, predictions)
@@ -231,12 +229,12 @@ class Scores:
         if ids not in self._facts:
             weights = resampled(len(chosen), self._seed, self._resamples)
             self._facts[ids] = tables.facts(chosen), weights
-        return chosen, ids, *self._facts[ids]
+        return self._facts[ids]
 
-    def _of(self, ids: tuple[str, ...], said: Said) -> dict[Path, Curve]:
-        key = ids, said.content()
+    def _of(self, known: Facts, weights: FloatArray, said: Said) -> dict[Path, Curve]:
+        key = known.ids, said.content()
         if key not in self._curves:
-            self._curves[key] = model_curves(self._facts[ids][0], said, self._facts[ids][1])
+            self._curves[key] = model_curves(known, said, weights)
         return self._curves[key]
 
 

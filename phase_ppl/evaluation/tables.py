@@ -64,6 +64,7 @@ def world_of(events: Sequence[Event]) -> World:
 class Facts:
     """What is known about the events themselves."""
 
+    ids: tuple[str, ...]  # of the events
     # kind -> (event, question) index of the true answer, -1 where unknown
     truth: Mapping[str, IntArray]
     scenario: IntArray  # (event,) index of the true scenario, -1 where unknown
@@ -142,6 +143,7 @@ def facts(events: Sequence[Event]) -> Facts:
     judgments = [event_judgments(event) for event in events]
     world = world_of(events)
     return Facts(
+        ids=tuple(event.id for event in events),
         truth=_places([true_answers(event) for event in events], world),
         scenario=_scenarios(map(true_scenario, events)),
         judgments=judgments,
@@ -153,19 +155,17 @@ def facts(events: Sequence[Event]) -> Facts:
     )
 
 
-def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said:
+def said(known: Facts, predictions: Mapping[str, Prediction]) -> Said:
     """Collect what the predictions say about the events, each of which has one."""
-    made = [predictions[event.id] for event in events]
-    world = world_of(events)
-    truth = _places([true_answers(event) for event in events], world)
-    answered = _places([one.answers for one in made], world)
-    probabilities = _distributions([one.probabilities for one in made], world)
+    made = [predictions[name] for name in known.ids]
+    answered = _places([one.answers for one in made], known.world)
+    probabilities = _distributions([one.probabilities for one in made], known.world)
     return Said(
         right={
             kind: np.where((true < 0) | (answered[kind] < 0), np.nan, true == answered[kind])
-            for kind, true in truth.items()
+            for kind, true in known.truth.items()
         },
-        in_top=_in_top(probabilities["goal"], truth["goal"]),
+        in_top=_in_top(probabilities["goal"], known.truth["goal"]),
         probabilities=probabilities,
         scenario=_scenarios(one.scenario for one in made),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,49 +11,40 @@ import numpy as np
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.evaluation.evaluation import POSTERIOR, ResultsFolder
-from phase_ppl.evaluation.prediction import Prediction, probabilities_of
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.world.event import Event
 from tests.analysis.factory import Simulation, hypothesis, make_tree
-from tests.world.examples import make_event, make_scene
+from tests.evaluation.judged import BLUE_TO_GREEN as GREEN
+from tests.evaluation.judged import BLUE_TO_RED as RED
+from tests.evaluation.judged import COLLABORATIVE, COMPETING, make_event, shares
+from tests.world.examples import make_scene
 
 HOSTILE = "<script>alert(1)</script> & \"x\" '$y$'"
-RED, GREEN = "Get blue item to red lm", "Get blue item to green lm"
-
-COMPETING = Truth(RED, GREEN)
-COLLABORATIVE = Truth(RED, RED)
-
-
-def goals(count: int = 3) -> dict[str, Any]:
-    """Return judgments in which most see the competing goals and all three relations."""
-    return {
-        "relation_counts": {"friendly": 3, "neutral": 0, "adversarial": 7},
-        "goal_counts": {"red agent": {RED: count}, "green agent": {GREEN: count, RED: 1}},
-    }
 
 
 def events(**changes: Any) -> list[Event]:
-    """Return three events: competing, collaborative, and one whose truth is not known."""
+    """Return three events: competing, collaborative, and one whose truth is not known.
+
+    In the first and last most people see the competing goals, and the relations 3, 0, 7.
+    """
+    seen = {
+        "relation_counts": {"friendly": 3, "neutral": 0, "adversarial": 7},
+        "goal_counts": {"red agent": {RED: 3}, "green agent": {GREEN: 3, RED: 1}},
+    }
+    other = {"<b>other</b>": {"goals": {"red agent": RED}, "relation": "neutral"}}
     made = [
-        dataclasses.replace(make_event(id="one"), truth=COMPETING, judgments=goals()),
-        dataclasses.replace(make_event(id=HOSTILE), truth=COLLABORATIVE, judgments=None),
-        dataclasses.replace(make_event(id="three"), truth=None, judgments=goals(), predictions={}),
-    ]
-    references = {"<b>other</b>": {"goals": {"red agent": RED}, "relation": "neutral"}}
-    made = [
-        dataclasses.replace(e, predictions=references if e.id != "three" else None) for e in made
+        make_event("one", COMPETING, judgments=seen, predictions=other),
+        make_event(HOSTILE, COLLABORATIVE, predictions=other),
+        make_event("three", None, judgments=seen),
     ]
     return [dataclasses.replace(event, **changes) for event in made]
 
 
 def prediction(event_id: str) -> Prediction:
     """Return a prediction: red's goal is RED, green's likely RED too, so friendly."""
-    shares: dict[str, Mapping[str, float]] = {
-        "goal_red": {RED: 0.9, GREEN: 0.1},
-        "goal_green": {RED: 0.6, GREEN: 0.4},
-        "relation": {"friendly": 0.5, "neutral": 0.25, "adversarial": 0.25},
-    }
-    given = {question: probabilities_of(question, values) for question, values in shares.items()}
-    return Prediction(event_id, given, cost={"seconds": 2.5})
+    goals = {"goal_red": {RED: 0.9, GREEN: 0.1}, "goal_green": {RED: 0.6, GREEN: 0.4}}
+    said = shares(event_id, **goals, relation=[0.5, 0.25, 0.25])
+    return dataclasses.replace(said, cost={"seconds": 2.5})
 
 
 def make_folder(

@@ -24,9 +24,9 @@ from phase_ppl.world.errors import (
     OutputError,
     PhasePPLError,
 )
-from tests.analysis.pages import texts_apart, texts_of
+from tests.analysis.pages import texts_of
 
-from .small import COMPETING, events, make_folder
+from .small import events, make_folder
 
 
 @pytest.fixture(scope="module")
@@ -137,16 +137,6 @@ def test_a_figure_that_cannot_be_drawn_says_what_is_missing(tmp_path: Path) -> N
     folder = make_folder(tmp_path / "results", events(judgments=None))
     with pytest.raises(NothingToDrawError, match="people judged no goal"):
         figures.scatter_goals(folder.path)
-
-
-def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
-    answers = {"goals": {"red agent": COMPETING.goal_red, "green agent": COMPETING.goal_green}}
-    answers["relation_probs"] = {"adversarial": 0.7, "friendly": 0.3}
-    names = ["x", "a model with a name that is long", "another"]
-    folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, answers)))
-    results = opened(folder.path)
-    for drawing in drawings_of(results).values():
-        texts_apart(drawing.draw(results))
 
 
 # --- what people said -----------------------------------------------------------------------------

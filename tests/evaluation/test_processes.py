@@ -45,19 +45,28 @@ def test_the_result_is_the_same_for_any_number_of_workers() -> None:
     assert (one.cost["workers"], two.cost["workers"]) == (1, 2)
 
 
-def test_models_from_anywhere_work_in_workers_and_their_files_come_back(tmp_path: Path) -> None:
-    label = "friendly"
+@pytest.mark.parametrize("workers", [1, 2])
+def test_models_from_anywhere_warm_up_once_work_in_workers_and_their_files_come_back(
+    workers: int, tmp_path: Path
+) -> None:
+    label, warm = "friendly", tmp_path / "warm"
 
-    def local(scene: Any, observation: Any, seed: int) -> Any:
-        def write(path: Path) -> None:
-            path.write_text(str(os.getpid()))
+    class Local:
+        def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
+            def write(path: Path) -> None:
+                path.write_text(str(os.getpid()))
 
-        return ppl.Answer({"relation": label}, {"process.txt": write})
+            assert warm.exists()
+            return ppl.Answer({"relation": label}, {"process.txt": write})
 
-    found = evaluate(local, out=tmp_path)
-    assert {given.answers["relation"] for given in found.predictions.values()} == {label}
-    processes = {int(path.read_text()) for path in tmp_path.glob("events/*/process.txt")}
-    assert os.getpid() not in processes
+        def warm_up(self) -> None:
+            warm.touch(exist_ok=False)
+
+    found = evaluate(Local(), out=tmp_path / "out", workers=workers)
+    answers = [given.answers["relation"] for given in found.predictions.values()]
+    assert answers == [label] * 4
+    processes = {int(path.read_text()) for path in tmp_path.glob("out/events/*/process.txt")}
+    assert (os.getpid() in processes) == (workers == 1)
 
 
 def test_truth_judgments_ids_and_predictions_never_reach_a_worker() -> None:
@@ -134,20 +143,6 @@ def test_a_model_that_cannot_be_loaded_there_is_refused() -> None:
 
     with pytest.raises(InvalidSettingError, match=r"cannot be loaded.*named elsewhere"):
         evaluate(CannotLoad())
-
-
-def test_models_warm_up_once_before_the_first_event(tmp_path: Path) -> None:
-    class Warm:
-        def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
-            assert (tmp_path / "warm").exists()
-            return {"relation": "friendly"}
-
-        def warm_up(self) -> None:
-            (tmp_path / "warm").touch(exist_ok=False)
-
-    assert not evaluate(Warm()).failures
-    (tmp_path / "warm").unlink()
-    assert not evaluate(Warm(), workers=1).failures
 
 
 def test_a_script_without_a_guard_works_and_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -482,7 +482,8 @@ def _probabilities(
 ) -> tuple[FloatArray, FloatArray, IntArray, np.ndarray]:
     """Return probabilities and shares (event, answer), true relations, and colours of events."""
     events = [event for event in results.events if event.id in answers.predictions]
-    known, model = facts(events), said(events, answers.predictions)
+    known = facts(events)
+    model = said(known, answers.predictions)
     p, shares = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
     there = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0])
     scenarios = scenarios_of(results)

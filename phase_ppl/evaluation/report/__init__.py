@@ -148,7 +148,6 @@ class Question(NamedTuple):
 
     name: str
     title: str
-    labels: Sequence[str]
     rows: Sequence[str]
     truth: str | None
     answers: Sequence[AnswerSet]
@@ -213,9 +212,9 @@ def _item(
     replay = None if post is None else post.replay()
     if replay is not None:
         strips.append(_strip("Best hypothesis, simulated", replay, event.scene, event.id))
-    truth, labels = true_answers(event), questions_of(event.scene.world)
+    truth = true_answers(event)
     questions = [
-        Question(name, title, labels[name], rows_of(name, shown, event), truth.get(name), shown)
+        Question(name, title, rows_of(name, shown, event), truth.get(name), shown)
         for name, title in titles_of(event.scene.world).items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
@@ -350,12 +349,23 @@ def _strength(post: Posterior | StepwisePosterior, name: str) -> str:
 # --- an evaluation ---------------------------------------------------------------------------
 
 
-def _tables(results: Results) -> dict[str, Any]:
-    """Return the tables of metrics, and whose answers these are about by name."""
+def _shown(results: Results) -> dict[str, Any]:
+    """Return what pages show of results.
+
+    ``tables`` of metrics, ``answers``, whose they are about, by name; ``drawn``, the figures that
+    the results allow with their titles, and ``left_out``, why others are not there.
+    """
     answers = {one.name: one for one in results.measured}
     models = [(name, one.metrics) for name, one in answers.items() if name != PEOPLE]
     people = answers[PEOPLE].metrics if PEOPLE in answers else None
-    return {"tables": list(metric_tables(models, people)), "answers": answers}
+    drawn, left_out = [], []
+    for drawing in drawings_of(results).values():
+        try:
+            drawn.append((drawing.title, figure_of(drawing.draw(results), drawing.alt)))
+        except NothingToDrawError as reason:
+            left_out.append(f"{drawing.title}: {reason}.")
+    tables = list(metric_tables(models, people))
+    return {"tables": tables, "answers": answers, "drawn": drawn, "left_out": left_out}
 
 
 def evaluation_page(evaluation: Evaluation, videos: bool, progress: bool | None) -> str:
@@ -364,7 +374,6 @@ def evaluation_page(evaluation: Evaluation, videos: bool, progress: bool | None)
     state = f"{len(evaluation.predictions)} of {len(evaluation.events)} events predicted"
     if not evaluation.finished:
         state += "; not finished: tables and figures are about these"
-    drawn, left_out = _figures(evaluation)
     present = {name: name for name in SCENARIOS if name in scenarios.values()}
     items = []
     for event in counted(evaluation.events, progress, "event", "showing"):
@@ -374,8 +383,6 @@ def evaluation_page(evaluation: Evaluation, videos: bool, progress: bool | None)
         "evaluation.html",
         title=f"Evaluation of {label_of(evaluation.name)}",
         state=f"{state}.",
-        drawn=drawn,
-        left_out=left_out,
         failures=[(event_id, in_words(what)) for event_id, what in evaluation.failures.items()],
         menus=[
             *([("scenario", "Scenario", {"": "all", **present})] if present else []),
@@ -385,7 +392,7 @@ def evaluation_page(evaluation: Evaluation, videos: bool, progress: bool | None)
         items=items,
         cost=evaluation.cost,
         settings=evaluation.settings,
-        **_tables(evaluation),
+        **_shown(evaluation),
     )
 
 
@@ -420,45 +427,31 @@ def _short(question: str) -> str:
     return question.replace("_", " ") if agent == question else f"{agent}'s goal"
 
 
-def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
-    """Return the figures that the results allow with their titles, and why others are not there."""
-    found, left_out = [], []
-    for drawing in drawings_of(results).values():
-        try:
-            found.append((drawing.title, figure_of(drawing.draw(results), drawing.alt)))
-        except NothingToDrawError as reason:
-            left_out.append(f"{drawing.title}: {reason}.")
-    return found, left_out
-
-
 # --- a comparison ----------------------------------------------------------------------------
 
 
 def comparison_page(comparison: ModelComparison, *, progress: bool | None = None) -> str:
     """Return the page of a comparison of models."""
-    shown = {answers.name: answers for answers in comparison.answers}
-    drawn, left_out = _figures(comparison)
+    labels = {answers.name: answers.label for answers in comparison.answers}
     return page(
         "comparison.html",
         title="Comparison of models",
         # a model that predicts nothing has no answers
-        names=[shown[n].label if n in shown else label_of(n) for n in comparison.models],
+        names=[labels.get(name) or label_of(name) for name in comparison.models],
         notes=comparison.notes,
         differences=difference_tables(comparison),
         equivalence=equivalence_tables(comparison),
-        drawn=drawn,
-        left_out=left_out,
         settings=comparison.settings,
         **_compared(comparison, progress),
     )
 
 
 def _compared(comparison: ModelComparison, progress: bool | None) -> dict[str, Any]:
-    """Return metrics and settings of the models of a comparison, and what they said of events."""
+    """Return what is shown of a comparison, its models' settings, and what they said of events."""
     settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
     events = counted(comparison.events, progress, "event", "showing")
     return {
-        **_tables(comparison),
+        **_shown(comparison),
         "items": [_item(event, comparison.answers) for event in events],
         "settings_of_models": list(flat(settings)),
     }
@@ -469,12 +462,13 @@ def _compared(comparison: ModelComparison, progress: bool | None) -> dict[str, A
 
 def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
     """Return the page of a reproduction."""
-    drawn, left_out = _figures(made.comparison)
+    shown = _compared(made.comparison, progress)
     for title, alt, draw in made.drawn:
         try:
-            drawn.append((title, figure_of(draw(), alt)))
+            shown["drawn"].append((title, figure_of(draw(), alt)))
         except InvalidSettingError as reason:
-            left_out.append(f"{title}: {reason}.")
+            shown["left_out"].append(f"{title}: {reason}.")
+    shown["left_out"].append(f"{NOT_DRAWN}.")
     return page(
         "reproduction.html",
         title="The paper, cell by cell" if made.real else "No reproduction: a try",
@@ -486,9 +480,7 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
         ],
         counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
         loose=LOOSE,
-        drawn=drawn,
-        left_out=[*left_out, f"{NOT_DRAWN}."],
-        **_compared(made.comparison, progress),
+        **shown,
     )
 
 
