@@ -28,30 +28,29 @@ Track = Sequence[tuple[Action, int]]
 
 @dataclasses.dataclass(frozen=True)
 class Clip:
-    """A film: who is where, and what red and green do, as (action, planner steps)."""
+    """A film: who is where, and what red and green do; more agents do what they do, in turn."""
 
     start: Sequence[tuple[float, float, float]]
     red: Track
     green: Track
     radius: Sequence[float] = (1.2, 1.2, 1.2, 1.2)
-    strengths: tuple[float, float] = (450.0, 450.0)
+    strength: float = 450.0
     walls: Sequence[Sequence[Sequence[float]]] = ()
     sight: bool = False
 
-    @property
-    def scene(self) -> Scene:
+    def scene(self, world: World = PHASE) -> Scene:
+        """Return where it is shown: in another world than PHASE, a random scene."""
+        if world != PHASE:
+            return world.random_scene(0)
         return Scene(np.array(self.start), np.array(self.radius), np.array(self.walls))
 
-    def trajectory(self) -> FloatArray:
-        """Return (time, entity, coord)."""
-        return _acted(self.scene, (self.red, self.green), self.strengths)
-
-
-def _acted(scene: Scene, tracks: Sequence[Track], strengths: Sequence[float]) -> FloatArray:
-    """Return (time, entity, coord) of what comes of agents' actions."""
-    actions = ([action for action, n in track for _ in range(n)] for track in tracks)
-    world = PymunkWorld(scene, strengths)
-    return np.array([scene.start, *map(world.step, zip(*actions, strict=True))])
+    def trajectory(self, scene: Scene) -> FloatArray:
+        """Return (time, entity, coord) of what comes of the agents' actions."""
+        n_agents = len(scene.world.agents)
+        tracks = ((self.red, self.green)[agent % 2] for agent in range(n_agents))
+        actions = ([action for action, n in track for _ in range(n)] for track in tracks)
+        world = PymunkWorld(scene, [self.strength] * n_agents)
+        return np.array([scene.start, *map(world.step, zip(*actions, strict=True))])
 
 
 _SIDEWAYS: Final = -np.pi / 2  # angle of an agent that looks to the right
@@ -61,7 +60,7 @@ CLIPS: Final[Mapping[str, Clip]] = {
         [(11.0, 9.0, 0.0), (20.0, 16.0, np.pi), *_FAR],
         [(_GO, 5), (_STOP, 1), (_WAIT, 4), (_RIGHT, 2), (_GO, 5), (_STOP, 1), (_WAIT, 6)],
         [(_WAIT, 8), (_GO, 4), (_STOP, 1), (_LEFT, 2), (_GO, 5), (_STOP, 1), (_WAIT, 3)],
-        strengths=(300.0, 300.0),
+        strength=300.0,
     ),
     "walls": Clip(
         [(10.0, 17.0, _SIDEWAYS), (22.0, 15.0, np.pi), *_FAR],
@@ -79,7 +78,7 @@ CLIPS: Final[Mapping[str, Clip]] = {
         [(9.0, 16.0, _SIDEWAYS), (9.0, 8.0, _SIDEWAYS), (12.5, 16.0, 0.0), (12.5, 8.0, 0.0)],
         [(_GO, 10), (_WAIT, 12)],
         [(_GO, 10), (_WAIT, 12)],
-        strengths=(300.0, 300.0),
+        strength=300.0,
         radius=(1.2, 1.2, 0.8, 1.6),
     ),
     "sight": Clip(
@@ -93,26 +92,18 @@ CLIPS: Final[Mapping[str, Clip]] = {
 """Name, as ``study.toml`` uses it -> film."""
 
 
-def clip_names(world: World) -> tuple[str, ...]:
-    """Return the names of the films that there are of a world."""
-    return tuple(CLIPS) if world == PHASE else ("moving", "sight")
+def clips_of(world: World) -> Mapping[str, Clip]:
+    """Return the films that there are of a world: of others than PHASE, its agents about."""
+    moving = CLIPS["moving"]
+    about = {"moving": moving, "sight": dataclasses.replace(moving, strength=450.0, sight=True)}
+    return CLIPS if world == PHASE else about
 
 
 def make_clips(folder: Path, world: World = PHASE) -> None:
-    """Write the films into a folder, those that are not there.
-
-    Of another world than PHASE these are its agents about in a random scene, and what they see.
-    """
+    """Write the films into a folder, those that are not there."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in clip_names(world):
-        path, clip = folder / f"{name}.mp4", CLIPS[name]
-        if path.is_file():
-            continue
-        if world == PHASE:
-            scene, track = clip.scene, clip.trajectory()
-        else:
-            moving, n = CLIPS["moving"], len(world.agents)
-            scene = world.random_scene(0)
-            tracks = [(moving.red, moving.green)[agent % 2] for agent in range(n)]
-            track = _acted(scene, tracks, clip.strengths[:1] * n)
-        render.video(Observation(track), path, scene, fields_of_view=clip.sight)
+    for name, clip in clips_of(world).items():
+        if not (path := folder / f"{name}.mp4").is_file():
+            scene = clip.scene(world)
+            track = Observation(clip.trajectory(scene))
+            render.video(track, path, scene, fields_of_view=clip.sight)

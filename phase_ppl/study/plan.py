@@ -15,6 +15,7 @@ from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.evaluation.prediction import pairs_of
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Participant
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import Literal, Predicate
@@ -53,8 +54,7 @@ def required(settings: Settings, who: Participant) -> list[str]:
 
 def is_prepared(settings: Settings, who: Participant) -> bool:
     """Whether consent, introduction and quiz are behind a participant."""
-    right = {answer.page for answer in who.answers if answer.correct is not False}
-    return right >= {"consent", "device", "tutorial", *["quiz"] * bool(settings.quiz)}
+    return who.passed >= {"consent", "device", "tutorial", *["quiz"] * bool(settings.quiz)}
 
 
 def next_pages(settings: Settings, who: Participant) -> list[tuple[str, int]]:
@@ -115,7 +115,7 @@ def described(settings: Settings, who: Participant, page: str, attempt: int) -> 
         found |= {
             "heading": f"Animation {number} of {len(trials)}",
             "html": html(texts["trial"]),
-            "video": f"/video/{trials[int(number) - 1].name}.mp4",
+            "video": f"/video/{trials[int(number) - 1]}.mp4",
             "wide": True,
         }
     else:  # of play; static/play.js shows it, and the server ends it
@@ -274,7 +274,8 @@ def checked(
         return dict(answers), answers["agree"]
     if kind == "tutorial":
         views = answers["views"]
-        if not (isinstance(views, list) and len(views) <= 500 and all(map(_is_number, views))):
+        fits = isinstance(views, list) and len(views) <= 500
+        if not (fits and all(0 <= number_or_nan(view) < 1e9 for view in views)):
             raise Unfit("views: expected milliseconds")
         return dict(answers), None
     found = {question["name"]: _fitting(question, answers[question["name"]]) for question in asked}
@@ -304,7 +305,3 @@ def _fitting(question: Page, answer: Any) -> Any:
     if not fits:
         raise Unfit(f"{question['name']}: no such answer")
     return answer
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < 1e9

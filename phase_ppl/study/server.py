@@ -26,9 +26,10 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from phase_ppl.study import plan
-from phase_ppl.study.clips import clip_names
+from phase_ppl.study.clips import clips_of
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Participant, Refused, Store
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.event import Event
 
 STATIC: Final = Path(__file__).parent / "static"
@@ -178,12 +179,10 @@ class SafeHeaders:
         await self.app(scope, receive, with_headers if scope["type"] == "http" else send)
 
 
-def create_app(
-    site: Site, names: Sequence[str] = (), more: Callable[[Site], Sequence[BaseRoute]] | None = None
-) -> Starlette:
+def create_app(site: Site, names: Sequence[str] = (), more: Sequence[BaseRoute] = ()) -> Starlette:
     """Return the application of a study, which answers to names beside those of this machine.
 
-    ``more`` makes routes beside those of the pages.
+    ``more`` are routes beside those of the pages.
     """
 
     @contextlib.asynccontextmanager
@@ -205,7 +204,7 @@ def create_app(
     ]
     hosts = ["localhost", "127.0.0.1", "[::1]", "::1", *names]
     app = Starlette(
-        routes=[*routes, *(more(site) if more is not None else ())],
+        routes=[*routes, *more],
         lifespan=lifespan,
         middleware=[
             Middleware(SafeHeaders),
@@ -243,11 +242,10 @@ class Pages:
         if who.outcome is not None:
             return JSONResponse(self._over(who.outcome, who))
         pages = [plan.described(settings, who, *page) for page in plan.next_pages(settings, who)]
-        done = {answer.page for answer in who.answers if answer.correct is not False}
         n_trials = len(who.trials) if who.trials is not None else settings.trials
         total = 3 + bool(settings.quiz) + n_trials + settings.demographics
         found = {"status": "open", "participant": who.id, "title": settings.title, "pages": pages,
-                 "done": len(done), "total": total}  # fmt: skip
+                 "done": len(who.passed), "total": total}  # fmt: skip
         return JSONResponse(found)
 
     async def _now(self, who: Participant) -> Participant:
@@ -324,8 +322,7 @@ class Pages:
             raise HTTPException(409, f"there is no page {page[:40]!r} to be answered")
         times = {name: given.get(name) for name in _TIMES}
         for name, value in times.items():
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if value is not None and not (number and 0 <= value < _MOST_TIME):
+            if value is not None and not 0 <= number_or_nan(value) < _MOST_TIME:
                 raise HTTPException(400, f"{name}: expected milliseconds, or how often")
         try:
             cleaned, correct = plan.checked(settings, page, answers)
@@ -369,6 +366,6 @@ class Pages:
     async def clip(self, request: Request) -> Response:
         """A film of the introduction."""
         name = request.path_params["name"]
-        if name not in clip_names(self.site.settings.world):
+        if name not in clips_of(self.site.settings.world):
             raise HTTPException(404, "there is no such film")
         return FileResponse(self.site.folder / "clips" / f"{name}.mp4", media_type="video/mp4")

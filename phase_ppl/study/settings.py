@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from phase_ppl.evaluation.prediction import checked_answer, pairs_of
-from phase_ppl.study.clips import clip_names
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.study.clips import clips_of
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.scene import PHASE, Scene, World
 
@@ -114,19 +114,17 @@ class Settings:
         """Read ``study.toml`` of a study of events of a world."""
         source = existing_file(path)
         try:
-            text = source.read_text("utf-8")
-            return cls.parse(text, world)
+            return cls.parse(source.read_text("utf-8"), world)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InvalidSettingError(f"{source}: {error}") from None
-        except (InvalidSettingError, ValueError) as error:
+        except ValueError as error:
             raise type(error)(f"{source}: {error}") from None
 
     @classmethod
     def parse(cls, text: str, world: World = PHASE) -> Settings:
         """Read the text of ``study.toml``; what is left out is as in the template."""
         given = tomllib.loads(text)
-        if given.get("kind") not in KINDS:
-            raise unknown_name("kind", given.get("kind"), KINDS)
+        check_name("kind", given.get("kind"), KINDS)
         found = _table("", given, tomllib.loads(template(given["kind"], title="", world=world)))
         for name, check in (("tutorial", functools.partial(_step, world)), ("quiz", _question)):
             found[name] = [check(f"[[{name}]] number {n}", e) for n, e in enumerate(found[name], 1)]
@@ -184,8 +182,7 @@ def _table(
         raise InvalidSettingError(f"{where} is {shown(given)}, expected a table")
     found, inside = {**default, **dict.fromkeys(required), **given}, f" in {where}" if where else ""
     for name, value in found.items():
-        if name not in default:
-            raise unknown_name(f"setting{inside}", name, default)
+        check_name(f"setting{inside}", name, default)
         expected = _TYPES[type(default[name])]
         fits = type(value) is type(default[name])
         if name in _RANGES:
@@ -194,8 +191,8 @@ def _table(
             fits = fits and least <= value <= most
         if not fits:
             raise InvalidSettingError(f"{name}{inside} is {shown(value)}, expected {expected}")
-        if value not in _CHOICES.get(name, (value,)):
-            raise unknown_name(f"{name}{inside}", value, _CHOICES[name])
+        if name in _CHOICES:
+            check_name(f"{name}{inside}", value, _CHOICES[name])
         if isinstance(value, dict) and name != "checks":  # whose names are those of videos
             found[name] = _table(f"[{name}]", value, default[name])
     return found
@@ -203,8 +200,7 @@ def _table(
 
 def _step(world: World, where: str, given: Any) -> tuple[str, str]:
     entry = _table(where, given, {"text": "", "clip": ""}, ["text"])
-    if entry["clip"] not in ("", *clip_names(world)):
-        raise unknown_name(f"clip in {where}", entry["clip"], ("", *clip_names(world)))
+    check_name(f"clip in {where}", entry["clip"], ("", *clips_of(world)))
     return entry["text"], entry["clip"]
 
 
@@ -214,8 +210,7 @@ def _question(where: str, given: Any) -> tuple[str, tuple[str, ...], str]:
     options = tuple(map(str, entry["options"]))
     if len(options) < 2 or len(set(options)) < len(options):
         raise InvalidSettingError(f"{where}: options are {shown(options)}, expected two or more")
-    if entry["answer"] not in options:
-        raise unknown_name(f"answer in {where}", entry["answer"], options)
+    check_name(f"answer in {where}", entry["answer"], options)
     return entry["question"], options, entry["answer"]
 
 

@@ -92,14 +92,6 @@ class Stimulus(NamedTuple):
     sha256: str | None = None
 
 
-class Trial(NamedTuple):
-    """A video that a participant is to see, in which role ("main", "check") and by which name."""
-
-    stimulus: int
-    role: str
-    name: str
-
-
 class Answer(NamedTuple):
     """An answered page: which, at which attempt, and, of a quiz, whether all was right."""
 
@@ -113,12 +105,15 @@ class Participant:
     """Somebody who came, and how far they are."""
 
     id: str  # as exports name them
-    config: str  # hash of the settings that they came under
-    grp: str | None  # of a study with groups, once it is drawn
     seen: float  # when they were last heard of, in seconds since 1970
     outcome: str | None  # how it ended; None: it has not
     answers: Sequence[Answer]  # to pages, in the order in which they came
-    trials: Sequence[Trial] | None  # None until they are drawn
+    trials: Sequence[str] | None  # names of the videos that they are to see; None: yet to be drawn
+
+    @property
+    def passed(self) -> set[str]:
+        """The pages that are behind them; not a quiz with wrong answers."""
+        return {answer.page for answer in self.answers if answer.correct is not False}
 
     def attempts(self, page: str) -> int:
         """Return how often a page was answered."""
@@ -136,7 +131,7 @@ class Store:
         InvalidEventError: it is no database of a study, or of another version.
     """
 
-    def __init__(self, path: Path, *, snapshot: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         if not path.is_file():
             raise InvalidEventError(f"{path.parent} holds no study: there is no {path.name}")
         self.path = path
@@ -144,11 +139,10 @@ class Store:
         self._db.row_factory = sqlite3.Row
         try:
             version = self._value("PRAGMA user_version")
-            if not snapshot:
-                self._db.executescript(
-                    "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON;"
-                    "PRAGMA secure_delete=ON;"
-                )
+            self._db.executescript(
+                "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON;"
+                "PRAGMA secure_delete=ON;"
+            )
         except sqlite3.DatabaseError as error:
             self._db.close()
             raise InvalidEventError(f"{path} is no study: {error}") from None
@@ -207,7 +201,7 @@ class Store:
         """Return a copy as of now, made while the study may go on."""
         self._db.execute("VACUUM INTO ?", (str(path),))
         path.chmod(0o600)
-        return Store(path, snapshot=True)
+        return Store(path)
 
     def use_settings(self, settings: Settings) -> None:
         """Keep the settings that people come under from now on."""
@@ -331,13 +325,12 @@ class Store:
             (who,),
         )
         trials = self._db.execute(
-            "SELECT stimulus,role,name FROM assignment WHERE participant=? ORDER BY position",
-            (who,),
+            "SELECT name FROM assignment WHERE participant=? ORDER BY position", (who,)
         )
         return Participant(
-            who, row["config"], row["grp"], row["seen"], row["outcome"],
+            who, row["seen"], row["outcome"],
             [Answer(page, n, None if ok is None else bool(ok)) for page, n, ok in answers],
-            None if row["assigned"] is None else [Trial(*trial) for trial in trials],
+            None if row["assigned"] is None else [name for (name,) in trials],
         )  # fmt: skip
 
     def answer(
@@ -397,20 +390,16 @@ class Store:
 
     def video(self, who: str, name: str) -> str | None:
         """Return the file of a video that a participant may see; None: there is none."""
-        found: str | None = self._value(
-            """SELECT s.file FROM assignment a JOIN stimulus s ON s.id=a.stimulus
-            WHERE a.participant=? AND a.name=?""",
-            *(who, name),
-        )
-        return found
+        query = """SELECT s.file FROM assignment a JOIN stimulus s ON s.id=a.stimulus
+            WHERE a.participant=? AND a.name=?"""
+        return self._value(query, who, name)
 
     def exclude(self, who: str, reason: str) -> None:
         """Mark a participant as not to be exported; their videos are shown to others instead."""
         self.participant(who)
+        query = "UPDATE participant SET excluded=?, reason=? WHERE id=?"
         with self._writing() as run:
-            run(
-                "UPDATE participant SET excluded=?, reason=? WHERE id=?", (time.time(), reason, who)
-            )
+            run(query, (time.time(), reason, who))
 
     def withdraw(self, who: str) -> None:
         """Delete all that a participant gave, for good; that somebody withdrew remains.
@@ -439,25 +428,19 @@ class Store:
         Sessions that have not ended count if they began after ``since``; what one of the players
         has played already is taken only where there is no other.
         """
-        marks, chance = ",".join("?" * len(players)), secrets.SystemRandom()
-        found = self._db.execute(
-            f"""SELECT s.event FROM session s JOIN player p ON p.session=s.id
-            WHERE p.participant IN ({marks})""",
-            players,
-        )
-        load, known = self.played(since), {row[0] for row in found}
+        query = f"""SELECT s.event FROM session s JOIN player p ON p.session=s.id
+            WHERE p.participant IN ({_marks(players)})"""
+        load, known = self.played(since), {row[0] for row in self._db.execute(query, players)}
+        chance = secrets.SystemRandom()
         return min(load, key=lambda event: (event in known, load[event], chance.random()))
 
     def played(self, since: float) -> dict[str, int]:
         """Return event -> sessions that went to their end, or began after ``since`` and go on."""
-        marks = ",".join("?" * len(COMPLETE))
-        found = self._db.execute(
-            f"""SELECT s.event, count(g.id) FROM stimulus s LEFT JOIN session g ON g.event=s.event
-            AND (g.outcome IN ({marks}) OR g.outcome IS NULL AND g.started>?)
-            GROUP BY s.event""",
-            (*COMPLETE, since),
-        )
-        return {row[0]: row[1] for row in found}
+        query = f"""SELECT s.event, count(g.id) FROM stimulus s LEFT JOIN session g
+            ON g.event=s.event AND (g.outcome IN ({_marks(COMPLETE)})
+              OR g.outcome IS NULL AND g.started>?)
+            GROUP BY s.event"""
+        return dict(self._db.execute(query, (*COMPLETE, since)))
 
     def open_session(
         self, event: str, goals: tuple[str, str], strengths: tuple[float, float],
@@ -511,6 +494,10 @@ class Store:
             session["players"] = self.rows(f"SELECT * FROM player {where} agent", (session["id"],))
             session["steps"] = self.rows(f"SELECT * FROM step {where} number", (session["id"],))
         return found
+
+
+def _marks(values: Sequence[str]) -> str:
+    return ",".join("?" * len(values))
 
 
 def hashed(token: str) -> str:

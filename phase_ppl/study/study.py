@@ -11,6 +11,7 @@ import secrets
 import socket
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -27,12 +28,12 @@ from phase_ppl.evaluation.tables import world_of
 from phase_ppl.study import exports
 from phase_ppl.study import settings as settings_module
 from phase_ppl.study import store as store_module
-from phase_ppl.study.clips import clip_names, make_clips
+from phase_ppl.study.clips import clips_of, make_clips
 from phase_ppl.study.exports import Status
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.store import Stimulus, Store
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, existing_file, locked, writable_folder, write_bytes
 from phase_ppl.world.goals import goal_index
@@ -78,8 +79,7 @@ class Study:
                 )
             known = [stimulus.event for stimulus in store.stimuli().values()]
         for event in self.settings.checks:
-            if event not in known:
-                raise unknown_name("video in [checks]", event, known)
+            check_name("video in [checks]", event, known)
 
     @classmethod
     def new(
@@ -117,8 +117,7 @@ class Study:
             InvalidEventError: events have no truth where it is needed, or no counterpart.
             OutputError: the folder is not empty, or cannot be written.
         """
-        if kind not in KINDS:
-            raise unknown_name("kind", kind, KINDS)
+        check_name("kind", kind, KINDS)
         usual = (3, 5) if kind == "play" else (10, 20)
         trials = usual[0] if trials is None else whole_number("trials", trials)
         raters = usual[1] if raters is None else whole_number("raters", raters)
@@ -179,7 +178,7 @@ class Study:
                 if stimulus.file and (not film.is_file() or _digest(film) != stimulus.sha256):
                     why = "has changed" if film.is_file() else "is missing"
                     raise InvalidEventError(f"{film}, of event {stimulus.event!r}, {why}")
-        for name in clip_names(self.settings.world):
+        for name in clips_of(self.settings.world):
             clip = self.folder / CLIPS_FOLDER / f"{name}.mp4"
             if not clip.is_file():
                 raise InvalidEventError(f"{clip} is missing")
@@ -211,11 +210,11 @@ class Study:
             )
         names = [name for name in (parts.hostname, host) if name and name not in _ANY]
         site = Site(self.folder, self.settings, self.events, secure=parts.scheme == "https")
-        if self.settings.kind != "play":
-            return create_app(site, names)
-        from phase_ppl.study import play
+        if self.settings.kind == "play":
+            from phase_ppl.study.play import routes
 
-        return create_app(site, names, play.routes)
+            return create_app(site, names, routes(site))
+        return create_app(site, names)
 
     def run(
         self,
@@ -300,8 +299,7 @@ class Study:
             OutputError: the folder cannot be written, or holds other files.
         """
         for name in include:
-            if name not in exports.INCLUDE:
-                raise unknown_name("people to include", name, exports.INCLUDE)
+            check_name("people to include", name, exports.INCLUDE)
         target = writable_folder(out)
         exports.check_folder(target)
         with locked(target), tempfile.TemporaryDirectory(dir=self.folder) as folder:
@@ -350,37 +348,34 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
     is_path = isinstance(events, str | os.PathLike)
     source = load_events(events) if is_path and (as_path(events) / MANIFEST).is_file() else events
     found = all_events(source)
-    world_of(found)
+    world = world_of(found)
+    if kind == "play":
+        check_is_phase(world, "a study of play")
+    if kind in ("likeness", "play"):
+        for event in found:
+            _check_truth(event, kind)
+    if kind == "likeness":
+        partners = counterparts(found, None if generated is None else all_events(generated))
+        return [*found, *partners], [
+            Stimulus(event.id, group, pair)
+            for group, part in (("played", found), ("generated", partners))
+            for pair, event in enumerate(part)
+        ]
     groups: dict[str, str] = {}
     if isinstance(source, GeneratedEvents):
         groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}
-    if kind in ("likeness", "play"):
-        for event in found:
-            if kind == "play":
-                check_is_phase(event.scene.world, "a study of play")
-            _check_truth(event, kind)
-    if kind != "likeness":
-        several = [groups.get(event.id) for event in found]
-        copied = {group for group in several if several.count(group) > 1} - {None}
-        return found, [
-            Stimulus(event.id, copies=group if group in copied else None)
-            for event, group in zip(found, several, strict=True)
-        ]
-
-    partners = counterparts(found, None if generated is None else all_events(generated))
-    both = [*found, *partners]
-    stimuli = [Stimulus(event.id, "played", pair) for pair, event in enumerate(found)]
-    stimuli += [Stimulus(event.id, "generated", pair) for pair, event in enumerate(partners)]
-    return both, stimuli
+    several = [groups.get(event.id, event.id) for event in found]
+    size = Counter(several)
+    return found, [
+        Stimulus(event.id, copies=group if size[group] > 1 else None)
+        for event, group in zip(found, several, strict=True)
+    ]
 
 
 def _check_truth(event: Event, kind: str) -> None:
     truth = event.truth
-    told = isinstance(truth, Roles) or None not in (
-        getattr(truth, "strength_red", None),
-        getattr(truth, "strength_green", None),
-    )
-    if not told:
+    strengths = (getattr(truth, f"strength_{name}", None) for name in ("red", "green"))
+    if not isinstance(truth, Roles) and None in strengths:
         raise InvalidEventError(
             f"event {event.id!r} does not say its goals and strengths; a study of {kind} needs them"
         )
@@ -397,23 +392,27 @@ def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> 
     """
     if generated is None:
         return [_simulated(event, seed) for seed, event in enumerate(played)]
-    left = list(generated)
-    found = [_counterpart(event, left) for event in played]
-    ids = {event.id for event in played}
+    left, ids = list(generated), {event.id for event in played}
     return [
         dataclasses.replace(event, id=f"{event.id}-generated") if event.id in ids else event
-        for event in found
+        for event in (_counterpart(one, left) for one in played)
     ]
 
 
 def _counterpart(event: Event, left: list[Event]) -> Event:
     """Take the counterpart of an event out of those that are left."""
     for place, other in enumerate(left):
-        same_world = other.scene.world == event.scene.world
-        if same_world and other.truth is not None and _are_alike(_setting(event), _setting(other)):
+        if other.truth is not None and _are_alike(event, other):
             return left.pop(place)
     raise InvalidEventError(
         f"event {event.id!r} has no counterpart (any more) of the same scene, goals and strengths"
+    )
+
+
+def _are_alike(one: Event, other: Event) -> bool:
+    return one.scene.world == other.scene.world and all(
+        np.shape(first) == np.shape(second) and np.allclose(first, second)
+        for first, second in zip(_setting(one), _setting(other), strict=True)
     )
 
 
@@ -429,27 +428,16 @@ def _setting(event: Event) -> list[Any]:
             strengths]  # fmt: skip
 
 
-def _are_alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
-    return all(
-        np.shape(first) == np.shape(second) and np.allclose(first, second)
-        for first, second in zip(one, other, strict=True)
-    )
-
-
 def _simulated(event: Event, seed: int) -> Event:
     from phase_ppl.simulator.joint import simulate  # planner and physics
 
     hypothesis = truth = event.truth
-    try:
-        if not isinstance(truth, Roles):
-            hypothesis = Hypothesis(
-                truth.goal_red,
-                truth.goal_green,
-                strength_red=truth.strength_red,
-                strength_green=truth.strength_green,
-            )
-    except InvalidSettingError as error:
-        raise InvalidEventError(f"event {event.id!r}: {error}") from None
+    if not isinstance(truth, Roles):
+        strengths = truth.strength_red, truth.strength_green
+        try:
+            hypothesis = Hypothesis(truth.goal_red, truth.goal_green, (0, 0), *strengths)
+        except InvalidSettingError as error:
+            raise InvalidEventError(f"event {event.id!r}: {error}") from None
     return simulate(
         dataclasses.replace(event.scene, resets_velocity=False),
         hypothesis,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
-import threading
+import re
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,26 +16,19 @@ from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
 from phase_ppl.study.study import Study
-from tests.study.studies import HOST, Person
-
-ALONE = [[16.0, 12.0], [16.0, 22.0]]
+from tests.study.studies import HOST, Person, change
 
 Message = dict[str, Any]
+React = Callable[[Message], Sequence[Message]]
 
 
 def near_goals(name: str = "near", **changes: Any) -> ppl.Event:
     """An event in which both agents have little more than a unit to drive to their goals."""
-    start = [
-        [12.0, 19.5, math.pi / 2],
-        [20.0, 19.5, -math.pi / 2],
-        [12.0, 7.0, 0.0],
-        [20.0, 7.0, 0],
-    ]
-    given: dict[str, Any] = {"start": start, "radius": [0.8] * 4, "walls": [ALONE], **changes}
-    truth = ppl.Truth(
-        "Get red agent to blue lm", "Get green agent to green lm", strength_red=600.0,
-        strength_green=600.0,
-    )  # fmt: skip
+    start = [[12, 19.5, math.pi / 2], [20, 19.5, -math.pi / 2], [12, 7, 0], [20, 7, 0]]
+    wall = [[16, 12], [16, 22]]
+    given: dict[str, Any] = {"start": start, "radius": [0.8] * 4, "walls": [wall], **changes}
+    goals = "Get red agent to blue lm", "Get green agent to green lm"
+    truth = ppl.Truth(*goals, strength_red=600.0, strength_green=600.0)
     scene = ppl.Scene(**{name: np.array(value, float) for name, value in given.items()})
     frames = np.repeat(scene.start[None], 2, axis=0)
     return ppl.Event(scene, ppl.Observation(frames), id=name, truth=truth)
@@ -47,13 +40,10 @@ def make_study(folder: Path, events: Sequence[ppl.Event], **play: Any) -> Study:
         patch.setattr("phase_ppl.study.study.make_clips", lambda folder, world: None)
         Study.new(folder, events, "play", raters=1000)
     file = folder / "study.toml"
-    given = {"steps_per_second": 12, "limit": 18, "hold": 2, "wait_at_most": 60, **play}
-    lines = file.read_text().partition("\n[[tutorial]]")[0].splitlines()
-    lines = [line for line in lines if not line.startswith(("demographics", "trials"))]
-    head = ["quiz = []", "demographics = false", f"trials = {given.pop('trials', 1)}"]
-    table = [f"{name} = {json.dumps(value)}" for name, value in given.items()]
-    file.write_text("\n".join([*head, *lines, "[play]", *table]))
-    return Study(folder)
+    text = re.sub(r"(?s)\[\[quiz\]\].*(?=\n\[play\])", "", file.read_text())
+    file.write_text(f"quiz = []\n{text}")
+    short = {"steps_per_second": 12, "limit": 18, "hold": 2, "wait_at_most": 60}
+    return change(folder, **{"demographics": False, "trials": 1, **short, **play})
 
 
 class Player(Person):
@@ -61,15 +51,10 @@ class Player(Person):
 
     def __init__(self, client: TestClient, practised: bool = True) -> None:
         super().__init__(client)
-        for page, answers in (
-            ("consent", {"agree": True}),
-            ("device", {}),
-            ("tutorial", {"views": [1000]}),
-        ):
-            assert self.answer(page, answers).status_code == 200
+        site = client.app.state.site  # type: ignore[attr-defined]
+        self.prepare(site)
         self.id = self.state()["participant"]
         if practised:
-            site = client.app.state.site  # type: ignore[attr-defined]
             client.portal.call(  # type: ignore[union-attr]
                 lambda: site.ask(site.store.answer, self.id, "practice", 1, {})
             )
@@ -79,9 +64,7 @@ class Player(Person):
         given = {"origin": HOST, "cookie": self.cookie, **headers}
         return self.client.websocket_connect("ws://localhost/play/socket", headers=given)
 
-    def play(
-        self, react: Callable[[Message], Sequence[Message]], until: str = "go", most: int = 5000
-    ) -> list[Message]:
+    def play(self, react: React, until: str = "go", most: int = 5000) -> list[Message]:
         """Answer each message by ``react``, until one of a kind comes; return all."""
         with self.connect() as socket:
             for _ in range(most):
@@ -99,24 +82,8 @@ class Player(Person):
 
 def together(*tasks: Callable[[], Any]) -> list[Any]:
     """Run tasks in threads; return what they return, or raise what one of them raised."""
-    found: dict[int, Any] = {}
-
-    def work(number: int, task: Callable[[], Any]) -> None:
-        try:
-            found[number] = task()
-        except BaseException as error:
-            found[number] = error
-
-    threads = [threading.Thread(target=work, args=item) for item in enumerate(tasks)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60)
-    for number in range(len(tasks)):
-        result = found.get(number, TimeoutError(f"player {number} is still at it"))
-        if isinstance(result, BaseException):
-            raise result
-    return [found[number] for number in range(len(tasks))]
+    with ThreadPoolExecutor(len(tasks)) as pool:
+        return [one.result(60) for one in [pool.submit(task) for task in tasks]]
 
 
 def press(key: str, down: bool = True) -> Message:
@@ -124,21 +91,18 @@ def press(key: str, down: bool = True) -> Message:
 
 
 def both_play(
-    client: TestClient, react: Callable[[Message], Sequence[Message]], until: str = "go"
+    client: TestClient, react: React, until: str = "go"
 ) -> tuple[list[Player], list[list[Message]]]:
     """Let two people play, who react alike; return them and what each was told."""
     players = [Player(client), Player(client)]
     return players, together(*(lambda one=one: one.play(react, until) for one in players))
 
 
-def drives(*keys: str) -> Callable[[Message], Sequence[Message]]:
+def drives(*keys: str) -> React:
     """React as somebody who is ready at once, holds keys down and answers pings."""
 
     def react(message: Message) -> Sequence[Message]:
-        if message["t"] == "scene":
-            return [{"t": "ready"}]
-        if message["t"] == "begun":
-            return [press(key) for key in keys]
-        return [{"t": "pong"}] if message["t"] == "ping" else []
+        said = {"scene": [{"t": "ready"}], "begun": map(press, keys), "ping": [{"t": "pong"}]}
+        return list(said.get(message["t"], ()))
 
     return react

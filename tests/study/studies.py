@@ -6,21 +6,45 @@ import atexit
 import csv
 import dataclasses
 import functools
+import json
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 import phase_ppl as ppl
-from phase_ppl.study.clips import clip_names
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.tables import true_answers
+from phase_ppl.study.clips import clips_of
 from phase_ppl.study.study import Study
+from phase_ppl.world.hypothesis import Roles
 
 HOST = "http://localhost"
 EVENTS = ("collaborate", "compete", "independent")
+PHASE = ppl.worlds.PHASE
+NURSERY = ppl.World(
+    ["red agent", "Anna"], ["ball"], {"cot": (4, 4), "window": (20, 16)}, arena=(0, 24, 0, 20),
+    predicates=[ppl.Predicate("agents near", "red agent", "Anna", within=6),
+                ppl.Predicate("get cosy", "ball", "cot", within=3)],
+    name="nursery",
+)  # fmt: skip
+GOALS = {
+    "solo": {"red agent": "ball to home"},
+    "trio": {"red agent": "get to green agent", "green agent": "blue ball to home",
+             "purple agent": "get to blue ball"},
+    "nursery": {"red agent": "agents near", "Anna": "not get cosy"},
+}  # fmt: skip
+JUDGED = {
+    "goal_red": "Get blue item to red lm",
+    "goal_green": "get away from red agent",
+    "relation": "neutral",
+}
 
 
 def short_events(n: int = 3) -> list[ppl.Event]:
@@ -30,27 +54,51 @@ def short_events(n: int = 3) -> list[ppl.Event]:
     return [dataclasses.replace(e, observation=o) for e, o in zip(events, begins, strict=True)]
 
 
-def empty_clips(folder: Path, world: ppl.World = ppl.worlds.PHASE) -> None:
+def still_events(world: ppl.World, n: int = 2) -> list[ppl.Event]:
+    """Events in which nobody moves, and what the agents would be after."""
+    found = []
+    for seed in range(n):
+        scene = world.random_scene(seed)
+        hinders = {("purple agent", "green agent"): "hinder"} if world is ppl.worlds.TRIO else None
+        roles = Roles.of(world, GOALS[world.name], hinders)
+        track = ppl.Observation(np.repeat(scene.start[None], 4, axis=0))
+        found.append(ppl.Event(scene, track, id=f"{world.name}-{seed}", truth=roles))
+    return found
+
+
+def sure_of(study: Study) -> dict[str, Prediction]:
+    """What somebody believes who knows the truth."""
+    world = study.settings.world
+    return {
+        name: Prediction(name, answers=true_answers(event), world=world)
+        for name, event in study.events.items()
+    }
+
+
+def empty_clips(folder: Path, world: ppl.World = PHASE) -> None:
     """Stand for the films of the introduction."""
     folder.mkdir()
-    for name in clip_names(world):
+    for name in clips_of(world):
         (folder / f"{name}.mp4").touch()
 
 
 @functools.cache
-def _made(kind: str) -> Path:
+def _made(kind: str, world: ppl.World) -> Path:
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder)
+    events = short_events() if world is PHASE else still_events(world)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("phase_ppl.study.study.make_clips", empty_clips)
-        Study.new(folder / "study", short_events(), kind, workers=1, progress=False)
+        Study.new(folder / "study", events, kind, workers=1, progress=False)
     return folder / "study"
 
 
-def make_study(folder: Path, kind: str = "judgment", **given: Any) -> Study:
+def make_study(
+    folder: Path, kind: str = "judgment", world: ppl.World = PHASE, **given: Any
+) -> Study:
     """Make a study of short events, filmed once; the films of the introduction are empty."""
-    shutil.copytree(_made(kind), folder)
-    return change(Study(folder), **given)
+    shutil.copytree(_made(kind, world), folder)
+    return change(folder, **given)
 
 
 def edit(study: Study, old: str, new: str) -> Study:
@@ -62,25 +110,33 @@ def edit(study: Study, old: str, new: str) -> Study:
     return Study(study.folder)
 
 
-def change(study: Study, **given: Any) -> Study:
-    """Return a study with other settings, lines of which take the place of those in its file."""
-    file = study.folder / "study.toml"
-    lines = file.read_text("utf-8").splitlines()
+def change(folder: Path, **given: Any) -> Study:
+    """Return a study with other settings, in place of those in its file or before them."""
+    file = folder / "study.toml"
+    text = file.read_text("utf-8")
     for name, value in given.items():
-        shown = str(value).lower() if isinstance(value, bool) else repr(value)
-        at = next((i for i, line in enumerate(lines) if line.startswith(f"{name} =")), None)
-        if at is None:
-            lines.insert(0, f"{name} = {shown}")
-        else:
-            lines[at] = f"{name} = {shown}"
-    file.write_text("\n".join(lines), "utf-8")
-    return Study(study.folder)
+        line = f"{name} = {json.dumps(value)}"
+        text, known = re.subn(rf"(?m)^{name} = .*$", line, text)
+        text = text if known else f"{line}\n{text}"
+    file.write_text(text, "utf-8")
+    return Study(folder)
 
 
 def table(path: Path) -> list[dict[str, str]]:
     """Return the rows of a CSV file."""
     with open(path, encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def rows(study: Study, query: str) -> list[dict[str, Any]]:
+    """Return what is in the database of a study."""
+    with study.store() as store:
+        return store.rows(query)
+
+
+def serving(study: Study, url: str = "") -> TestClient:
+    """Return the study's server, for a ``with``."""
+    return TestClient(study.app(url), base_url=HOST)
 
 
 class Person:
@@ -115,29 +171,20 @@ class Person:
         return self.post("/api/answer", body)
 
     def prepare(self, study: Study, right: bool = True) -> None:
-        """Agree, read the introduction, answer the quiz, ask what comes next."""
+        """Agree, read the introduction, answer the quiz if there is one, ask what comes next."""
         self.answer("consent", {"agree": True})
         self.answer("device", {})
         self.answer("tutorial", {"views": [1000.0]})
-        self.answer("quiz", quiz(study, right))
+        if study.settings.quiz:
+            self.answer("quiz", quiz(study, right))
         self.state()
 
-    def finish(self, study: Study, given: Mapping[str, Any] | None = None) -> list[str]:
-        """Go through a study; return the addresses of the films, in the order seen."""
+    def finish(self, study: Study, given: Mapping[str, Any] = JUDGED) -> None:
+        """Go through a study, giving the same answers throughout."""
         self.prepare(study)
-        films = []
         for page in self.state()["pages"]:
-            films.append(page.get("video"))
             is_person = page["page"] == "person"
-            self.answer(page["page"], {"age": 30, "gender": ""} if is_person else given or JUDGED)
-        return [film for film in films if film]
-
-
-JUDGED = {
-    "goal_red": "Get blue item to red lm",
-    "goal_green": "get away from red agent",
-    "relation": "neutral",
-}
+            self.answer(page["page"], {"age": 30, "gender": ""} if is_person else given)
 
 
 def quiz(study: Study, right: bool = True) -> dict[str, str]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,12 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import tests.browser
 from phase_ppl.study import play
+from phase_ppl.study.clips import make_clips
 from phase_ppl.study.simulate import serving
 from phase_ppl.study.study import Study
 from tests.browser import needs_browser, running_browser
 from tests.study import players
-from tests.study.studies import change, make_study, quiz
+from tests.study.studies import JUDGED, make_study, quiz, rows
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text("utf-8")
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
@@ -35,8 +37,6 @@ def browser() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Films of the introduction, made once."""
-    from phase_ppl.study.clips import make_clips
-
     folder = tmp_path_factory.mktemp("films") / "clips"
     make_clips(folder)
     return folder
@@ -52,6 +52,8 @@ class Window:
     """
 
     expected: tuple[str, ...] = ("Failed to load resource", "net::ERR_INTERNET_DISCONNECTED")
+    leave: Callable[[], object]
+    """Ends the server: all that it was told is kept by then."""
 
     def __init__(self, browser: Any, study: Study, address: str, **options: Any) -> None:
         size = options.pop("size", {"width": 1280, "height": 720})
@@ -85,35 +87,35 @@ class Window:
         if not url.startswith((self.address, "blob:", "data:")):
             self.faults.append(f"asked for {url}")
 
-    def sees(self, heading: str, page: Any = None) -> None:
+    def sees(self, heading: str) -> None:
         """Wait for a page; it is accessible, and its heading has the focus."""
-        page = page or self.page
-        found = page.get_by_role("heading", name=heading, exact=True, level=1)
-        found.wait_for()
-        assert page.evaluate("document.activeElement.tagName") == "H1"
-        shown = page.locator("body").inner_text()
+        self.page.get_by_role("heading", name=heading, exact=True, level=1).wait_for()
+        assert self.page.evaluate("document.activeElement.tagName") == "H1"
+        shown = self.page.locator("body").inner_text()
         if shown not in self.seen:
-            self.is_accessible(page)
+            self.is_accessible()
         self.seen.add(shown)
 
-    def is_accessible(self, page: Any) -> None:
-        page.evaluate(AXE)
-        found = page.evaluate(
+    def is_accessible(self) -> None:
+        self.page.evaluate(AXE)
+        found = self.page.evaluate(
             "tags => axe.run({ runOnly: tags }).then(all => all.violations)", RULES
         )
         assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
 
-    def press(self, name: str, page: Any = None) -> None:
-        (page or self.page).get_by_role("button", name=name, exact=True).click()
+    def press(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
 
-    def watch(self, page: Any = None) -> None:
+    def watch(self) -> None:
         """See a film to its end, fast."""
-        page = page or self.page
-        page.evaluate("document.querySelector('video').playbackRate = 16")
-        page.get_by_role("button", name="Play again").wait_for()
+        self.page.evaluate("document.querySelector('video').playbackRate = 16")
+        self.page.get_by_role("button", name="Play again").wait_for()
 
-    def says(self, text: str, page: Any = None) -> None:
-        (page or self.page).get_by_text(text).first.wait_for()
+    def says(self, text: str) -> None:
+        self.page.get_by_text(text).first.wait_for()
+
+    def no_longer_says(self, text: str) -> None:
+        self.page.get_by_text(text).wait_for(state="detached")
 
     # --- page by page
 
@@ -121,6 +123,8 @@ class Window:
         self.sees(self.study.settings.title)
         self.press("I agree and take part")
         self.sees("Your screen")
+
+    def see_the_screen(self) -> None:
         self.press("Next")
         self.says("Please watch the animation to its end first.")
         self.watch()
@@ -141,20 +145,14 @@ class Window:
             group.get_by_label(given[f"question_{number}"], exact=True).check()
         self.press("Done")
 
-    def judge(self, relation: str = "neutral", page: Any = None) -> None:
+    def judge(self, relation: str = "neutral") -> None:
         """Answer the questions of a trial, whatever they are."""
-        page = page or self.page
         kind = self.study.settings.kind
-        if kind == "tagging":
-            for label in ("chasing", "helping"):
-                page.get_by_label(label, exact=True).check()
-        else:
-            page.get_by_label("get the blue item to the red landmark", exact=True).first.check()
-            page.get_by_label("get away from the red agent", exact=True).check()
-            page.get_by_label(relation, exact=True).check()
-        if kind == "likeness":
-            page.get_by_label("4", exact=True).check()
-        self.press("Next", page)
+        own = "get the blue item to the red landmark", "get away from the red agent"
+        labels = ("chasing", "helping") if kind == "tagging" else (*own, relation)
+        for label in (*labels, *["4"] * (kind == "likeness")):
+            self.page.get_by_label(label, exact=True).first.check()
+        self.press("Next")
 
     @property
     def id(self) -> str:
@@ -183,15 +181,33 @@ class Prepared(Window):
         assert reply.ok, reply.text()
 
 
-def rows(study: Study, query: str) -> list[dict[str, Any]]:
-    with study.store() as store:
-        return store.rows(query)
+Opened = Callable[..., Any]
 
 
-def made(tmp_path: Path, clips: Path, kind: str = "judgment", **given: Any) -> Study:
-    study = make_study(tmp_path / "study", kind, **given)
-    shutil.copytree(clips, study.folder / "clips", dirs_exist_ok=True)
-    return study
+@pytest.fixture
+def opened(browser: Any) -> Iterator[Opened]:
+    """Serve a study, and open a window of some class onto it."""
+    with contextlib.ExitStack() as at_the_end:
+
+        def make(study: Study, window: type[Window] = Window, **options: Any) -> Window:
+            server = at_the_end.enter_context(contextlib.ExitStack())
+            found = window(browser, study, server.enter_context(serving(study)), **options)
+            found.leave = server.close
+            return found
+
+        yield make
+
+
+@pytest.fixture
+def made(tmp_path: Path, clips: Path) -> Callable[..., Study]:
+    """Make a study with its films."""
+
+    def make(kind: str = "judgment", **given: Any) -> Study:
+        study = make_study(tmp_path / "study", kind, **given)
+        shutil.copytree(clips, study.folder / "clips", dirs_exist_ok=True)
+        return study
+
+    return make
 
 
 @needs_browser
@@ -199,65 +215,66 @@ def made(tmp_path: Path, clips: Path, kind: str = "judgment", **given: Any) -> S
     "kind",
     ["judgment", *(pytest.param(k, marks=pytest.mark.slow) for k in ("tagging", "likeness"))],
 )
-def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kind: str) -> None:
-    study = made(tmp_path, clips, kind, refuse_repeats="PROLIFIC_PID")
+def test_from_consent_to_the_code(opened: Opened, made: Any, kind: str) -> None:
+    study = made(kind, refuse_repeats="PROLIFIC_PID")
     stumbles = kind == "judgment"  # over what is the same for all kinds
-    with serving(study) as address:
-        window = Window(browser, study, address, query="?PROLIFIC_PID=77abc")
-        window.agree()
-        assert window.page.url == address, "a platform's id is not left in the address"
-        if stumbles:
-            window.read()
-            window.answer_quiz(right=False)
-            window.says("Some of these answers were not right")
+    window = opened(study, query="?PROLIFIC_PID=77abc")
+    window.agree()
+    window.see_the_screen()
+    assert window.page.url == window.address, "a platform's id is not left in the address"
+    if stumbles:
         window.read()
-        window.answer_quiz()
+        window.answer_quiz(right=False)
+        window.says("Some of these answers were not right")
+    window.read()
+    window.answer_quiz()
 
-        window.sees("Animation 1 of 3")
-        size = "[document.documentElement.scrollWidth, document.documentElement.scrollHeight]"
-        width, height = window.page.evaluate(size)
-        assert width <= 1280
-        assert height <= 720, "film and questions at once"
-        window.page.set_viewport_size({"width": 640, "height": 360})  # as a zoom of 200 % does
-        assert window.page.evaluate(size)[0] <= 640, "nothing is to the right of the window"
-        window.is_accessible(window.page)
-        window.page.set_viewport_size({"width": 1280, "height": 720})
-        window.watch()
-        window.press("Next")
-        window.says("still open")
-        window.is_accessible(window.page)
-        window.judge()
+    window.sees("Animation 1 of 3")
+    size = "[document.documentElement.scrollWidth, document.documentElement.scrollHeight]"
+    width, height = window.page.evaluate(size)
+    assert width <= 1280
+    assert height <= 720, "film and questions at once"
+    window.page.set_viewport_size({"width": 640, "height": 360})  # as a zoom of 200 % does
+    assert window.page.evaluate(size)[0] <= 640, "nothing is to the right of the window"
+    window.is_accessible()
+    window.page.set_viewport_size({"width": 1280, "height": 720})
+    window.watch()
+    window.press("Next")
+    window.says("still open")
+    window.is_accessible()
+    window.judge()
 
+    window.sees("Animation 2 of 3")
+    if stumbles:
+        window.page.reload()  # in the middle
         window.sees("Animation 2 of 3")
-        if stumbles:
-            window.page.reload()  # in the middle
-            window.sees("Animation 2 of 3")
-        window.watch()
-        window.context.set_offline(stumbles)
-        window.judge()
-        window.sees("Animation 3 of 3")
-        if stumbles:
-            window.says("There is no connection.")
-            pages = "SELECT count(*) AS n FROM response WHERE page LIKE 'trial-%'"
-            assert rows(study, pages) == [{"n": 1}]
-            window.context.set_offline(False)
-            window.page.get_by_text("There is no connection.").wait_for(state="detached")
-            assert rows(study, pages) == [{"n": 2}]
-        window.watch()
-        window.judge()
+    window.watch()
+    window.context.set_offline(stumbles)
+    window.judge()
+    window.sees("Animation 3 of 3")
+    if stumbles:
+        window.says("There is no connection.")
+        pages = "SELECT count(*) AS n FROM response WHERE page LIKE 'trial-%'"
+        assert rows(study, pages) == [{"n": 1}]
+        window.context.set_offline(False)
+        window.no_longer_says("There is no connection.")
+        assert rows(study, pages) == [{"n": 2}]
+    window.watch()
+    window.judge()
 
-        window.sees("About you")
-        window.page.get_by_label("Your age").fill("44")
-        window.press("Next")
-        window.sees(study.settings.title)
-        assert window.page.locator("#code").text_content() == study.settings.codes["finished"]
-        window.says(window.id)
-        if stumbles:
-            window.page.reload()
-            window.says("Your completion code")
-        assert window.page.evaluate("Object.keys(localStorage)") == []
-        assert window.faults == []
+    window.sees("About you")
+    window.page.get_by_label("Your age").fill("44")
+    window.press("Next")
+    window.sees(study.settings.title)
+    assert window.page.locator("#code").text_content() == study.settings.codes["finished"]
+    window.says(window.id)
+    if stumbles:
+        window.page.reload()
+        window.says("Your completion code")
+    assert window.page.evaluate("Object.keys(localStorage)") == []
+    assert window.faults == []
 
+    window.leave()
     quizzes = rows(study, "SELECT correct FROM response WHERE page='quiz' ORDER BY attempt")
     assert [quiz["correct"] for quiz in quizzes] == ([0, 1] if stumbles else [1])
     trials = rows(study, "SELECT * FROM response WHERE page LIKE 'trial-%' ORDER BY page")
@@ -275,24 +292,23 @@ def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kin
 
 
 @needs_browser
-def test_a_second_tab_goes_on_where_the_first_is(browser: Any, clips: Path, tmp_path: Path) -> None:
-    study = made(tmp_path, clips)
-    with serving(study) as address:
-        window = Prepared(browser, study, address)
-        window.sees("Animation 1 of 3")
-        second = window.tab()
-        window.sees("Animation 1 of 3", second)
+def test_a_second_tab_goes_on_where_the_first_is(opened: Opened, made: Any) -> None:
+    window = opened(made(), Prepared)
+    window.sees("Animation 1 of 3")
+    first, window.page = window.page, window.tab()
+    window.sees("Animation 1 of 3")
+    second, window.page = window.page, first
+    for number in (2, 3):
         window.watch()
         window.judge("friendly")
-        window.sees("Animation 2 of 3")
-        window.watch()
-        window.judge("friendly")
-        window.sees("Animation 3 of 3")
-        window.watch(second)
-        window.judge("adversarial", second)  # of the first animation, a second time
-        window.sees("Animation 3 of 3", second)
-        assert window.faults == []
-    answers = rows(study, "SELECT page, answers FROM response WHERE page LIKE 'trial-%'")
+        window.sees(f"Animation {number} of 3")
+    window.page = second
+    window.watch()
+    window.judge("adversarial")  # of the first animation, a second time
+    window.sees("Animation 3 of 3")
+    assert window.faults == []
+    window.leave()
+    answers = rows(window.study, "SELECT page, answers FROM response WHERE page LIKE 'trial-%'")
     assert sorted((row["page"], json.loads(row["answers"])["relation"]) for row in answers) == [
         ("trial-1", "friendly"),
         ("trial-2", "friendly"),
@@ -300,61 +316,48 @@ def test_a_second_tab_goes_on_where_the_first_is(browser: Any, clips: Path, tmp_
 
 
 @needs_browser
-def test_the_keyboard_alone_suffices(browser: Any, clips: Path, tmp_path: Path) -> None:
-    study = made(tmp_path, clips)
-    with serving(study) as address:
-        window = Window(browser, study, address)
-        keys = window.page.keyboard
+def test_the_keyboard_alone_suffices(opened: Opened, made: Any) -> None:
+    window = opened(made())
+    keys, settings = window.page.keyboard, window.study.settings
 
-        def go_to(text: str, part: str = "textContent") -> None:
-            """Press Tab until something with such a text has the focus."""
-            for _ in range(40):
-                keys.press("Tab")
-                found = f"(document.activeElement.{part} ?? '')"
-                if window.page.evaluate(found) == text:
-                    return
-            pytest.fail(f"the keyboard does not get to {text!r}")
+    def go_to(text: str, then: str = "", part: str = "textContent") -> None:
+        """Press Tab until something with such a text has the focus, then another key."""
+        for _ in range(40):
+            keys.press("Tab")
+            found = f"(document.activeElement.{part} ?? '')"
+            if window.page.evaluate(found) == text:
+                return keys.press(then) if then else None
+        pytest.fail(f"the keyboard does not get to {text!r}")
 
-        def choose(name: str, downs: int) -> None:
-            go_to(name, "name")
-            keys.press("Space")
-            for _ in range(downs):
-                keys.press("ArrowDown")
+    def choose(name: str, downs: int) -> None:
+        go_to(name, "Space", "name")
+        for _ in range(downs):
+            keys.press("ArrowDown")
 
-        window.sees(study.settings.title)
-        go_to("I agree and take part")
-        keys.press("Enter")
-        window.sees("Your screen")
-        window.watch()
-        go_to("Next")
-        keys.press("Space")
-        for number in range(1, len(study.settings.tutorial) + 1):
-            window.says(f"{number} of {len(study.settings.tutorial)}")
-            go_to("Next")
-            keys.press("Enter")
-        window.sees("What the introduction said")
-        for number, (_, options, answer) in enumerate(study.settings.quiz, 1):
-            choose(f"question_{number}", options.index(answer))
-        keys.press("Enter")
-        window.sees("Animation 1 of 3")
-        window.watch()
-        go_to("Play again")
-        keys.press("Enter")
-        window.watch()
-        choose("goal_red", 2)
-        choose("goal_green", 33)
-        choose("relation", 1)
-        go_to("Next")
-        keys.press("Enter")
-        window.sees("Animation 2 of 3")
-        assert window.faults == []
-    (answer,) = rows(study, "SELECT answers, plays FROM response WHERE page='trial-1'")
-    assert json.loads(answer["answers"]) == {
-        "goal_red": "Get blue item to red lm",
-        "goal_green": "get away from red agent",
-        "relation": "neutral",
-    }
-    assert answer["plays"] == 2
+    window.sees(settings.title)
+    go_to("I agree and take part", "Enter")
+    window.sees("Your screen")
+    window.watch()
+    go_to("Next", "Space")
+    for number in range(1, len(settings.tutorial) + 1):
+        window.says(f"{number} of {len(settings.tutorial)}")
+        go_to("Next", "Enter")
+    window.sees("What the introduction said")
+    for number, (_, options, answer) in enumerate(settings.quiz, 1):
+        choose(f"question_{number}", options.index(answer))
+    keys.press("Enter")
+    window.sees("Animation 1 of 3")
+    window.watch()
+    go_to("Play again", "Enter")
+    window.watch()
+    for name, downs in (("goal_red", 2), ("goal_green", 33), ("relation", 1)):
+        choose(name, downs)
+    go_to("Next", "Enter")
+    window.sees("Animation 2 of 3")
+    assert window.faults == []
+    window.leave()
+    (answer,) = rows(window.study, "SELECT answers, plays FROM response WHERE page='trial-1'")
+    assert (json.loads(answer["answers"]), answer["plays"]) == (JUDGED, 2)
 
 
 _REFUSES = """
@@ -368,93 +371,79 @@ HTMLMediaElement.prototype.play = function () {
 
 
 @needs_browser
-def test_a_film_that_must_not_begin_by_itself_is_begun_by_hand(
-    browser: Any, clips: Path, tmp_path: Path
-) -> None:
-    study = made(tmp_path, clips)
-    with serving(study) as address:
-        window = Window(browser, study, address, script=_REFUSES)
-        window.sees(study.settings.title)
-        window.press("I agree and take part")
-        window.sees("Your screen")
-        window.says("Press the button to start the animation.")
-        window.press("Play")
-        window.watch()
-    assert "autoplay refused" in [row["what"] for row in rows(study, "SELECT what FROM note")]
+def test_a_film_that_must_not_begin_by_itself_is_begun_by_hand(opened: Opened, made: Any) -> None:
+    window = opened(made(), script=_REFUSES)
+    window.agree()
+    window.says("Press the button to start the animation.")
+    window.press("Play")
+    window.watch()
+    window.leave()
+    assert {"what": "autoplay refused"} in rows(window.study, "SELECT what FROM note")
 
 
 @needs_browser
-def test_a_film_that_cannot_be_shown_is_told_and_noted(
-    browser: Any, clips: Path, tmp_path: Path
-) -> None:
-    study = made(tmp_path, clips)
-    with serving(study) as address:
-        window = Window(browser, study, address)
-        window.page.route("**/clip/moving.mp4", lambda route: route.fulfill(body=b"no film"))
-        window.sees(study.settings.title)
-        window.press("I agree and take part")
-        window.says("The animation cannot be shown.")
-    assert "video error" in [row["what"] for row in rows(study, "SELECT what FROM note")]
+def test_a_film_that_cannot_be_shown_is_told_and_noted(opened: Opened, made: Any) -> None:
+    window = opened(made())
+    window.page.route("**/clip/moving.mp4", lambda route: route.fulfill(body=b"no film"))
+    window.agree()
+    window.says("The animation cannot be shown.")
+    window.leave()
+    assert {"what": "video error"} in rows(window.study, "SELECT what FROM note")
 
 
 @needs_browser
-def test_small_screens_are_refused_with_a_message_that_stays(
-    browser: Any, clips: Path, tmp_path: Path
-) -> None:
-    study = made(tmp_path, clips)
-    with serving(study) as address:
-        window = Window(browser, study, address, size={"width": 390, "height": 844})
-        window.agree()
-        window.says("this device will not do")
-        window.is_accessible(window.page)
-        window.page.reload()
-        window.sees("Your screen")
-    (note,) = rows(study, "SELECT detail FROM note WHERE what='device refused'")
-    assert note["detail"] == 390
+def test_small_screens_are_refused_with_a_message_that_stays(opened: Opened, made: Any) -> None:
+    window = opened(made(), size={"width": 390, "height": 844})
+    window.agree()
+    window.see_the_screen()
+    window.says("this device will not do")
+    window.is_accessible()
+    window.page.reload()
+    window.sees("Your screen")
+    window.leave()
+    refused = rows(window.study, "SELECT detail FROM note WHERE what='device refused'")
+    assert refused == [{"detail": 390}]
 
 
 @needs_browser
-def test_leaving_asks_only_while_something_is_unsent(
-    browser: Any, clips: Path, tmp_path: Path
-) -> None:
-    study = made(tmp_path, clips)
+def test_leaving_asks_only_while_something_is_unsent(opened: Opened, made: Any) -> None:
     asked: list[str] = []
-    with serving(study) as address:
-        window = Prepared(browser, study, address)
-        window.sees("Animation 1 of 3")
+    window = opened(made(), Prepared)
+
+    def leave_and_come_back() -> None:
         window.page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
-        window.watch()
-        window.page.close(run_before_unload=True)
-        window.page = window.tab()
-        window.page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
-        window.sees("Animation 1 of 3")
-        assert asked == []
-        window.watch()
-        window.context.set_offline(True)
-        window.judge()
-        window.sees("Animation 2 of 3")
         window.page.close(run_before_unload=True)
         window.context.set_offline(False)
-        window.page = window.tab()  # what was not sent comes later
-        window.sees("Animation 2 of 3")
-        assert asked == ["beforeunload"]
-    assert len(rows(study, "SELECT * FROM response WHERE page='trial-1'")) == 1
+        window.page = window.tab()
+
+    window.sees("Animation 1 of 3")
+    window.watch()
+    leave_and_come_back()
+    window.sees("Animation 1 of 3")
+    assert asked == []
+    window.watch()
+    window.context.set_offline(True)
+    window.judge()
+    window.sees("Animation 2 of 3")
+    leave_and_come_back()
+    window.sees("Animation 2 of 3")
+    assert asked == ["beforeunload"]
+    window.leave()  # what was not sent came later
+    assert len(rows(window.study, "SELECT * FROM response WHERE page='trial-1'")) == 1
 
 
 @needs_browser
 def test_a_full_study_and_an_unwilling_person_are_told_so(
-    browser: Any, clips: Path, tmp_path: Path
+    browser: Any, opened: Opened, made: Any
 ) -> None:
-    study = change(made(tmp_path, clips), most_entries=1)
-    with serving(study) as address:
-        window = Window(browser, study, address)
-        window.sees(study.settings.title)
-        window.press("I do not agree")
-        window.says("You have not taken part")
-        other = Window(browser, study, address)
-        other.says("No places left")
-        other.is_accessible(other.page)
-        assert window.faults == other.faults == []
+    window = opened(made(most_entries=1))
+    window.sees(window.study.settings.title)
+    window.press("I do not agree")
+    window.says("You have not taken part")
+    other = Window(browser, window.study, window.address)
+    other.says("No places left")
+    other.is_accessible()
+    assert window.faults == other.faults == []
 
 
 def test_a_missing_browser_skips_with_a_reason_or_fails(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -472,12 +461,6 @@ def test_a_missing_browser_skips_with_a_reason_or_fails(monkeypatch: pytest.Monk
 
 
 # --- play -----------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def no_films(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The introduction is read already, so that its films need not be there."""
-    monkeypatch.setattr(Study, "check", lambda study: [])
 
 
 _REMEMBERS_SOCKETS = """
@@ -499,13 +482,10 @@ class Beginner(Prepared):
 
     def colours(self) -> int:
         """How many colours the picture has."""
-        return int(
-            self.page.evaluate(
-                """() => { const c = document.querySelector("canvas");
-                const p = new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height)
-                  .data.buffer); return new Set(p).size; }"""
-            )
-        )
+        script = """() => { const c = document.querySelector("canvas");
+            const p = new Uint32Array(c.getContext("2d").getImageData(0, 0, c.width, c.height)
+              .data.buffer); return new Set(p).size; }"""
+        return int(self.page.evaluate(script))
 
 
 class Player(Beginner):
@@ -518,41 +498,49 @@ class Player(Beginner):
             store.answer(who, "practice", 1, {})
 
 
+@pytest.fixture
+def played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Study]:
+    """Make a study of play; its introduction is read already, so that no films need be there."""
+    monkeypatch.setattr(Study, "check", lambda study: [])
+
+    def make(countdown: int, **given: Any) -> Study:
+        monkeypatch.setattr(play, "COUNTDOWN", countdown)
+        return players.make_study(tmp_path / "study", [players.near_goals()], **given)
+
+    return make
+
+
 @needs_browser
 def test_two_windows_play_a_session_that_ends_by_its_goals(
-    tmp_path: Path, browser: Any, no_films: None, monkeypatch: pytest.MonkeyPatch
+    browser: Any, opened: Opened, played: Any
 ) -> None:
-    monkeypatch.setattr(play, "COUNTDOWN", 1)
-    study = players.make_study(
-        tmp_path / "study", [players.near_goals()], steps_per_second=8, limit=200, hold=4
-    )
-    with serving(study) as address:
-        windows = [Player(browser, study, address)]
-        windows[0].says("Looking for another player")
-        windows[0].is_accessible(windows[0].page)
-        windows.append(Player(browser, study, address))
-        for window in windows:
-            window.says("Session 1 of 1")
-            window.says("get the red agent to the blue landmark")
-            assert window.page.locator("button:focus").text_content() == "I am ready"
-            window.is_accessible(window.page)
-        for window in windows:
-            window.page.keyboard.press("Enter")
-        for window in windows:
-            window.says("Time left:")
-            assert window.page.get_by_role("img").get_attribute("aria-label")
-            assert window.page.locator("canvas:focus").count() == 1
-        windows[0].page.keyboard.down("w")
-        windows[1].page.keyboard.down("ArrowUp")
-        for window in windows:
-            assert window.colours() > 5
-        for window in windows:
-            window.says("Both goals are reached!")
-        for window in windows:
-            window.says("Thank you!")
-            code = window.page.locator("#code").text_content()
-            assert code == study.settings.codes["finished"]
-            assert window.faults == []
+    study = played(1, steps_per_second=8, limit=200, hold=4)
+    windows = [opened(study, Player)]
+    windows[0].says("Looking for another player")
+    windows[0].is_accessible()
+    windows.append(Player(browser, study, windows[0].address))
+    for window in windows:
+        window.says("Session 1 of 1")
+        window.says("get the red agent to the blue landmark")
+        assert window.page.locator("button:focus").text_content() == "I am ready"
+        window.is_accessible()
+    for window in windows:
+        window.page.keyboard.press("Enter")
+    for window in windows:
+        window.says("Time left:")
+        assert window.page.get_by_role("img").get_attribute("aria-label")
+        assert window.page.locator("canvas:focus").count() == 1
+    for window, key in zip(windows, ("w", "ArrowUp"), strict=True):
+        window.page.keyboard.down(key)
+    for window in windows:
+        assert window.colours() > 5
+    for window in windows:
+        window.says("Both goals are reached!")
+    for window in windows:
+        window.says("Thank you!")
+        assert window.page.locator("#code").text_content() == study.settings.codes["finished"]
+        assert window.faults == []
+    windows[0].leave()
     with study.store() as store:
         (session,) = store.sessions()
     assert session["outcome"] == "goals"
@@ -560,29 +548,22 @@ def test_two_windows_play_a_session_that_ends_by_its_goals(
 
 
 @needs_browser
-def test_a_window_that_loses_its_connection_finds_back(
-    tmp_path: Path, browser: Any, no_films: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(play, "COUNTDOWN", 0)
-    study = players.make_study(
-        tmp_path / "study", [players.near_goals()], partner="computer", hold=100, limit=100,
-        rejoin_within=30,
-    )  # fmt: skip
-    with serving(study) as address:
-        window = Beginner(browser, study, address)
-        window.says("Please do this")
-        window.page.keyboard.down("w")
-        window.says("1 of 5 done")
-        window.is_accessible(window.page)
-        window.page.keyboard.up("w")
-        window.page.reload()
-        window.says("1 of 5 done")  # the practice goes on where it was
-        window.page.evaluate("() => window.sockets.at(-1).close()")
-        window.says("The connection is lost")
-        window.page.get_by_text("The connection is lost").wait_for(state="detached", timeout=20_000)
-        window.page.keyboard.press("q")
-        window.says("2 of 5 done")
-        other = window.context.new_page()
-        other.goto(address)
-        window.says("goes on in another window")
-        other.get_by_text("2 of 5 done").wait_for(timeout=20_000)
+def test_a_window_that_loses_its_connection_finds_back(opened: Opened, played: Any) -> None:
+    study = played(0, partner="computer", hold=100, limit=100, rejoin_within=30)
+    window = opened(study, Beginner)
+    window.says("Please do this")
+    window.page.keyboard.down("w")
+    window.says("1 of 5 done")
+    window.is_accessible()
+    window.page.keyboard.up("w")
+    window.page.reload()
+    window.says("1 of 5 done")  # the practice goes on where it was
+    window.page.evaluate("() => window.sockets.at(-1).close()")
+    window.says("The connection is lost")
+    window.no_longer_says("The connection is lost")
+    window.page.keyboard.press("q")
+    window.says("2 of 5 done")
+    other = window.context.new_page()
+    other.goto(window.address)
+    window.says("goes on in another window")
+    other.get_by_text("2 of 5 done").wait_for(timeout=20_000)

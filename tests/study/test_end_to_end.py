@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
-from starlette.testclient import TestClient
 
 import phase_ppl as ppl
 from phase_ppl.study import play, simulate
 from phase_ppl.study.study import Study
-from tests.study.players import HOST, both_play, drives, make_study, near_goals
-from tests.study.studies import empty_clips
+from tests.study.players import both_play, drives, make_study, near_goals
+from tests.study.studies import empty_clips, serving
 
 QUICK = ppl.PlannerConfig(particles=6, simulations=8)
 
@@ -30,7 +29,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(play, "COUNTDOWN", 0)
         study = make_study(folder / "study", ahead, trials=2, hold=6, limit=40)
-        with TestClient(study.app(), base_url=HOST) as client:
+        with serving(study) as client:
             both_play(client, drives("forward"))
     study.export(folder / "out")
     return folder / "out" / "sessions.json"

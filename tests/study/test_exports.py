@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
-from starlette.testclient import TestClient
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.experiments import LABELS
@@ -16,18 +16,20 @@ from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import OutputError, UnknownNameError
-from tests.study.studies import HOST, JUDGED, Person, edit, make_study, table
+from tests.study.studies import EVENTS, JUDGED, Person, edit, make_study, serving, table
 
 
-@pytest.fixture(autouse=True)
-def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
+@pytest.fixture(autouse=True, scope="module")
+def _no_hurry() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
+        yield
 
 
 def come(study: Study, *people: dict[str, Any]) -> list[str]:
     """Let people take part, each giving the same answers throughout; return their ids."""
     found = []
-    with TestClient(study.app(), base_url=HOST) as client:
+    with serving(study) as client:
         for given in people:
             person = Person(client)
             found.append(person.state()["participant"])
@@ -38,23 +40,26 @@ def come(study: Study, *people: dict[str, Any]) -> list[str]:
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """Two finished, one excluded, one withdrawn, one failed the quiz, one left, one declined."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
-        study = make_study(tmp_path_factory.mktemp("judged") / "study", tries=1)
-        ids = come(study, JUDGED, {**JUDGED, "relation": "friendly"}, JUDGED, JUDGED)
-        study.exclude(ids[2], "slept, said so")
-        study.withdraw(ids[3])
-        with TestClient(study.app(), base_url=HOST) as client:
-            Person(client).prepare(study, right=False)
-            left = Person(client)
-            left.prepare(study)
-            left.answer("trial-1", JUDGED)
-            Person(client).answer("consent", {"agree": False})
-        return study
+    study = make_study(tmp_path_factory.mktemp("judged") / "study", tries=1)
+    ids = come(study, JUDGED, {**JUDGED, "relation": "friendly"}, JUDGED, JUDGED)
+    study.exclude(ids[2], "slept, said so")
+    study.withdraw(ids[3])
+    with serving(study) as client:
+        Person(client).prepare(study, right=False)
+        left = Person(client)
+        left.prepare(study)
+        left.answer("trial-1", JUDGED)
+        Person(client).answer("consent", {"agree": False})
+    return study
 
 
-def test_judgments_are_read_and_joined_to_the_events(judged: Study, tmp_path: Path) -> None:
-    out = judged.export(tmp_path / "out")
+@pytest.fixture(scope="module")
+def out(judged: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its export."""
+    return judged.export(tmp_path_factory.mktemp("export") / "out")
+
+
+def test_judgments_are_read_and_joined_to_the_events(out: Path) -> None:
     events = ppl.load_events(out / "events.json")
     found = ppl.load_judgments(out / "judgments.csv", events)
     assert len(found.table) == 6
@@ -65,18 +70,18 @@ def test_judgments_are_read_and_joined_to_the_events(judged: Study, tmp_path: Pa
     assert metrics["people"]["by_participant"]["n_participants"] == 2
 
 
-def test_the_readme_counts_everybody(judged: Study, tmp_path: Path) -> None:
-    text = (judged.export(tmp_path / "out") / "README.md").read_text("utf-8")
+def test_the_readme_counts_everybody(judged: Study, out: Path) -> None:
+    text = (out / "README.md").read_text("utf-8")
     for line in ("entered | 7", "consented | 6", "declined | 1", "failed the quiz | 1",
                  "at it now | 1", "finished | 3", "withdrawn | 1", "excluded | 1",
                  "**in the tables** | 2"):  # fmt: skip
         assert f"| {line} |" in text, line
     counts = judged.status().counts
     assert (counts["entered"], counts["finished"], counts["excluded"]) == (7, 3, 1)
-    for file in (tmp_path / "out").iterdir():
+    for file in out.iterdir():
         assert f"### {file.name}" in text or file.name == "README.md"
     for name in ("judgments.csv", "participants.csv", "viewings.csv"):
-        for column in table(tmp_path / "out" / name)[0]:
+        for column in table(out / name)[0]:
             assert f"| `{column}` |" in text
 
 
@@ -90,36 +95,38 @@ def test_who_is_included_can_be_chosen(judged: Study, tmp_path: Path) -> None:
         judged.export(tmp_path / "out", include=("everybody",))
 
 
-def test_participants_are_told_with_their_fate(judged: Study, tmp_path: Path) -> None:
-    out = judged.export(tmp_path / "out")
+def test_participants_are_told_with_their_fate(judged: Study, out: Path) -> None:
     people = table(out / "participants.csv")
-    outcomes = [person["outcome"] for person in people]
-    assert outcomes == ["finished"] * 3 + ["quiz_failed", "at it", "declined"]
-    assert [p["included"] for p in people] == ["true", "true", "false", "false", "false", "false"]
-    assert [p["answers"] for p in people] == ["3", "3", "3", "0", "1", "0"]
-    assert [p["quiz_attempts"] for p in people] == ["1", "1", "1", "1", "1", "0"]
+    told = [[p[name] for p in people] for name in ("outcome", "included", "answers")]
+    assert told == [
+        ["finished"] * 3 + ["quiz_failed", "at it", "declined"],
+        ["true"] * 2 + ["false"] * 4,
+        ["3", "3", "3", "0", "1", "0"],
+    ]
+    assert [p["quiz_attempts"] for p in people] == ["1"] * 5 + ["0"]
     assert people[2]["reason"] == "slept, said so"
     assert people[0]["settings"] == judged.settings.sha256[:12]
     kept = out / f"study-{people[0]['settings']}.toml"
     assert kept.read_text("utf-8") == judged.settings.text
 
 
-def test_age_and_gender_are_totals_unless_asked_for(judged: Study, tmp_path: Path) -> None:
-    out = judged.export(tmp_path / "out")
+def test_age_and_gender_are_totals_unless_asked_for(
+    judged: Study, out: Path, tmp_path: Path
+) -> None:
     assert "age 30.00 ± 0.00, 2 not said" in (out / "README.md").read_text("utf-8")
     assert not (out / "people.csv").exists()
     asked = judged.export(tmp_path / "asked", demographics=True)
     assert [row["age"] for row in table(asked / "people.csv")] == ["30", "30"]
 
 
-def test_an_export_replaces_an_export_and_nothing_else(judged: Study, tmp_path: Path) -> None:
-    first = judged.export(tmp_path / "out")
-    before = (first / "judgments.csv").read_bytes()
-    assert (judged.export(first) / "judgments.csv").read_bytes() == before
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "thesis.tex").touch()
+def test_an_export_replaces_an_export_and_nothing_else(
+    judged: Study, out: Path, tmp_path: Path
+) -> None:
+    before = (out / "judgments.csv").read_bytes()
+    assert (judged.export(out) / "judgments.csv").read_bytes() == before
+    (tmp_path / "thesis.tex").touch()
     with pytest.raises(OutputError, match="other files"):
-        judged.export(tmp_path / "other")
+        judged.export(tmp_path)
 
 
 def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
@@ -136,46 +143,38 @@ def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
     assert len(table(strict / "judgments.csv")) == 2
 
 
-def test_tags_are_read(tmp_path: Path) -> None:
+def test_tags_are_of_the_list_and_are_read(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", "tagging", demographics=False)
     come(study, {"labels": ["helping", "chasing"]}, {"labels": ["helping"]})
     tags = ppl.load_tags(study.export(tmp_path / "out") / "tags.csv")
     assert tags.viewers.to_dict() == dict.fromkeys(study.events, 2)
     assert set(tags.shares["helping"]) == {1.0}
     assert set(tags.shares["chasing"]) == {0.5}
-
-
-def test_labels_are_those_of_the_list_each_once(tmp_path: Path) -> None:
-    study = make_study(tmp_path / "study", "tagging")
-    with TestClient(study.app(), base_url=HOST) as client:
-        orders = set()
+    orders = set()
+    with serving(study) as client:
         for _ in range(4):
             person = Person(client)
             person.prepare(study)
-            pages = person.state()["pages"]
-            options = [[o[0] for o in p["questions"][0]["options"]] for p in pages[:-1]]
-            assert options[0] == options[1], "the same order on all pages of a person"
-            orders.add(tuple(options[0]))
+            asked = [page["questions"][0]["options"] for page in person.state()["pages"]]
+            assert asked[0] == asked[1], "the same order on all pages of a person"
+            orders.add(tuple(label for label, _ in asked[0]))
             for bad in ([], ["helping", "helping"], ["flying"], "helping", [["helping"]]):
                 assert person.answer("trial-1", {"labels": bad}).status_code == 400
-        assert len(orders) > 1
-        assert {frozenset(order) for order in orders} == {frozenset(LABELS)}
+    assert len(orders) > 1
+    assert {frozenset(order) for order in orders} == {frozenset(LABELS)}
 
 
 def test_likeness_has_groups_and_pairs(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", "likeness", demographics=False)
-    ids = [f"{event}-generated" for event in ("collaborate", "compete", "independent")]
-    assert list(study.events)[3:] == ids
-    people = [{**JUDGED, "likeness": rating} for rating in (3, 4, 5, 4)]
-    come(study, *people)
+    assert list(study.events)[3:] == [f"{event}-generated" for event in EVENTS]
+    come(study, *({**JUDGED, "likeness": rating} for rating in (3, 4, 5, 4)))
     out = study.export(tmp_path / "out")
     likeness = ppl.load_likeness(out / "likeness.csv")
     assert likeness.groups == ("played", "generated")
     assert likeness.table["group"].value_counts().to_dict() == {"played": 6, "generated": 6}
     assert len(ppl.load_judgments(out / "judgments.csv").table) == 12
-    pairs = {
-        (r["pair"], r["video"].removesuffix("-generated")) for r in table(out / "likeness.csv")
-    }
+    told = table(out / "likeness.csv")
+    pairs = {(row["pair"], row["video"].removesuffix("-generated")) for row in told}
     assert len(pairs) == 3, "a played event and its counterpart have the same number"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
 import random
@@ -27,9 +26,9 @@ from phase_ppl.study.store import trajectory_sha256
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import PhasePPLError
 from tests.study.players import (
-    HOST,
     Message,
     Player,
+    React,
     both_play,
     drives,
     make_study,
@@ -37,6 +36,7 @@ from tests.study.players import (
     press,
     together,
 )
+from tests.study.studies import serving, table
 
 Made = Callable[..., Study]
 
@@ -50,10 +50,6 @@ def _begin_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def made(tmp_path: Path) -> Made:
     """Make a study of one scene, with settings."""
     return functools.partial(make_study, tmp_path / "study", [near_goals()])
-
-
-def serving(study: Study) -> TestClient:
-    return TestClient(study.app(), base_url=HOST)
 
 
 def recorded(study: Study) -> list[dict[str, Any]]:
@@ -98,7 +94,7 @@ def test_two_people_play_until_both_goals_hold(made: Made) -> None:
         assert {step["keys"] for step in steps[1:]} == {'[["forward"], ["forward"]]'}
 
 
-def scribbles(seed: int) -> Any:
+def scribbles(seed: int) -> React:
     """React as somebody who presses keys at random."""
     rng = random.Random(seed)
 
@@ -130,13 +126,11 @@ def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
     assert event.scene.resets_velocity
     assert event.observation.n_frames == 19
     assert event.truth == dataclasses.replace(scene.truth, relation="neutral")
-    with (tmp_path / "out" / "sessions.csv").open() as file:
-        (row,) = csv.DictReader(file)
+    (row,) = table(tmp_path / "out" / "sessions.csv")
     assert (row["session"], row["scene"], row["outcome"]) == (event.id, "near", "time")
     assert {row["red"], row["green"]} == {player.id for player in players}
     assert (row["steps"], row["resets_velocity"], row["view"]) == ("18", "1", "own")
-    with (tmp_path / "out" / "steps.csv").open() as file:
-        steps = list(csv.DictReader(file))
+    steps = table(tmp_path / "out" / "steps.csv")
     assert [step["red"] for step in steps] == [ACTION_NAMES[s["red"]] for s in session["steps"]]
     readme = (tmp_path / "out" / "README.md").read_text()
     assert "`resets_velocity`" in readme
@@ -303,7 +297,7 @@ def test_players_are_told_of_a_fault(
 # --- practice -------------------------------------------------------------------------------------
 
 
-def practises() -> Any:
+def practises() -> React:
     """React as somebody who does the tasks of practice one after the other."""
     done, since = 0, 0
 

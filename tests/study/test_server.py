@@ -15,7 +15,17 @@ from starlette.testclient import TestClient
 from phase_ppl.study import server, store
 from phase_ppl.study.server import MOST_BODY
 from phase_ppl.study.study import Study
-from tests.study.studies import HOST, JUDGED, Person, change, edit, make_study, quiz
+from tests.study.studies import (
+    HOST,
+    JUDGED,
+    Person,
+    change,
+    edit,
+    make_study,
+    quiz,
+    rows,
+    serving,
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +44,7 @@ def study(made: Study) -> Iterator[Study]:
 
 @pytest.fixture
 def client(study: Study) -> Iterator[TestClient]:
-    with TestClient(study.app(), base_url=HOST) as found:
+    with serving(study) as found:
         yield found
 
 
@@ -52,27 +62,20 @@ def prepared(study: Study, person: Person) -> Person:
 
 
 @pytest.fixture(autouse=True)
-def _no_hurry(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    if "hurry" not in request.fixturenames:
-        monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
-
-
-@pytest.fixture
-def hurry() -> None:
-    """Limits of rates hold."""
-
-
-def rows(study: Study, query: str) -> list[dict[str, Any]]:
-    with study.store() as opened:
-        return opened.rows(query)
+def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
 
 
 def pages(person: Person) -> list[tuple[str, int]]:
     return [(page["page"], page["attempt"]) for page in person.state()["pages"]]
 
 
+def newcomer(client: TestClient) -> Person:
+    return Person(client, enter=False)
+
+
 def test_from_consent_to_the_code(study: Study, client: TestClient) -> None:
-    person = Person(client, enter=False)
+    person = newcomer(client)
     assert person.state() == {"status": "new", "repeats": ""}
     assert person.enter().json() == {"entered": True}
     assert pages(person) == [("consent", 1)]
@@ -96,21 +99,20 @@ def test_from_consent_to_the_code(study: Study, client: TestClient) -> None:
     assert found[-1]["id"] in state["html"]
 
 
-def test_a_wrong_quiz_leads_back_to_the_introduction(study: Study, person: Person) -> None:
+@pytest.mark.parametrize("right", [True, False])
+def test_a_wrong_quiz_leads_back_to_the_introduction_and_the_last_one_ends_it(
+    study: Study, person: Person, right: bool
+) -> None:
     person.prepare(study, right=False)
     assert pages(person) == [("tutorial", 2), ("quiz", 2)]
     tutorial, asked = person.state()["pages"]
     assert "not right" in tutorial["html"]
     assert "answer" not in asked, "the right ones are not told"
     person.answer("tutorial", {"views": []}, 2)
-    person.answer("quiz", quiz(study), 2)
-    assert pages(person)[0] == ("trial-1", 1)
-
-
-def test_the_last_wrong_quiz_ends_it_with_a_code_of_its_own(study: Study, person: Person) -> None:
-    person.prepare(study, right=False)
-    person.answer("tutorial", {"views": []}, 2)
-    person.answer("quiz", quiz(study, right=False), 2)
+    person.answer("quiz", quiz(study, right), 2)
+    if right:
+        assert pages(person)[0] == ("trial-1", 1)
+        return
     state = person.state()
     assert (state["status"], state["outcome"]) == ("over", "quiz_failed")
     assert state["code"] == study.settings.codes["quiz_failed"] != study.settings.codes["finished"]
@@ -131,9 +133,8 @@ def test_repeated_uploads_and_second_tabs_change_nothing(study: Study, prepared:
     again = prepared.answer("trial-1", {**JUDGED, "relation": "friendly"}).json()
     assert again == {"saved": True, "new": False, "next": "trial-2-1"}
     who = prepared.state()["participant"]
-    (kept,) = rows(
-        study, f"SELECT answers FROM response WHERE participant='{who}' AND page='trial-1'"
-    )
+    query = f"SELECT answers FROM response WHERE participant='{who}' AND page='trial-1'"
+    (kept,) = rows(study, query)
     assert "neutral" in kept["answers"]
 
 
@@ -160,26 +161,25 @@ def test_what_a_crash_left_undone_is_done_later(
 def test_a_closed_study_lets_nobody_in_but_who_began_may_finish(
     study: Study, prepared: Person
 ) -> None:
-    with TestClient(change(study, open=False).app(), base_url=HOST) as client:
-        assert Person(client, enter=False).state()["outcome"] == "closed"
-        assert Person(client, enter=False).enter().json()["outcome"] == "closed"
+    with serving(change(study.folder, open=False)) as client:
+        assert newcomer(client).state()["outcome"] == "closed"
+        assert newcomer(client).enter().json()["outcome"] == "closed"
         prepared.client = client
         assert prepared.answer("trial-1", JUDGED).json()["saved"]
 
 
 def test_a_full_study_says_so(study: Study) -> None:
-    with TestClient(change(study, most_entries=1).app(), base_url=HOST) as client:
+    with serving(change(study.folder, most_entries=1)) as client:
         Person(client)
-        found = Person(client, enter=False).enter().json()
+        found = newcomer(client).enter().json()
     assert (found["status"], found["outcome"], found["code"]) == ("over", "full", "")
 
 
 def test_a_platforms_id_lets_in_once(study: Study) -> None:
-    changed = change(study, refuse_repeats="PROLIFIC_PID")
-    with TestClient(changed.app(), base_url=HOST) as client:
-        assert Person(client, enter=False).state()["repeats"] == "PROLIFIC_PID"
+    with serving(change(study.folder, refuse_repeats="PROLIFIC_PID")) as client:
+        assert newcomer(client).state()["repeats"] == "PROLIFIC_PID"
         ids = ("5f0c-secret", "5f0c-secret", "5f0c-other")
-        found = [Person(client, enter=False).enter(person=id).json() for id in ids]
+        found = [newcomer(client).enter(person=id).json() for id in ids]
     assert found[0] == found[2] == {"entered": True}
     assert found[1]["outcome"] == "repeated"
     everything = b"".join(file.read_bytes() for file in study.folder.glob("study.db*"))
@@ -188,8 +188,8 @@ def test_a_platforms_id_lets_in_once(study: Study) -> None:
 
 def test_the_address_to_return_to_holds_the_code(study: Study) -> None:
     url = "https://platform.example/done?cc={code}"
-    changed = change(study, return_url=url, demographics=False)
-    with TestClient(changed.app(), base_url=HOST) as client:
+    changed = change(study.folder, return_url=url, demographics=False)
+    with serving(changed) as client:
         person = Person(client)
         person.finish(changed)
         assert person.state()["return_url"].endswith(f"cc={changed.settings.codes['finished']}")
@@ -216,7 +216,7 @@ def test_other_hosts_are_refused(client: TestClient) -> None:
 
 @pytest.mark.parametrize(("url", "secure"), [("", False), ("https://study.example", True)])
 def test_the_cookie_is_for_this_page_alone(study: Study, url: str, secure: bool) -> None:
-    with TestClient(study.app(url), base_url=HOST) as client:
+    with serving(study, url) as client:
         given = client.post("/api/enter", json={}, headers={"Origin": HOST})
     cookie = given.headers["set-cookie"]
     assert "HttpOnly" in cookie
@@ -231,7 +231,7 @@ def test_the_cookie_is_for_this_page_alone(study: Study, url: str, secure: bool)
 
 def test_a_stranger_gets_nothing(prepared: Person) -> None:
     film = prepared.state()["pages"][0]["video"]
-    stranger = Person(prepared.client, enter=False)
+    stranger = newcomer(prepared.client)
     stranger.cookie = prepared.cookie[:-1] + "x"
     for path in (film, "/video/x.mp4"):
         assert stranger.get(path).status_code == 401
@@ -287,52 +287,32 @@ def test_large_bodies_are_refused_also_where_no_length_is_told(person: Person) -
     assert upload(person, (b"x" * 1000 for _ in range(100))) == 413
 
 
-@pytest.mark.parametrize("body", [b"", b"{", b"[1]", b"\xff", b"nul", b"[" * 5000, b'"text"'])
-def test_what_is_no_json_object_is_refused(person: Person, body: bytes) -> None:
-    assert upload(person, body) == 400
+def test_what_is_no_json_object_is_refused(person: Person) -> None:
+    for body in (b"", b"{", b"[1]", b"\xff", b"nul", b"[" * 5000, b'"text"'):
+        assert upload(person, body) == 400
     assert upload(person, b"{}", "text/plain") == 415
 
 
-def test_other_answers_than_those_asked_for_are_refused(prepared: Person) -> None:
-    for answers in (
-        {},
-        {"relation": "neutral"},
-        {**JUDGED, "more": 1},
-        {**JUDGED, "relation": "hostile"},
-        {**JUDGED, "relation": None},
-        {**JUDGED, "relation": ["neutral"]},
-        {**JUDGED, "goal_red": "get to red agent"},
-        {**JUDGED, "goal_green": "=1+1"},
-    ):
-        assert prepared.answer("trial-1", answers).status_code == 400, answers
-    assert pages(prepared)[0] == ("trial-1", 1)
+def test_other_answers_than_those_asked_for_are_refused(study: Study, person: Person) -> None:
+    def refuses(page: str, *given: dict[str, Any]) -> None:
+        for answers in given:
+            assert person.answer(page, answers).status_code == 400, answers
 
-
-@pytest.mark.parametrize(
-    ("page", "answers"),
-    [
-        ("consent", {"agree": 1}),
-        ("consent", {}),
-        ("device", {"screen": 3}),
-        ("tutorial", {"views": "all"}),
-        ("tutorial", {"views": [1] * 501}),
-        ("quiz", {"question_1": "x"}),
-    ],
-)
-def test_nor_before_the_trials(person: Person, page: str, answers: dict[str, Any]) -> None:
-    if page != "consent":
-        person.answer("consent", {"agree": True})
-    assert person.answer(page, answers).status_code == 400
-
-
-def test_age_and_gender_are_checked(prepared: Person) -> None:
+    refuses("consent", {"agree": 1}, {})
+    person.answer("consent", {"agree": True})
+    refuses("device", {"screen": 3})
+    refuses("tutorial", {"views": "all"}, {"views": [1] * 501})
+    refuses("quiz", {"question_1": "x"})
+    person.prepare(study)
+    refuses("trial-1", {}, {"relation": "neutral"}, {**JUDGED, "more": 1})
+    refuses("trial-1", *({**JUDGED, "relation": bad} for bad in ("hostile", None, ["neutral"])))
+    refuses("trial-1", {**JUDGED, "goal_red": "get to red agent"}, {**JUDGED, "goal_green": "=1+1"})
+    assert pages(person)[0] == ("trial-1", 1)
     for page in ("trial-1", "trial-2"):
-        prepared.answer(page, JUDGED)
-    ages = (17, 121, 0, "30", 30.5, True)
-    for bad in (*((age, "") for age in ages), (40, "robot"), (40, True), (None, ["other"])):
-        given = dict(zip(("age", "gender"), bad, strict=True))
-        assert prepared.answer("person", given).status_code == 400, given
-    assert prepared.answer("person", {"age": 40, "gender": "other"}).json()["saved"]
+        person.answer(page, JUDGED)
+    refuses("person", *({"age": age, "gender": ""} for age in (17, 121, 0, "30", 30.5, True)))
+    refuses("person", *({"age": 40, "gender": gender} for gender in ("robot", True, ["other"])))
+    assert person.answer("person", {"age": 40, "gender": "other"}).json()["saved"]
 
 
 @pytest.mark.parametrize("more", [{"rt_ms": -1}, {"plays": "3"}, {"shown_ms": 1e300},
@@ -347,7 +327,8 @@ def test_an_answer_of_somebody_else_is_refused(person: Person) -> None:
     assert person.answer("consent", {"agree": True}, participant=who).status_code == 409
 
 
-def test_answers_come_five_a_second(person: Person, hurry: None) -> None:
+def test_answers_come_five_a_second(person: Person, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()  # limits of rates hold
     replies = [person.answer("consent", {"agree": True}).status_code for _ in range(8)]
     assert replies[:5] == [200] * 5
     assert 429 in replies
@@ -384,8 +365,7 @@ def test_a_full_disk_is_told_and_loses_nothing(
 
 def test_texts_are_escaped(study: Study) -> None:
     bad = "<script>alert(1)</script> ![x](http://evil.example/x.png) [y](javascript:alert(1))"
-    changed = edit(study, "You are invited", f"{bad} You are invited")
-    with TestClient(changed.app(), base_url=HOST) as client:
+    with serving(edit(study, "You are invited", f"{bad} You are invited")) as client:
         page = Person(client).state()["pages"][0]
     assert "<script" not in page["html"]
     assert "<img" not in page["html"]

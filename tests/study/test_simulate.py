@@ -19,7 +19,6 @@ pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.study import study as study_module
 from phase_ppl.study.simulate import serving, simulate
 from phase_ppl.study.study import Study, counterparts
@@ -29,7 +28,7 @@ from phase_ppl.world.errors import (
     OutputError,
     UnknownNameError,
 )
-from tests.study.studies import make_study, short_events
+from tests.study.studies import make_study, short_events, sure_of
 
 
 @pytest.fixture(scope="module")
@@ -37,19 +36,10 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return make_study(tmp_path_factory.mktemp("made") / "study")
 
 
-@pytest.fixture(scope="module")
-def sure(study: Study) -> dict[str, Prediction]:
-    """What somebody believes who knows the truth."""
-    return {
-        name: Prediction(name, answers={q: getattr(event.truth, q) for q in QUESTIONS})
-        for name, event in study.events.items()
-    }
-
-
 def test_scripted_people_answer_as_the_model_believes(
-    study: Study, sure: dict[str, Prediction], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    study: Study, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "out"
+    out, sure = tmp_path / "out", sure_of(study)
     text = simulate(study, out, 8, predictions=sure, lapse=0, drop_outs=0, progress=False)
     assert "goal_accuracy: 1.00" in text
     events = ppl.load_events(out / "events.json")
@@ -61,11 +51,11 @@ def test_scripted_people_answer_as_the_model_believes(
     assert "who is responsible" in note, "nothing of anybody is in a log"
 
 
-def test_some_lapse_and_some_leave(
-    study: Study, sure: dict[str, Prediction], tmp_path: Path
-) -> None:
+def test_some_lapse_and_some_leave(study: Study, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    simulate(study, out, 12, predictions=sure, lapse=0.4, drop_outs=0.5, seed=1, progress=False)
+    simulate(
+        study, out, 12, predictions=sure_of(study), lapse=0.4, drop_outs=0.5, seed=1, progress=False
+    )
     assert "| finished | 12 |" not in (out / "README.md").read_text("utf-8")
     found = ppl.load_judgments(out / "judgments.csv")
     assert found.table["goal_red"].nunique() > 3

@@ -10,66 +10,45 @@ import numpy as np
 import pytest
 
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
-from starlette.testclient import TestClient
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
+from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.evaluation.tables import true_answers
 from phase_ppl.study import plan
-from phase_ppl.study.clips import clip_names, make_clips
+from phase_ppl.study.clips import clips_of
 from phase_ppl.study.settings import Settings, template
-from phase_ppl.study.simulate import serving, simulate
+from phase_ppl.study.simulate import serving as served
+from phase_ppl.study.simulate import simulate
 from phase_ppl.study.study import Study, counterparts
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import goal_literal, possible_goals
-from phase_ppl.world.hypothesis import Roles
 from tests.browser import needs_browser, running_browser
-from tests.study.studies import HOST, Person, edit, empty_clips, table
+from tests.study.studies import (
+    NURSERY,
+    PHASE,
+    Person,
+    edit,
+    make_study,
+    serving,
+    still_events,
+    sure_of,
+    table,
+)
 from tests.study.test_browser import Prepared
 
-NURSERY = ppl.World(
-    ["red agent", "Anna"], ["ball"], {"cot": (4, 4), "window": (20, 16)}, arena=(0, 24, 0, 20),
-    predicates=[ppl.Predicate("agents near", "red agent", "Anna", within=6),
-                ppl.Predicate("get cosy", "ball", "cot", within=3)],
-    name="nursery",
-)  # fmt: skip
+SOLO, TRIO = ppl.worlds.SOLO, ppl.worlds.TRIO
 EMPTY = ppl.World(["Bo", "Mia"], [], {"home": (4, 4)}, arena=(0, 12, 0, 12), name="empty")
-WORLDS = [ppl.worlds.PHASE, ppl.worlds.SOLO, ppl.worlds.TRIO, NURSERY, EMPTY]
-GOALS = {
-    "solo": {"red agent": "ball to home"},
-    "trio": {"red agent": "get to green agent", "green agent": "blue ball to home",
-             "purple agent": "get to blue ball"},
-    "nursery": {"red agent": "agents near", "Anna": "not get cosy"},
-}  # fmt: skip
 
-every_world = pytest.mark.parametrize("world", WORLDS, ids=lambda world: world.name)
+every_world = pytest.mark.parametrize(
+    "world", [PHASE, SOLO, TRIO, NURSERY, EMPTY], ids=lambda world: world.name
+)
+other_worlds = pytest.mark.parametrize("world", [SOLO, TRIO, NURSERY], ids=lambda world: world.name)
 
 
-def still_events(world: ppl.World, n: int = 2) -> list[ppl.Event]:
-    """Events in which nobody moves, and what the agents would be after."""
-    found = []
-    for seed in range(n):
-        scene = world.random_scene(seed)
-        hinders = {("purple agent", "green agent"): "hinder"} if world is ppl.worlds.TRIO else None
-        roles = Roles.of(world, GOALS[world.name], hinders)
-        track = np.repeat(scene.start[None], 4, axis=0)
-        event = ppl.Event(scene, ppl.Observation(track), id=f"{world.name}-{seed}", truth=roles)
-        found.append(event)
-    return found
-
-
-@pytest.fixture
-def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Make a study of a world, without the films of the introduction."""
-    monkeypatch.setattr("phase_ppl.study.study.make_clips", empty_clips)
+@pytest.fixture(autouse=True)
+def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
-
-    def made(world: ppl.World, kind: str = "judgment") -> Study:
-        events = still_events(world)
-        return Study.new(tmp_path / "study", events, kind, workers=1, progress=False)
-
-    return made
 
 
 # --- what is asked --------------------------------------------------------------------------------
@@ -107,7 +86,7 @@ def test_goals_of_ones_own_are_each_offered_once_too(world: ppl.World) -> None:
 
 
 def test_goals_are_asked_for_in_words() -> None:
-    red, green, purple, *relations = asked(ppl.worlds.TRIO)
+    red, green, purple, *relations = asked(TRIO)
     assert red["legend"] == "What does the red agent want?"
     said = dict(red["options"])
     assert said["Get blue ball to home"] == "get the blue ball to the home"
@@ -125,12 +104,11 @@ def test_goals_are_asked_for_in_words() -> None:
     assert dict(red["options"])["get to Anna"] == "get to Anna"
     assert dict(anna["options"])["not agents near"] == "not agents near"
     assert relation["legend"] == "How do they stand to each other?"
-    names = {"ball": "the ball", "Anna": "Anna", "the wolf": "the wolf"}
-    assert {name: plan.the(name) for name in names} == names
+    assert plan.the("the wolf") == "the wolf"
 
 
 def test_phase_is_asked_as_it_was() -> None:
-    red, _, relation = asked(ppl.worlds.PHASE)
+    red, _, relation = asked(PHASE)
     (only,) = red["tables"]
     assert [name for name, _ in only["columns"]] == ["blue", "green", "red", "yellow"]
     assert [name for name, _, _ in only["rows"]] == [
@@ -146,7 +124,7 @@ def test_phase_is_asked_as_it_was() -> None:
     assert relation["name"] == "relation"
 
 
-@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
+@other_worlds
 def test_answers_are_goals_of_the_world(world: ppl.World) -> None:
     settings = Settings.parse('kind = "judgment"', world)
     right = true_answers(still_events(world, 1)[0])
@@ -162,9 +140,9 @@ def test_answers_are_goals_of_the_world(world: ppl.World) -> None:
 @pytest.mark.parametrize("kind", ["judgment", "tagging"])
 def test_the_template_is_of_the_world(world: ppl.World, kind: str) -> None:
     found = Settings.parse(template(kind, "x", world=world), world)
-    assert {clip for _, clip in found.tutorial} - {""} <= set(clip_names(world))
+    assert {clip for _, clip in found.tutorial} - {""} <= set(clips_of(world))
     everything = " ".join(text for text, _ in found.tutorial)
-    if world is not ppl.worlds.PHASE:
+    if world is not PHASE:
         for name in (*world.entities, *world.landmark_names):
             assert name in everything
         assert "blue" not in found.texts["consent"]
@@ -182,12 +160,12 @@ def test_what_other_worlds_cannot_have_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         InvalidSettingError, match="a study of play knows the world PHASE only, not 'solo'"
     ):
-        Study.new(tmp_path / "study", still_events(ppl.worlds.SOLO), "play")
+        Study.new(tmp_path / "study", still_events(SOLO), "play")
     assert not (tmp_path / "study").exists()
 
 
 def test_events_are_of_one_world(tmp_path: Path) -> None:
-    events = [*still_events(ppl.worlds.SOLO), *still_events(NURSERY)]
+    events = [*still_events(SOLO), *still_events(NURSERY)]
     with pytest.raises(InvalidSettingError, match="of the worlds 'solo', 'nursery', expected"):
         Study.new(tmp_path / "study", events)
 
@@ -205,41 +183,40 @@ def test_events_are_of_one_world(tmp_path: Path) -> None:
 )
 def test_mistakes_are_named_in_the_worlds_words(line: str, message: str) -> None:
     with pytest.raises(PhasePPLError, match=message):
-        Settings.parse(f'kind = "judgment"\n{line}\n', ppl.worlds.TRIO)
+        Settings.parse(f'kind = "judgment"\n{line}\n', TRIO)
 
 
 # --- what comes out -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
-def test_an_export_has_the_worlds_names(make: Any, world: ppl.World, tmp_path: Path) -> None:
-    study = make(world)
-    given = true_answers(still_events(world, 1)[0])
-    with TestClient(study.app(), base_url=HOST) as client:
-        person = Person(client)
-        person.finish(study, given)
-        assert person.get("/clip/carrying.mp4").status_code == 404
-        assert person.get("/clip/sight.mp4").status_code == 200
-    out = study.export(tmp_path / "out")
+@other_worlds
+def test_scripted_people_answer_as_a_model_believes_in_the_worlds_names(
+    world: ppl.World, tmp_path: Path
+) -> None:
+    study, out = make_study(tmp_path / "study", world=world), tmp_path / "out"
+    sure = sure_of(study)
+    text = simulate(study, out, 3, predictions=sure, lapse=0, drop_outs=0, progress=False)
+    assert "goal_accuracy: 1.00" in text
+    assert ("relation_accuracy: 1.00" in text) == (len(world.agents) > 1)
     rows = table(out / "judgments.csv")
     columns = ["participant", "video", *questions_of(world), "response_time"]
-    assert [list(row) for row in rows] == [columns, columns]
+    assert [list(row) for row in rows] == [columns] * 6
     for row in rows:
-        assert {question: row[question] for question in questions_of(world)} == given
+        assert {q: row[q] for q in questions_of(world)} == dict(sure[row["video"]].answers)
     assert {row["video"] for row in rows} == set(study.events)
     text = (out / "README.md").read_text("utf-8")
     assert all(f"| `{column}` |" in text for column in columns)
     assert f"one of the {len(world.goals)} goals" in text
-    (event, _) = ppl.load_events(out / "events.json")
-    assert event.scene.world == world
-    assert true_answers(event) == given
+    for event in ppl.load_events(out / "events.json"):
+        assert event.scene.world == world
+        assert true_answers(event) == true_answers(study.events[event.id])
 
 
-@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
+@other_worlds
 def test_likeness_is_asked_of_events_and_of_what_the_planner_makes_of_their_goals(
-    make: Any, world: ppl.World, tmp_path: Path
+    world: ppl.World, tmp_path: Path
 ) -> None:
-    study = make(world, "likeness")
+    study = make_study(tmp_path / "study", "likeness", world)
     played, made = list(study.events.values())[:2], list(study.events.values())[2:]
     for one, other in zip(played, made, strict=True):
         assert other.id == f"{one.id}-generated"
@@ -251,84 +228,43 @@ def test_likeness_is_asked_of_events_and_of_what_the_planner_makes_of_their_goal
         counterparts(played[:1], elsewhere)
     *_, last = plan.questions(study.settings, "trial-1")
     assert ("a person" in last["legend"]) is (len(world.agents) == 1)
-    sure = {
-        name: Prediction(name, answers=true_answers(event), world=world)
-        for name, event in study.events.items()
-    }
     given: dict[str, Any] = {"lapse": 0, "drop_outs": 0, "progress": False}
-    simulate(study, tmp_path / "out", 4, predictions=sure, **given)
+    simulate(study, tmp_path / "out", 4, predictions=sure_of(study), **given)
     found = ppl.load_likeness(tmp_path / "out" / "likeness.csv")
     assert found.table["group"].value_counts().to_dict() == {"played": 4, "generated": 4}
 
 
 @pytest.mark.parametrize("accepted", ["friendly", "adversarial"])
-def test_checks_are_of_questions_of_the_world(make: Any, accepted: str, tmp_path: Path) -> None:
+def test_checks_are_of_questions_of_the_world(accepted: str, tmp_path: Path) -> None:
     check = f'[checks]\ntrio-1 = {{ relation_green_purple = ["{accepted}"] }}'
-    study = edit(make(ppl.worlds.TRIO), "[checks]", check)
-    given = true_answers(still_events(ppl.worlds.TRIO, 1)[0])
+    study = edit(make_study(tmp_path / "study", world=TRIO), "[checks]", check)
+    given = true_answers(still_events(TRIO, 1)[0])
     assert given["relation_green_purple"] == "adversarial"
-    with TestClient(study.app(), base_url=HOST) as client:
-        Person(client).finish(study, given)
-    (person,) = table(study.export(tmp_path / "out") / "participants.csv")
-    assert person["checks_missed"] == str(int(accepted == "friendly"))
+    with serving(study) as client:
+        person = Person(client)
+        person.finish(study, given)
+        films = [person.get(f"/clip/{name}.mp4").status_code for name in ("carrying", "sight")]
+    assert films == [404, 200], "of this world there are fewer"
+    (told,) = table(study.export(tmp_path / "out") / "participants.csv")
+    assert told["checks_missed"] == str(int(accepted == "friendly"))
     assert [row["video"] for row in table(tmp_path / "out" / "judgments.csv")] == ["trio-0"]
 
 
-@pytest.mark.parametrize("world", WORLDS[1:4], ids=lambda world: world.name)
-def test_scripted_people_answer_as_a_model_believes(
-    make: Any, world: ppl.World, tmp_path: Path
-) -> None:
-    study = make(world)
-    sure = {
-        name: Prediction(name, answers=true_answers(event), world=world)
-        for name, event in study.events.items()
-    }
-    out = tmp_path / "out"
-    text = simulate(study, out, 3, predictions=sure, lapse=0, drop_outs=0, progress=False)
-    assert "goal_accuracy: 1.00" in text
-    assert ("relation_accuracy: 1.00" in text) == (len(world.agents) > 1)
-    rows = table(out / "judgments.csv")
-    assert len(rows) == 6
-    for row in rows:
-        assert {q: row[q] for q in questions_of(world)} == dict(sure[row["video"]].answers)
-
-
-def test_scripted_people_tag_events_of_any_world(make: Any, tmp_path: Path) -> None:
-    study = make(ppl.worlds.TRIO, "tagging")
+def test_scripted_people_tag_events_of_any_world(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", "tagging", TRIO)
     simulate(study, tmp_path / "out", 3, model="last_frame", drop_outs=0, progress=False)
     assert set(ppl.load_tags(tmp_path / "out" / "tags.csv").viewers) == {3}
 
 
-# --- films and pages ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("world", WORLDS[1:], ids=lambda world: world.name)
-def test_the_introductions_films_show_its_agents_move(
-    world: ppl.World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown = {}
-
-    def film(observed: ppl.Observation, path: Path, scene: ppl.Scene, **given: Any) -> None:
-        shown[path.name] = given
-        assert scene.world == world
-        track = observed.trajectory[:, : len(world.agents), :2]
-        assert (np.linalg.norm(np.diff(track, axis=0), axis=-1).sum(axis=0) > 1).all()
-
-    monkeypatch.setattr("phase_ppl.study.clips.render.video", film)
-    make_clips(tmp_path, world)
-    assert shown == {
-        "moving.mp4": {"fields_of_view": False}, "sight.mp4": {"fields_of_view": True}
-    }  # fmt: skip
-
-
 @needs_browser
 def test_a_browser_goes_through_a_study_of_three_agents(tmp_path: Path) -> None:
-    world, file, folder = ppl.worlds.TRIO, tmp_path / "trio.json", tmp_path / "study"
-    ppl.save_events(still_events(world), file)
+    file, folder = tmp_path / "trio.json", tmp_path / "study"
+    ppl.save_events(still_events(TRIO), file)
     assert main(["study", "new", str(folder), str(file), "--workers", "1", "--quiet"]) == 0
     study = Study(folder)
-    given: dict[str, dict[str, str]] = {}
-    with running_browser() as browser, serving(study) as address:
+    questions = plan.questions(study.settings, "trial-1")
+    given: list[dict[str, str]] = []
+    with running_browser() as browser, served(study) as address:
         window = Prepared(browser, study, address)
         for number in (1, 2):
             window.sees(f"Animation {number} of 2")
@@ -337,19 +273,17 @@ def test_a_browser_goes_through_a_study_of_three_agents(tmp_path: Path) -> None:
             window.says("6 questions are still open.")
             window.page.evaluate("window.scrollTo(0, 400)")
             assert window.page.locator("video").bounding_box()["y"] >= 0, "the film stays in view"
-            answers = given[f"trial-{number}"] = {}
-            questions = plan.questions(study.settings, "trial-1")
+            given.append({})
             for place, question in enumerate(questions):
-                value, words = question["options"][
-                    (17 * number + 5 * place) % len(question["options"])
-                ]
+                options = question["options"]
+                value, words = options[(17 * number + 5 * place) % len(options)]
                 group = window.page.get_by_role("group", name=question["legend"])
                 group.get_by_label(words, exact=True).check()
-                answers[question["name"]] = value
+                given[-1][question["name"]] = value
             window.press("Next")
         window.sees("About you")
         window.press("Next")
         window.sees(study.settings.title)
         assert window.faults == []
     rows = table(study.export(tmp_path / "out") / "judgments.csv")
-    assert [{q: row[q] for q in questions_of(world)} for row in rows] == list(given.values())
+    assert [{q: row[q] for q in questions_of(TRIO)} for row in rows] == given
