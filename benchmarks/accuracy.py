@@ -15,7 +15,6 @@ Weightings other than "count" use rejected proposals too.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -101,38 +100,30 @@ def report(rows: list[dict[str, Any]], weights: str) -> dict[str, Any]:
                 "cause": row["causes"].get(weights),
             }
         )
-    figures: dict[str, Any] = {}
-    for scenario in (*common.SCENARIOS, "all"):
-        group = [row for row in measured if scenario in (row["scenario"], "all")]
-        if group:
-            figures[scenario] = {
-                **{m: common.interval([row[m] for row in group]) for m in MEASURES},
-                "n": len(group),
-                "misses": {name: sum(row["cause"] == name for row in group) for name in CAUSES},
-            }
-    return figures
+    return {
+        scenario: {
+            **{m: common.interval([row[m] for row in group]) for m in MEASURES},
+            "n": len(group),
+            "misses": {name: sum(row["cause"] == name for row in group) for name in CAUSES},
+        }
+        for scenario, group in common.by_scenario(measured)
+    }
 
 
 def print_figures(weights: str, figures: dict[str, Any]) -> None:
     print(f"  weights {weights}")
     for name, group in figures.items():
-        shown = "  ".join(
-            f"{m} {group[m]['value']:.2f} [{group[m]['ci_low']:.2f}, {group[m]['ci_high']:.2f}]"
-            for m in ("goals", "relation", "log_score", "tried_at_first", "tried")
-        )
+        measures = ("goals", "relation", "log_score", "tried_at_first", "tried")
+        shown = "  ".join(f"{name} {common.shown(group[name])}" for name in measures)
         misses = "  ".join(f"{name} {count}" for name, count in group["misses"].items())
         print(f"    {name:14}{group['n']:3}  {shown}  missed: {misses}")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__, "half", "json")
     parser.add_argument("folders", nargs="+", metavar="FOLDER", type=Path)
-    parser.add_argument("--half", choices=common.HALVES, default="all")
     parser.add_argument("--judging-seeds", type=int, default=8, help="per hypothesis, for misses")
     parser.add_argument("--keep", metavar="FILE", type=Path, help="what was judged, to go on from")
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     asked = {event.id for event in common.dev_events(options.half)}
     found: dict[Path, list[dict[str, Any]]] = {}
@@ -149,7 +140,6 @@ def main() -> None:
             answers = read(results, event) if event.id in asked else None
             if answers is None:
                 continue
-            assert event.truth is not None
             truth = true_pair(event)
             row: dict[str, Any] = {"id": event.id, "scenario": event.truth.scenario, "truth": truth}
             row |= answers

@@ -30,11 +30,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import common
 import h5py
 import numpy as np
-from common import write
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # toys and hostile files are the tests'
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
@@ -325,14 +323,13 @@ def worked(name: str, folder: str) -> tuple[int, str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--inputs", type=int, default=200)
     parser.add_argument("--kills", type=int, default=8)
     parser.add_argument("--only", nargs="+", choices=KINDS, default=list(KINDS), metavar="KIND")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--serve", nargs=2, metavar="X", help=argparse.SUPPRESS)
     parser.add_argument("--work", nargs=2, metavar="X", help=argparse.SUPPRESS)
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     if options.work:
         print(json.dumps(plain(work(options.work[0], Path(options.work[1])))))
@@ -354,7 +351,8 @@ def main() -> None:
         print(f"{kind:<10}{n:>6}  {outcome}")
     for one in bad:
         print(*one)
-    write({"counts": {" ".join(key): n for key, n in counts.items()}, "bad": bad}, options.json)
+    report = {"counts": {" ".join(key): n for key, n in counts.items()}, "bad": bad}
+    common.write(report, options.json)
     sys.exit(bool(bad))
 
 

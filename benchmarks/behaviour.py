@@ -6,7 +6,6 @@ reach the goals of the real videos from where those start?
 
 from __future__ import annotations
 
-import argparse
 from typing import Any, NamedTuple
 
 import common
@@ -17,7 +16,6 @@ from behaviours.episode import record
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import Hypothesis
 
 BEHAVIOURS = {b.name: b for b in (*together.BEHAVIOURS, *against.BEHAVIOURS, *searching.BEHAVIOURS)}
 REAL = "goal_reached_rate"
@@ -45,17 +43,7 @@ def attempt(task: Try) -> bool:
 
 def reaches_goals(event: Event, planner: PlannerConfig, seed: int) -> bool:
     """Return whether all positive goals of a real video are reached from its start."""
-    truth = event.truth
-    assert truth is not None
-    assert truth.strength_red is not None
-    assert truth.strength_green is not None
-    hypothesis = Hypothesis(
-        truth.goal_red,  # type: ignore[arg-type]
-        truth.goal_green,  # type: ignore[arg-type]
-        strength_red=truth.strength_red,
-        strength_green=truth.strength_green,
-    )
-    episode = record(event.scene, hypothesis, planner, seed, STEPS)
+    episode = record(event.scene, common.true_hypothesis(event), planner, seed, STEPS)
     return all(bool(episode.reached(goal).any()) for goal in episode.goals() if goal.positive)
 
 
@@ -65,18 +53,12 @@ def real_events() -> list[Event]:
         print(f"no {REAL}: {common.FOLDER / 'dev.json'} is missing")
         return []
     chosen = ("collaborative", "independent")
-    return [e for e in common.dev_events() if e.truth is not None and e.truth.scenario in chosen]
+    return [event for event in common.dev_events() if event.truth.scenario in chosen]
 
 
 def rate(successes: list[bool]) -> dict[str, Any]:
-    figures = common.interval([float(s) for s in successes])
-    return {
-        "rate": figures["value"],
-        "n": len(successes),
-        "ci_low": figures["ci_low"],
-        "ci_high": figures["ci_high"],
-        "successes": successes,
-    }
+    figures: dict[str, Any] = common.interval(successes)
+    return {"rate": figures.pop("value"), "n": len(successes), **figures, "successes": successes}
 
 
 def report(results: list[tuple[Try, bool]]) -> dict[str, Any]:
@@ -95,7 +77,6 @@ def report(results: list[tuple[Try, bool]]) -> dict[str, Any]:
         if task.event is None:
             by_name.setdefault(task.name, []).append(success)
             continue
-        assert task.event.truth is not None
         for name in (REAL, f"{REAL}_{task.event.truth.scenario}"):
             by_name.setdefault(name, []).append(success)
         if not success:
@@ -107,11 +88,8 @@ def report(results: list[tuple[Try, bool]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__, "json")
     common.add_planner(parser)
-    parser.add_argument("--json", metavar="FILE", help="write the rates as JSON")
     parser.add_argument("--seeds", type=int, default=20, help="tries of each behaviour")
     parser.add_argument(
         "--only", nargs="+", choices=[*BEHAVIOURS, REAL], metavar="NAME", help="these only"

@@ -18,16 +18,11 @@ as ``compare`` ranks them.
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 import pandas as pd
-from common import write
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the small world is the tests'
 
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import RUN_COLUMNS, Comparison, distances
@@ -44,17 +39,16 @@ REPEATS, DRAWS = 8, 500
 
 def main() -> None:
     names = ppl.available_kernels()
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="KERNEL")
     parser.add_argument("--unit", choices=("simulations", "frames"), default="simulations")
     parser.add_argument("--budget", type=int, metavar="N", help="default 1500, or 15000 frames")
     parser.add_argument("--chains", type=int, default=16, metavar="M")
-    parser.add_argument("--json", metavar="FILE")
     parser.add_argument("--reference", action="store_true", help="judge the reference instead")
     parser.add_argument("--trials", type=int, default=100, metavar="N", help="default 100")
     options = parser.parse_args()
     if options.reference:
-        write({"reference": judge_references(options.trials)}, options.json)
+        common.write({"reference": judge_references(options.trials)}, options.json)
         return
     n = options.budget or {"simulations": 1500, "frames": 15_000}[options.unit]
     report: dict[str, Any] = {"unit": options.unit, "budget": n, "kernels": {}}
@@ -72,7 +66,7 @@ def main() -> None:
             f"{each:13.1f}",
             flush=True,
         )
-    write(report, options.json)
+    common.write(report, options.json)
 
 
 def spent(name: str, budget: Any, chains: int) -> dict[str, Any]:

@@ -12,20 +12,16 @@ of the tests, a fast one that walks to its goals.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import itertools
-import sys
 from pathlib import Path
 from typing import Any
 
+import common
 import jax
 import numpy as np
-from common import parallel, write
 from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the simulator is the tests'
 
 import phase_ppl as ppl
 from phase_ppl.inference.registry import kernel_info
@@ -49,17 +45,16 @@ BINS = 8
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--kernel", default="local_mh", choices=ranked_kernels())
     parser.add_argument("--rule", help="of local_mh: exact or paper")
     parser.add_argument("--events", type=int, default=200)
     parser.add_argument("--iterations", type=int, default=200)
-    parser.add_argument("--json", metavar="FILE")
     parser.add_argument("--figure", metavar="FILE")
     options = parser.parse_args()
     rule = {} if options.rule is None else {"rule": options.rule}
     tasks = [(seed, options.kernel, options.iterations, rule) for seed in range(options.events)]
-    by_seed = {task[0]: ranks for task, ranks in parallel(ranked, tasks, "events")}
+    by_seed = {task[0]: ranks for task, ranks in common.parallel(ranked, tasks, "events")}
     ranks = np.array([by_seed[seed] for seed in sorted(by_seed)])
     report: dict[str, Any] = {
         "kernel": options.kernel,
@@ -73,7 +68,7 @@ def main() -> None:
     print(f"{'':16}{'mean rank (0.5 if even)':>25}{'p of an even spread':>22}")
     for name in NAMES:
         print(f"{name:16}{report['mean_rank'][name]:25.3f}{report['p_even'][name]:22.3f}")
-    write(report, options.json)
+    common.write(report, options.json)
     if options.figure:
         draw_figure(ranks, options.figure)
 

@@ -7,7 +7,7 @@ import dataclasses
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,11 +20,38 @@ from tqdm import tqdm
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import Hypothesis
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # small worlds and slow searches are the tests'
 
 Task = TypeVar("Task")
+Row = TypeVar("Row", bound=Mapping[str, Any])
 FOLDER = Path(os.environ.get("PHASE_TEST") or Path(__file__).parents[2] / "shared" / "phase-test")
 SCENARIOS = ("collaborative", "independent", "opposing", "competing")
 HALVES = ("first", "second", "all")
+
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "half": {"choices": HALVES, "default": "all", "help": "of the real videos"},
+    "limit": {"type": int, "help": "a stratified subset of about so many videos"},
+    "workers": {"type": int, "help": "processes; default one per core"},
+    "json": {"metavar": "FILE", "help": "write the figures as JSON"},
+}
+
+
+def parser(doc: str | None, *options: str) -> argparse.ArgumentParser:
+    """Return the parser of a script's arguments, with some of the options that many have."""
+    made = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add(made, *options)
+    return made
+
+
+def add(parser: argparse.ArgumentParser, *options: str) -> None:
+    """Add some of the options "half", "limit", "workers" and "json"."""
+    for name in options:
+        parser.add_argument(f"--{name}", **_OPTIONS[name])
 
 
 def need(file: str) -> Path:
@@ -45,7 +72,7 @@ def dev_events(half: str = "all", limit: int | None = None) -> list[Event]:
     chosen: list[Event] = []
     events = sorted(ppl.load_events(need("dev.json")), key=lambda event: event.id)
     for scenario in SCENARIOS:
-        group = [event for event in events if event.truth and event.truth.scenario == scenario]
+        group = [event for event in events if event.truth.scenario == scenario]
         if half != "all":
             group = group[HALVES.index(half) :: 2]
         if limit is not None:
@@ -55,6 +82,21 @@ def dev_events(half: str = "all", limit: int | None = None) -> list[Event]:
             ]
         chosen += group
     return sorted(chosen, key=lambda event: -event.observation.n_frames)
+
+
+def true_hypothesis(event: Event) -> Hypothesis:
+    """Return the effective goals and the strengths of an event."""
+    told = event.truth
+    strengths = told.strength_red, told.strength_green
+    return Hypothesis(told.goal_red, told.goal_green, (0, 0), *strengths)
+
+
+def by_scenario(rows: Iterable[Row]) -> Iterator[tuple[str, list[Row]]]:
+    """Yield each scenario, and "all", with the rows of it, of those that have any."""
+    given = list(rows)
+    for scenario in (*SCENARIOS, "all"):
+        if group := [row for row in given if scenario in (row["scenario"], "all")]:
+            yield scenario, group
 
 
 def replays() -> list[dict[str, Any]]:
@@ -155,6 +197,11 @@ def interval(
     low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
     value = float(statistic(sample[None], axis=1)[0])
     return {"value": value, "ci_low": float(low), "ci_high": float(high)}
+
+
+def shown(figure: Mapping[str, float], form: str = ".2f", ends: str = ".2f") -> str:
+    """Return a figure of :func:`interval` in words."""
+    return f"{figure['value']:{form}} [{figure['ci_low']:{ends}}, {figure['ci_high']:{ends}}]"
 
 
 def write(report: dict[str, Any], file: str | None) -> None:

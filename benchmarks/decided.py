@@ -12,13 +12,12 @@ bootstrapped over events.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
-from common import dev_events, interval, write
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.tables import true_answers
@@ -66,18 +65,15 @@ def report(found: Sequence[dict[str, list[tuple[bool, bool]]]], kind: str) -> di
 def shared(of_events: Sequence[Any]) -> dict[str, float] | None:
     """Return the mean over events of a share, with its interval; None where there is none."""
     shares = [float(own.mean()) for own in of_events if len(own)]
-    return interval(shares) if shares else None
+    return common.interval(shares) if shares else None
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__, "json")
     parser.add_argument("folders", nargs="+", metavar="FOLDER", type=Path)
     parser.add_argument("--events", metavar="FILE", help="with their truth, not the real videos")
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
-    events = ppl.load_events(options.events) if options.events else dev_events()
+    events = ppl.load_events(options.events) if options.events else common.dev_events()
     figures = {}
     for folder in options.folders:
         found = answers(folder, events)
@@ -87,8 +83,7 @@ def main() -> None:
         print(f"{folder}: {len(found)} events")
         for kind, row in figures[str(folder)].items():
             shares = "  ".join(
-                f"{name} {row[name]['value']:.2f} [{row[name]['ci_low']:.2f}, "
-                f"{row[name]['ci_high']:.2f}]"
+                f"{name} {common.shown(row[name])}"
                 for name in ("right", "decided_right", "right_decided")
                 if row[name]
             )
@@ -96,7 +91,7 @@ def main() -> None:
                 f"  {kind:9}{row['answers']:4} answers, {row['decided']:3} decided, of these "
                 f"{row['decided_wrong']} wrong  {shares}"
             )
-    write(figures, options.json)
+    common.write(figures, options.json)
 
 
 if __name__ == "__main__":

@@ -12,21 +12,15 @@ answer (aim: 0.95), and the log score of the goals in the posterior itself.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import itertools
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
 import xarray as xr
-from common import write
-
-from phase_ppl.world.arrays import FloatArray
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # its event is the tests'
 
 import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
@@ -34,6 +28,7 @@ from phase_ppl.inference.draws import burn_in
 from phase_ppl.inference.proposals.tables import bottom_up_tables
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.priors import uniform
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.scene import Scene
@@ -175,14 +170,13 @@ def measured(tree: xr.DataTree, world: str, draws: int, weights: str) -> dict[st
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--only", nargs="+", default=KERNELS, metavar="KERNEL")
     parser.add_argument("--world", nargs="+", default=list(WORLDS), choices=list(WORLDS))
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS)
     parser.add_argument("--weights", nargs="+", default=["count", "stratified"])
     parser.add_argument("--keep", metavar="DIR")
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     report: dict[str, Any] = {}
     head = f"{'world':7}{'kernel':16}{'L':>4} {'weights':11}"
@@ -215,7 +209,7 @@ def main() -> None:
                 f"{row['strength_covered']:9.2f}{row['log_score']:12.2f}",
                 flush=True,
             )
-    write(report, options.json)
+    common.write(report, options.json)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,14 @@ interrupted goes on.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import tempfile
 from pathlib import Path
 from typing import Any
 
+import common
 import imageio_ffmpeg
 import numpy as np
-from common import dev_events, interval, resumed, write
 from numpy.typing import NDArray
 
 import phase_ppl as ppl
@@ -109,11 +108,9 @@ def say_closed_loop(rows: list[dict[str, Any]]) -> dict[str, Any]:
                 np.array([[row[name][which][what] for name in names] for row in rows]).mean(1)
                 for which in ("read", "true")
             )
-            found = {"read": interval(read), "true": interval(true), "by": interval(read - true)}
-            table[f"{title} {what}"] = found
-            said = (
-                f"{x['value']:8.3f} [{x['ci_low']:.3f}, {x['ci_high']:.3f}]" for x in found.values()
-            )
+            of = {"read": read, "true": true, "by": read - true}
+            found = table[f"{title} {what}"] = {k: common.interval(x) for k, x in of.items()}
+            said = (common.shown(x, "8.3f", ".3f") for x in found.values())
             print(f"{title + ' ' + what:16}" + "".join(said))
     most = [max(row[name]["change"] for name in ASKED[:2]) for row in rows]
     table["change"] = np.quantile(most, [0.25, 0.5, 0.75, 1.0]).tolist()
@@ -122,20 +119,18 @@ def say_closed_loop(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = common.parser(__doc__, "workers", "json")
     parser.add_argument("--layout", action="store_true", help="nothing is known of the scene")
     parser.add_argument("--limit", type=int, help="so many videos, the shortest")
     parser.add_argument("--width", type=int, help="of the film, pixels")
     parser.add_argument("--crf", type=int, help="H.264's constant rate factor, 18 as made")
     parser.add_argument("--closed-loop", action="store_true", help="with the closed loop's answers")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="results of single videos")
-    parser.add_argument("--workers", type=int)
-    parser.add_argument("--json")
     options = parser.parse_args()
-    events = dev_events()[::-1][: options.limit]
+    events = common.dev_events()[::-1][: options.limit]
     settings = {name: getattr(options, name) for name in ("layout", "width", "crf", "closed_loop")}
     tasks = [(event, settings) for event in events]
-    found = resumed(
+    found = common.resumed(
         film_and_read,
         tasks,
         lambda task: task[0].id,
@@ -175,7 +170,7 @@ def main() -> None:
         report["closed_loop"] = say_closed_loop(each)
         for event, row in zip(read, each, strict=True):
             report["videos"][event.id]["closed_loop"] = row
-    write(report, options.json)
+    common.write(report, options.json)
 
 
 if __name__ == "__main__":

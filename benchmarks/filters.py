@@ -8,7 +8,6 @@ go through the same thresholds: what would a laxer or a stricter one let in?
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -22,8 +21,7 @@ from phase_ppl.dataset.generation.copies import Recording
 from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, measures, reason_against
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS, goal_literal
-from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Predicate
 
 ACTIONS: Final = {action.name.lower().replace("_", ""): int(action) for action in Action}
@@ -76,11 +74,10 @@ RULES: Final = (
 def real_case(event: Event, actions: Sequence[Sequence[str]]) -> Case:
     """Return what our filters see in a real video."""
     truth, n = event.truth, event.observation.n_frames
-    assert truth is not None
     known = np.full((n, len(AGENTS)), NO_ACTION, np.int64)
     numbers = [[ACTIONS[name] for name in pair] for pair in actions[: n - 1]]
     known[1 : 1 + len(numbers)] = numbers
-    hypothesis = Hypothesis(GOALS.index(truth.goal_red), GOALS.index(truth.goal_green))
+    hypothesis = common.true_hypothesis(event)
     held = np.full((n, len(AGENTS)), NOTHING, np.int64)  # of no use to the filters
     track = event.observation.trajectory
     found = measures(Recording(event.scene, hypothesis, 0, track, known, held))
@@ -107,10 +104,8 @@ def generated_cases(folder: str) -> list[Case]:
 
 
 def generated_case(event: Event, found: dict[str, Any], reason: str | None) -> Case:
-    truth = event.truth
-    assert truth is not None
-    goals = GOALS.index(truth.goal_red), GOALS.index(truth.goal_green)
-    return Case(truth.scenario, goals, found, reason)
+    goals = common.true_hypothesis(event).effective_goals
+    return Case(event.truth.scenario, goals, found, reason)
 
 
 def share(cases: Sequence[Case], passes: Callable[[Case], bool]) -> dict[str, float | int | None]:
@@ -123,11 +118,8 @@ def shown(found: dict[str, float | int | None]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--generated", metavar="DIR", help="a set made with --keep-rejected")
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     actions = {video["id"]: video["actions"] for video in common.replays()}
     groups = {

@@ -10,7 +10,6 @@ and the report FOLDER/goal_weights.json.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import os
@@ -18,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import common
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -237,9 +237,7 @@ def learned(loss: Callable[..., jax.Array], data: Examples, batch: int = 64) -> 
 
 def main(arguments: list[str] | None = None) -> dict[str, Any]:
     """Draw events, learn, write the weights and a report, and return the report."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--draws", type=int, default=1200, help="events drawn, before the filter")
     parser.add_argument("--seed", type=int, default=0)

@@ -11,16 +11,15 @@ them it ends with the reason.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import common
 import numba
 import numpy as np
-from common import write
 from speed.scenes import STRENGTHS, crowded
 
 import phase_ppl as ppl
@@ -179,12 +178,9 @@ def measure(scene: Scene, kernel: Any, counts: Sequence[int], steps: int) -> dic
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--worlds", type=int, nargs="+", default=[1_024, 16_384, 131_072])
     parser.add_argument("--steps", type=int, default=20)
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     if not cuda.is_available():
         sys.exit("skipped: numba-cuda finds no GPU with a driver that it can use")
@@ -208,7 +204,7 @@ def main() -> None:
                 f" {CLOSE:g} in {f['close']:.4f}, holds in {f['same_holds']:.4f};"
                 f" apart {f['median']:.1e} in the median, {f['largest']:.1e} at most"
             )
-    write(report, options.json)
+    common.write(report, options.json)
 
 
 if __name__ == "__main__":

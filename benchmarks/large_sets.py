@@ -12,7 +12,6 @@ have the same bytes as what one process makes, but for seconds; exits with 1 if 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -24,8 +23,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
+import common
 import numpy as np
-from common import write
 
 import phase_ppl as ppl
 from phase_ppl.dataset.generation import making
@@ -40,14 +39,13 @@ WORK: Final = {"make": "parts", "evaluate": "events"}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--events", type=int, nargs="+", default=[100, 500, 2000])
     parser.add_argument("--frames", type=int, default=101)
     parser.add_argument("--killed", action="store_true")
     parser.add_argument("--step", choices=(*STEPS, *WORK), help="only this one, in --set")
     parser.add_argument("--shard", metavar="I/N")
     parser.add_argument("--set", metavar="DIR", type=Path)
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     if options.step in WORK:
         work(options.step, options.set, options.events[0], options.frames, options.shard)
@@ -62,7 +60,7 @@ def main() -> None:
     for row in rows:
         peaks = "".join(f"{row[step]:11.0f} MB" for step in STEPS)
         print(f"{row['events']:7.0f}{peaks}{row['seconds']:10.0f}{row['disk']:7.0f} MB")
-    write({"sets": rows}, options.json)
+    common.write({"sets": rows}, options.json)
 
 
 def measured(n: int, frames: int) -> dict[str, float]:

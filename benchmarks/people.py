@@ -123,7 +123,7 @@ def fit(options: argparse.Namespace) -> dict[str, Any]:
 
 def show(name: str, observer: str, found: Mapping[str, Any]) -> None:
     cells = [
-        f"{part} {one['value']:6.3f} [{one['ci_low']:.2f}, {one['ci_high']:.2f}]"
+        f"{part} {common.shown(one, '6.3f')}"
         for part in ("r", "r_given_truth", "log_score", "relation_accuracy")
         if (one := found[part])
     ]
@@ -393,9 +393,7 @@ def _elpd_without(fit: PeopleFit) -> FloatArray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = common.parser(__doc__, "json")
     parser.add_argument("what", choices=("fit", "store", "recover"))
     parser.add_argument("--source", action="append", default=[], metavar="NAME[=DIR]")
     parser.add_argument("--observer", action="append", choices=sorted(OBSERVERS))
@@ -407,7 +405,6 @@ def main() -> None:
     parser.add_argument("--chains", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", metavar="FILE")
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     options.observer = options.observer or list(RIVALS)
     {"fit": fit, "store": store, "recover": recover}[options.what](options)

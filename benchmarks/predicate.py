@@ -10,7 +10,6 @@ the second.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import itertools
 import time
@@ -101,13 +100,8 @@ def line(setting: Setting, found: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__, "limit", "workers", "json")
     parser.add_argument("--prior", default="uniform", help="over pairs of goals")
-    parser.add_argument("--limit", type=int, help="a stratified subset of about so many videos")
-    parser.add_argument("--workers", type=int, help="processes; default one per core")
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     first_half, second_half = (common.dev_events(half, options.limit) for half in common.HALVES[:2])
     first, seconds = figures(first_half, options.prior, settings(), options.workers)

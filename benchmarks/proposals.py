@@ -9,7 +9,6 @@ badly), by form of the proposal and scenario.
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import common
@@ -28,8 +27,7 @@ MEASURES = ("initial", "ever", "log_proposal")
 
 def probabilities(event: Event, form: Form) -> np.ndarray:
     """Return (window + 1,) probabilities that the true effective goals are proposed."""
-    assert event.truth is not None
-    truth = GOALS.index(event.truth.goal_red), GOALS.index(event.truth.goal_green)
+    truth = common.true_hypothesis(event).effective_goals
     tables = bottom_up_tables(event.scene, event.observation, SimpleSettings(proposal=form))
     logits = np.asarray(tables.goal_logits)
     if tables.alpha_logits is None:
@@ -56,7 +54,7 @@ def judge(task: tuple[Event, Form]) -> dict[str, Any]:
     found = probabilities(event, form)
     first = (1 - found[-1]) ** INITIAL
     return {
-        "scenario": event.truth.scenario if event.truth else None,
+        "scenario": event.truth.scenario,
         "form": form,
         "initial": 1 - first,
         "ever": 1 - first * (1 - found[:-1].mean()) ** LATER,
@@ -65,13 +63,8 @@ def judge(task: tuple[Event, Form]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--half", choices=common.HALVES, default="all")
+    parser = common.parser(__doc__, "half", "limit", "json")
     parser.add_argument("--forms", nargs="+", choices=FORMS, default=FORMS)
-    parser.add_argument("--limit", type=int, help="a stratified subset of about so many videos")
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     events = common.dev_events(options.half, options.limit)
     tasks = [(event, form) for form in options.forms for event in events]
@@ -79,12 +72,7 @@ def main() -> None:
     figures: dict[str, Any] = {}
     for form in options.forms:
         figures[form] = {}
-        for scenario in (*common.SCENARIOS, "all"):
-            group = [
-                row for row in rows if row["form"] == form and scenario in (row["scenario"], "all")
-            ]
-            if not group:
-                continue
+        for scenario, group in common.by_scenario(row for row in rows if row["form"] == form):
             found = {name: common.interval([row[name] for row in group]) for name in MEASURES}
             figures[form][scenario] = found | {"n": len(group)}
             shown = "  ".join(f"{name} {found[name]['value']:6.2f}" for name in MEASURES)

@@ -10,22 +10,18 @@ paired      two reports of `hypotheses`, such as of two planners, video by video
 
 from __future__ import annotations
 
-import argparse
-
 import common
 from videos import ahead, decisions, hypotheses, paired, replay, side
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for part in (replay, ahead, decisions, side, hypotheses, paired):
         name = part.__name__.rpartition(".")[2]
         command = commands.add_parser(name, help=(part.__doc__ or "").splitlines()[0])
         part.add_options(command)
-        command.add_argument("--json", metavar="FILE", help="write the figures as JSON")
+        common.add(command, "json")
         command.set_defaults(part=part)
     options = parser.parse_args()
     common.write(options.part.main(options), options.json)

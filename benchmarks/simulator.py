@@ -5,16 +5,11 @@ Ratios are taken in one run, alternately. Figures in ms and s mean little on a b
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import common
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the slow search is the tests'
-
 from speed import engines, whole
 
 from phase_ppl.agents.config import PlannerConfig
@@ -62,10 +57,7 @@ PARTS: dict[str, Callable[[], dict[str, Any]]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--only", nargs="+", choices=[*PARTS, "oracle"], metavar="NAME")
     parser.add_argument("--oracle-seeds", type=int, default=200)
     parser.add_argument(

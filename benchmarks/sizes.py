@@ -11,12 +11,11 @@ Beside them stands the number of combinations of all agents' goals: cost should 
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import Any
 
+import common
 import numpy as np
-from common import write
 from matplotlib.ticker import NullLocator
 from tqdm import tqdm
 
@@ -97,13 +96,10 @@ def draw(rows: list[dict[str, Any]], path: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--scenes", type=int, default=3)
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--figure", metavar="FILE")
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     rows = []
     for agents, landmarks in tqdm(SIZES, disable=None):
@@ -117,7 +113,7 @@ def main() -> None:
         )
     if options.figure:
         draw(rows, options.figure)
-    write({"sizes": rows}, options.json)
+    common.write({"sizes": rows}, options.json)
 
 
 if __name__ == "__main__":

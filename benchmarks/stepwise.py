@@ -37,7 +37,6 @@ from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.goals import goal_index
 
 KINDS = ("goal", "relation")
 SHARPNESS, LAPSE, WEIGHT = (4.0, 6.0), (0.1, 0.2, 0.3), (0.3, 0.5, 1.0)
@@ -262,16 +261,12 @@ def seeds(options: argparse.Namespace) -> dict[str, Any]:
 def of_truth(task: tuple[Event, int]) -> dict[str, float]:
     """Return the log likelihoods of the true hypothesis with one seed."""
     event, seed = task
-    truth = event.truth
-    assert truth is not None
-    goals = goal_index(truth.goal_red), goal_index(truth.goal_green)
-    likelihood = StepwiseLikelihood()
+    hypothesis, likelihood = common.true_hypothesis(event), StepwiseLikelihood()
     with ppl.watch(event.scene, ppl.Model(likelihood=likelihood), seed=seed, threads=1) as watch:
         for frame in event.observation.trajectory:
             watch.take(frame)
         found = watch.posterior().dataset["log_likelihood"].values.sum(axis=0)
-    stepwise = float(found[goals])
-    hypothesis = ppl.Hypothesis(*goals, (0, 0), truth.strength_red, truth.strength_green)
+    stepwise = float(found[hypothesis.effective_goals])
     simulated = ppl.simulate(
         event.scene, hypothesis, seed=seed, frames=event.observation.n_frames, overlapping=True
     )
@@ -339,15 +334,12 @@ KNOWN: dict[str, dict[str, Any]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for function, taken in OPTIONS.items():
         command = commands.add_parser(function.__name__)
         command.set_defaults(run=function)
-        command.add_argument("--limit", type=int, help="a stratified subset of about so many")
-        command.add_argument("--json", metavar="FILE", help="write the figures as JSON")
+        common.add(command, "limit", "json")
         for name in taken:
             command.add_argument(f"--{name}", **KNOWN[name])
     options = parser.parse_args()

@@ -7,7 +7,6 @@ propose. The uniform prior has a log density of -6.11 and an error of its mean.
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import common
@@ -54,24 +53,18 @@ def judged(
     """Return the quality over all windows and agents."""
     means, sds, truths = [], [], []
     for event, observation in seen:
-        assert event.truth is not None
         windows = windows_of(observation.n_frames, whole)
         mean, sd = estimated_strengths(estimator, event.scene, observation, windows)
         means.append(mean)
         sds.append(sd)
-        truths += [[event.truth.strength_red, event.truth.strength_green]] * len(windows)
+        truths += [common.true_hypothesis(event).strengths] * len(windows)
     found = StrengthEstimates(np.concatenate(means), np.concatenate(sds))
     figures = quality(found, np.array(truths, float))._asdict()
     return {name: None if np.isnan(value) else value for name, value in figures.items()}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
-    parser.add_argument("--half", choices=common.HALVES, default="all", help="of the videos")
-    parser.add_argument("--limit", type=int, help="at most about so many videos")
+    parser = common.parser(__doc__, "half", "limit", "json")
     parser.add_argument("--draws", type=int, default=3, help="of the jitter, per video")
     parser.add_argument("--weights", metavar="NPZ", help="a network of one's own beside the rest")
     options = parser.parse_args()

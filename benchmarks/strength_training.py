@@ -12,7 +12,6 @@ that the agents mostly have something to do; PHASE's own families of events are 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
 import json
@@ -21,6 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
+import common
 import numpy as np
 from numpy.typing import NDArray
 from tqdm.auto import tqdm
@@ -429,9 +429,7 @@ def _by_cell(network: StrengthNetwork, validation: Examples) -> list[dict[str, f
 
 def main(arguments: list[str] | None = None) -> None:
     """Train as the command line says."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = common.parser(__doc__)
     parser.add_argument("folder", type=Path, help="where strength_weights.npz and .json go")
     parser.add_argument("--events-file", type=Path, help="keeps the simulated events (npz)")
     parser.add_argument("--workers", type=int, default=1, help="processes that simulate")

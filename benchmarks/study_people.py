@@ -56,11 +56,15 @@ def make_study(folder: Path, n_videos: int, raters: int, trials: int) -> Study:
 
     with patch("phase_ppl.study.study.make_clips", no_clips):
         Study.new(folder, events, trials=trials, raters=raters, progress=False)
+    # the places of those who leave are free again after a minute
+    return changed(folder, place_kept=1, entries_per_minute=10**6, most_entries=10**6)
+
+
+def changed(folder: Path, **settings: object) -> Study:
+    """Return a study with other settings than those in its file."""
     file = folder / "study.toml"
     text = file.read_text()
-    # the places of those who leave are free again after a minute
-    changes = {"place_kept": 1, "entries_per_minute": 10**6, "most_entries": 10**6}
-    for name, value in changes.items():
+    for name, value in settings.items():
         text = re.sub(rf"(?m)^{name} = \S+", f"{name} = {value}", text)
     file.write_text(text)
     return Study(folder)
@@ -70,7 +74,7 @@ class Server:
     """A study's server in a process of its own, at a port that stays the same."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.kills, self.cpu = folder, 0, 0.0
+        self.folder, self.kills = folder, 0
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
         self.address = f"http://127.0.0.1:{self.port}/"
@@ -198,7 +202,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--videos", type=int, default=100)
     parser.add_argument("--trials", type=int, default=10, help="videos per person")
     parser.add_argument("--raters", type=int, default=20, help="people per video")
@@ -207,7 +211,6 @@ def main() -> None:
     parser.add_argument("--drop-outs", type=float, default=0.15)
     parser.add_argument("--lapse", type=float, default=0.05)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     common.write(run(options), options.json)
 

@@ -12,20 +12,19 @@ import contextlib
 import json
 import os
 import re
-import subprocess
-import sys
 import tempfile
 import time
-import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
+from study_people import Server, changed
 
 import phase_ppl as ppl
 from phase_ppl.study import Study
+from phase_ppl.study.simulate import Visitor
 
 RATE = 4
 """Planner steps a second."""
@@ -37,22 +36,6 @@ def shares(values: Sequence[float], scale: float = 1000.0) -> dict[str, float]:
     return dict(zip(("median", "p95", "p99", "max"), found, strict=True))
 
 
-@contextlib.contextmanager
-def served(folder: Path) -> Iterator[tuple[str, int]]:
-    """Serve a study from a process of its own; yield its address and the process's number."""
-    code = (
-        "from phase_ppl.study import Study\n"
-        f"Study({str(folder)!r}).run(0, ready=lambda where: print(where, flush=True))"
-    )
-    server = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    try:
-        assert server.stdout is not None
-        yield server.stdout.readline().strip(), server.pid
-    finally:
-        server.terminate()
-        server.wait()
-
-
 def cpu_seconds(process: int) -> float:
     """Return the seconds that a process has computed."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
@@ -61,28 +44,15 @@ def cpu_seconds(process: int) -> float:
 
 def prepared(study: Study, address: str) -> str:
     """Let somebody in who has read the introduction and practised; return their cookie."""
-
-    def post(path: str, cookie: str = "", **content: Any) -> Any:
-        headers = {
-            "Origin": address.rstrip("/"),
-            "Content-Type": "application/json",
-            "Cookie": cookie,
-        }
-        request = urllib.request.Request(address + path, json.dumps(content).encode(), headers)
-        return urllib.request.urlopen(request)
-
-    cookie = post("api/enter").headers["Set-Cookie"].partition(";")[0]
-    for page, answers in (
-        ("consent", {"agree": True}),
-        ("device", {}),
-        ("tutorial", {"views": []}),
-    ):
-        post("api/answer", cookie, page=page, attempt=1, answers=answers)
-    state = urllib.request.Request(f"{address}api/state", headers={"Cookie": cookie})
-    who = json.load(urllib.request.urlopen(state))["participant"]
+    before = {"consent": {"agree": True}, "device": {}, "tutorial": {"views": []}}
+    with contextlib.closing(Visitor(address)) as visitor:
+        visitor.post("/api/enter", {})
+        for page, answers in before.items():
+            visitor.post("/api/answer", {"page": page, "attempt": 1, "answers": answers})
+        who = json.loads(visitor.get("/api/state"))["participant"]
     with study.store() as store:
         store.answer(who, "practice", 1, {})
-    return str(cookie)
+    return visitor.cookie
 
 
 class Player:
@@ -140,16 +110,18 @@ def rooms(options: argparse.Namespace) -> dict[str, Any]:
     for n in options.rooms:
         with tempfile.TemporaryDirectory() as folder:
             target = Path(folder) / "study"
-            study = Study.new(target, ppl.load_event("oppose"), "play", raters=1000, progress=False)
+            Study.new(target, ppl.load_event("oppose"), "play", raters=1000, progress=False)
             text = (target / "study.toml").read_text()
-            changes = {"rooms": n, "limit": int(RATE * options.seconds), "steps_per_second": RATE}
-            changes |= {"entries_per_minute": 1000, "trials": 1, "partner": '"person"'}
-            for name, value in changes.items():
-                text = re.sub(rf"(?m)^{name} = \S+", f"{name} = {value}", text)
             text = "quiz = []\n" + re.sub(r"(?s)\[\[quiz\]\].*?(?=\n\[play\])", "", text)
             (target / "study.toml").write_text(text)
-            study = Study(target)
-            with served(target) as (address, process):
+            study = changed(
+                target, rooms=n, limit=int(RATE * options.seconds), steps_per_second=RATE,
+                entries_per_minute=1000, trials=1, partner='"person"',
+            )  # fmt: skip
+            server = Server(target)
+            address, process = server.address, server.process.pid
+            with contextlib.ExitStack() as at_the_end:
+                at_the_end.callback(server.stop)
                 players = [Player(address, prepared(study, address)) for _ in range(2 * n)]
 
                 async def all_play(players: Sequence[Player] = players) -> None:
@@ -175,10 +147,9 @@ def rooms(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 5, 8, 20])
     parser.add_argument("--seconds", type=float, default=25.0, help="of each session")
-    parser.add_argument("--json")
     options = parser.parse_args()
     common.write(rooms(options), options.json)
 

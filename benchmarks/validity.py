@@ -10,16 +10,11 @@ chance. The rule as the paper prints it is run too.
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
-from common import write
 from jax import random
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the small world is the tests'
 
 from phase_ppl.inference.registry import KernelInfo, available_kernels, kernel_info
 from tests.inference.toy import (
@@ -46,10 +41,9 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
 
 def main() -> None:
     names = sorted({*available_kernels(), *VARIANTS})
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = common.parser(__doc__, "json")
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="KERNEL")
     parser.add_argument("--simulations", type=int, default=100_000, help="for each kernel")
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     report: dict[str, Any] = {"kernels": {}}
     print(f"{'kernel':20}{'validity':>12}{'simulations':>13}{'total variation':>17}")
@@ -61,7 +55,7 @@ def main() -> None:
             f"{name:20}{result['validity']:>12}{result['simulations']:13}{result['tv']:17.3f}",
             flush=True,
         )
-    write(report, options.json)
+    common.write(report, options.json)
 
 
 def measured(name: str, options: dict[str, Any], simulations: int) -> dict[str, Any]:

@@ -15,8 +15,8 @@ import argparse
 import tempfile
 from pathlib import Path
 
+import common
 import numpy as np
-from common import write
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.tables import kinds_of, true_answers
@@ -27,7 +27,7 @@ TRIES = 50
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = common.parser(__doc__, "workers", "json")
     parser.add_argument("--world", default="solo", choices=[*ppl.worlds.available()][1:])
     parser.add_argument("--events", type=int, default=40)
     parser.add_argument("--frames", type=int, default=FRAMES)
@@ -35,9 +35,7 @@ def main() -> None:
     parser.add_argument("--planner-seeds", type=int, default=1)
     parser.add_argument("--kernel", help="by which to infer by simulations too")
     parser.add_argument("--simulations", type=int, default=105, help="budget of a kernel")
-    parser.add_argument("--workers", type=int)
     parser.add_argument("--out", metavar="DIR", type=Path, help="keeps events and answers")
-    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         measure(options, options.out or Path(folder))
@@ -89,7 +87,7 @@ def measure(options: argparse.Namespace, out: Path) -> None:
     report = {name: found.metrics for name, found in models.items()}
     report["stepwise"]["per_frame"] = per_frame
     report["last_frame"]["probability_of_true_goal"] = left
-    write(report, options.json)
+    common.write(report, options.json)
 
 
 def to_get_somewhere(world: ppl.World, seed: int) -> Roles | None:

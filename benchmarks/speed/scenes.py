@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import common
 import numpy as np
 
 import phase_ppl as ppl
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.event import Event, State
-from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 
@@ -49,18 +49,5 @@ def contact_mix(n: int) -> list[tuple[State, tuple[int, int]]]:
 
 def episodes() -> list[tuple[Event, Hypothesis]]:
     """Return the bundled events with their true hypotheses."""
-    found = []
-    for name in BUNDLED:
-        event = ppl.load_event(name)
-        truth = event.truth
-        assert truth is not None
-        assert truth.strength_red is not None
-        assert truth.strength_green is not None
-        hypothesis = Hypothesis(
-            GOALS.index(truth.goal_red),
-            GOALS.index(truth.goal_green),
-            strength_red=truth.strength_red,
-            strength_green=truth.strength_green,
-        )
-        found.append((event, hypothesis))
-    return found
+    events = map(ppl.load_event, BUNDLED)
+    return [(event, common.true_hypothesis(event)) for event in events]

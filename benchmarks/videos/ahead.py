@@ -68,7 +68,7 @@ def judge(task: tuple[dict[str, Any], Event, int]) -> list[tuple[str, bool, floa
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--half", choices=common.HALVES, default="all")
+    common.add(parser, "half")
     parser.add_argument("--steps", type=int, default=5, help="from each state")
 
 

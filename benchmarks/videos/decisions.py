@@ -129,7 +129,6 @@ def equivalent(
 def judge(task: Task) -> list[dict[str, Any]]:
     """Return one record per step, agent and repeat of a video."""
     video, truth = task.video, task.event.truth
-    assert truth is not None
     scene, strengths = scene_of(video), tuple(video["strength_newton"])
     goals = tuple(
         original_goal(goal, video["reflection"]) for goal in (truth.goal_red, truth.goal_green)
@@ -193,8 +192,8 @@ def role(truth: Truth, goal: int, kind: str) -> str:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
+    common.add(parser, "half")
     common.add_planner(parser)
-    parser.add_argument("--half", choices=common.HALVES, default="all")
     parser.add_argument(
         "--repeats", type=int, default=2, help="decisions per state, from other seeds; at least 2"
     )
@@ -212,9 +211,8 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
     ]
     records = []
     for task, found in common.parallel(judge, tasks, "videos"):
-        truth = task.event.truth
-        assert truth is not None
-        records += [row | {"video": task.event.id, "scenario": truth.scenario} for row in found]
+        of_video = {"video": task.event.id, "scenario": task.event.truth.scenario}
+        records += [row | of_video for row in found]
     common.write({"records": records}, options.records)
 
     def figures(group: list[dict[str, Any]]) -> dict[str, Any]:

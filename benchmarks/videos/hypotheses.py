@@ -62,22 +62,16 @@ def judge(task: Task) -> dict[str, Any]:
     stopped simulation is run to its end.
     """
     event, truth = task.event, task.event.truth
-    assert truth is not None
-    simulator = JointSimulator(task.planner)
-    strengths = truth.strength_red, truth.strength_green
-    goals = GOALS.index(truth.goal_red), GOALS.index(truth.goal_green)
+    simulator, seen = JointSimulator(task.planner), event.observation.positions
+    told = common.true_hypothesis(event)
+    goals = told.effective_goals
 
     def error(pair: tuple[int, int], seed: int, ceiling: float = math.inf) -> float:
-        hypothesis = Hypothesis(
-            pair[0], pair[1], strength_red=strengths[0], strength_green=strengths[1]
-        )
-        result = simulate_one(
-            simulator, event.scene, hypothesis, seed, event.observation.positions, ceiling
-        )
+        hypothesis = Hypothesis(*pair, (0, 0), *told.strengths)
+        result = simulate_one(simulator, event.scene, hypothesis, seed, seen, ceiling)
         assert result.failure is None, result.failure
-        return (
-            result.total_error if result.completed and result.total_error <= ceiling else math.inf
-        )
+        within = result.completed and result.total_error <= ceiling
+        return result.total_error if within else math.inf
 
     true_errors = [error(goals, seed) for seed in range(task.noise_seeds)]
     evidence = log_mean_exp(true_errors[: task.seeds])
@@ -103,17 +97,9 @@ def judge(task: Task) -> dict[str, Any]:
 
 def simulated(event: Event, planner: PlannerConfig) -> Event:
     """Return the event with its trajectory replaced by a simulated one of the same length."""
-    truth = event.truth
-    assert truth is not None
-    hypothesis = Hypothesis(
-        GOALS.index(truth.goal_red),
-        GOALS.index(truth.goal_green),
-        strength_red=truth.strength_red,
-        strength_green=truth.strength_green,
-    )
     other = simulate(
         event.scene,
-        hypothesis,
+        common.true_hypothesis(event),
         frames=event.observation.n_frames,
         seed=SEED_OF_SIMULATED,
         planner=planner,
@@ -141,30 +127,20 @@ def report(results: list[dict[str, Any]]) -> dict[str, Any]:
     def rate(group: list[dict[str, Any]], rank: int) -> dict[str, float]:
         return common.interval([len(result["better"]) < rank for result in group])
 
-    groups = {
-        name: [result for result in results if result["scenario"] == name]
-        for name in common.SCENARIOS
-    }
+    def rates(group: list[dict[str, Any]]) -> dict[str, Any]:
+        return {"true_best_rate": rate(group, 1), "true_top5_rate": rate(group, 5)}
+
+    *groups, _ = common.by_scenario(results)
     return near(results) | {
-        "true_best_rate": rate(results, 1),
-        "true_top5_rate": rate(results, 5),
-        "by_scenario": {
-            name: {
-                "true_best_rate": rate(group, 1),
-                "true_top5_rate": rate(group, 5),
-                "n": len(group),
-            }
-            for name, group in groups.items()
-            if group
-        },
+        **rates(results),
+        "by_scenario": {name: {**rates(group), "n": len(group)} for name, group in groups},
         "median_rank": float(np.median([len(result["better"]) + 1 for result in results])),
     }
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
+    common.add(parser, "half", "limit")
     common.add_planner(parser)
-    parser.add_argument("--half", choices=common.HALVES, default="all")
-    parser.add_argument("--limit", type=int, help="a stratified subset of about so many videos")
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--noise-seeds", type=int, default=16)
     parser.add_argument("--truth-only", action="store_true", help="try no wrong pairs")
@@ -213,9 +189,7 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def print_figures(figures: dict[str, Any]) -> None:
-    def shown(value: dict[str, float]) -> str:
-        return f"{value['value']:.2f} [{value['ci_low']:.2f}, {value['ci_high']:.2f}]"
-
+    shown = common.shown
     if "true_best_rate" in figures:
         best, top5 = (shown(figures[f"true_{name}_rate"]) for name in ("best", "top5"))
         print(f"true best {best}  top 5 {top5}")

@@ -8,6 +8,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import common
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
@@ -17,7 +18,6 @@ from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model
 from phase_ppl.simulator.contract import simulate_one
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
 from videos.hypotheses import log_mean_exp
 
@@ -67,8 +67,7 @@ def model_of(settings: Mapping[str, Any]) -> tuple[str, str, str] | None:
 
 
 def true_pair(event: Event) -> Pair:
-    assert event.truth is not None
-    return goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
+    return common.true_hypothesis(event).effective_goals
 
 
 @functools.cache
@@ -84,10 +83,8 @@ def program(model: str, options: str) -> Model:
 
 def judge(task: Task) -> dict[str, Any]:
     """Return log prior + log mean likelihood of a pair of goals at the true strengths."""
-    truth = task.event.truth
-    assert truth is not None
     model = program(task.model, task.options)
-    strengths = float(truth.strength_red or 0), float(truth.strength_green or 0)
+    strengths = common.true_hypothesis(task.event).strengths
     hypothesis = Hypothesis(*task.pair, (0, 0), *strengths)
     simulator = model.build_simulator()
     seen = task.event.observation.positions
@@ -95,9 +92,6 @@ def judge(task: Task) -> dict[str, Any]:
         simulate_one(simulator, task.event.scene, hypothesis, seed, seen).total_error
         for seed in range(JUDGING_SEED, JUDGING_SEED + task.seeds)
     ]
-    given = {
-        "strength_red": np.array([strengths[0]]),
-        "strength_green": np.array([strengths[1]]),
-    }
+    given = {"strength_red": np.array(strengths[:1]), "strength_green": np.array(strengths[1:])}
     log_prior = log_prior_of_effective(model.prior, np.array([task.pair]), given)[0]
     return {"log_joint": float(log_mean_exp(errors) + log_prior)}

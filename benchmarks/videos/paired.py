@@ -65,5 +65,5 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
     n = len(one["videos"])
     print(f"{options.report} minus {options.baseline}, {n} videos, 95 % intervals")
     for name, row in figures.items():
-        print(f"{name:22} {row['value']:+7.2f} [{row['ci_low']:+.2f}, {row['ci_high']:+.2f}]")
+        print(f"{name:22} {common.shown(row, '+7.2f', '+.2f')}")
     return {"n_videos": n, **figures}

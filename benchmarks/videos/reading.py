@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import common
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +28,7 @@ from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics.actions import ACTION_NAMES, Action, executed
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import N_GOALS, goal_index
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATION_TABLE
 
 ALIKE = 0.7
@@ -214,17 +215,15 @@ class Recorder(SearchSets):
 
 def levels_of(event: Event) -> tuple[int, int]:
     """Return the places of the true strengths among the four levels."""
-    assert event.truth is not None
     levels = np.array(Tracking().strengths)
-    newtons = event.truth.strength_red, event.truth.strength_green
+    newtons = common.true_hypothesis(event).strengths
     red, green = (int(np.abs(levels - one).argmin()) for one in newtons)
     return red, green
 
 
 def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     """Read a video and keep everything."""
-    assert event.truth is not None
-    truth = goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
+    truth = common.true_hypothesis(event).effective_goals
     began = time.process_time()
     sets = Recorder(
         event.scene, PlannerConfig.fast(), likelihood.tracking, seed, 1, likelihood.planner_seeds

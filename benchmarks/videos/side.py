@@ -20,7 +20,7 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_literal
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import Predicate
 from videos.decisions import Task as Recording
 from videos.decisions import states
@@ -43,7 +43,6 @@ def figures(
 ) -> dict[str, float | list[float]]:
     """Return what is compared, of positions (time, entity, 2) and items held (time, agent)."""
     truth, scene = event.truth, event.scene
-    assert truth is not None
     moves = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     n = len(held)
     result: dict[str, Any] = {
@@ -78,21 +77,13 @@ def figures(
 
 def judge(task: Task) -> dict[str, Any]:
     """Return the figures of the real video and of each simulated one, and the errors over time."""
-    event, truth = task.event, task.event.truth
-    assert truth is not None
-    strengths = truth.strength_red, truth.strength_green
+    event, hypothesis = task.event, common.true_hypothesis(task.event)
     scene = scene_of(task.video)
     params = compiled.make_params(scene, tuple(task.video["strength_newton"]), inner_steps=4)
     recording = Recording(task.video, event, task.planner, 1)
     held = np.array([state.held for state, _ in states(recording, params)])
     n = len(held)
     observed = event.observation.positions
-    hypothesis = Hypothesis(
-        GOALS.index(truth.goal_red),
-        GOALS.index(truth.goal_green),
-        strength_red=strengths[0],
-        strength_green=strengths[1],
-    )
     simulated, errors = [], []
     for seed in range(task.seeds):
         steps = JointSimulator(task.planner).steps(event.scene, hypothesis, random_generator(seed))
@@ -108,8 +99,8 @@ def judge(task: Task) -> dict[str, Any]:
         error = np.linalg.norm((positions - observed).reshape(len(observed), -1), axis=1)
         errors.append([float(part.mean()) for part in np.array_split(error, QUARTERS)])
     return {
-        "scenario": truth.scenario,
-        "strengths": strengths,
+        "scenario": event.truth.scenario,
+        "strengths": hypothesis.strengths,
         "steps": n,
         "real": figures(event, observed[: n + 1], held),
         "simulated": simulated,
@@ -118,8 +109,8 @@ def judge(task: Task) -> dict[str, Any]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
+    common.add(parser, "half")
     common.add_planner(parser)
-    parser.add_argument("--half", choices=common.HALVES, default="all")
     parser.add_argument("--seeds", type=int, default=4)
 
 
