@@ -1,4 +1,4 @@
-"""Takes what lies outside docs/ and is linked from its pages into the site."""
+"""Takes what lies outside docs/ into the site: what its pages link to, and all public names."""
 
 import os
 import posixpath
@@ -9,19 +9,34 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+import phase_ppl
+
 ROOT = Path(__file__).parents[1]
 TAKEN = ["CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md", "examples/README.md"]
 TAKEN += sorted(f"examples/{path.name}" for path in ROOT.glob("examples/*.py"))
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """Add those files as pages, scripts as a page with their code."""
+    """Add those files as pages, scripts as a page with their code; and the reference."""
     for name in TAKEN:
         text = (ROOT / name).read_text(encoding="utf-8")
         if name.endswith(".py"):
             text = f"# {Path(name).name}\n\n````python\n{text}````\n"
         files.append(File.generated(config, name.replace(".py", ".md"), content=text))
+    files.append(File.generated(config, "reference.md", content=reference()))
     return files
+
+
+def reference() -> str:
+    """Return the page of all public names, by the folder that they come from."""
+    lines = ["# Reference", "Every public name of `phase_ppl`; `ppl.NAME` is how to call it."]
+    folder = ""
+    for name in sorted({".".join(place) for place in phase_ppl._PLACES.values()}):
+        if name.split(".")[1] != folder:
+            folder = name.split(".")[1]
+            lines.append(f"## {folder}")
+        lines.append(f"::: {name}")
+    return "\n\n".join(lines)
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
