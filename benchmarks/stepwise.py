@@ -39,7 +39,8 @@ from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event, Observation
 
 KINDS = ("goal", "relation")
-SHARPNESS, LAPSE, WEIGHT = (4.0, 6.0), (0.1, 0.2, 0.3), (0.3, 0.5, 1.0)
+SHARPNESS, LAPSE = (4.0, 6.0), (0.1, 0.2, 0.3)
+WEIGHT = sorted({StepwiseLikelihood().weight, 0.3, 0.5, 1.0})
 SEEDS = (1, 2, 4)
 JITTERS, STRENGTH_WEIGHTS = (0.0, 0.05), (1.0, 0.3, 0.1, 0.05, 0.03)
 OWN_FRAMES = 31
@@ -136,7 +137,7 @@ def calibration(options: argparse.Namespace) -> dict[str, Any]:
     kept = kept_readings(drawn, likelihood, options.keep)
     found: dict[str, Any] = {}
     print(f"{'sets':>4}{'weight':>7}   {reading.HEAD}")
-    for seeds, weight in itertools.product(SEEDS, sorted({*WEIGHT, likelihood.weight})):
+    for seeds, weight in itertools.product(SEEDS, WEIGHT):
         tables = [one.log_likelihood(likelihood.conduct, weight, seeds).sum(axis=0) for one in kept]
         scores = reading.Scores.of(
             [one.scores(table, weight) for one, table in zip(kept, tables, strict=True)]

@@ -93,8 +93,9 @@ class Server:
             text=True,
         )
         assert self.process.stdout is not None
-        if not self.process.stdout.readline():
-            raise RuntimeError("the server did not start")
+        with self.process.stdout as told:
+            if not told.readline():
+                raise RuntimeError("the server did not start")
 
     def stop(self, how: signal.Signals = signal.SIGTERM) -> None:
         self.process.send_signal(how)

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.world.geometry import is_on
-from phase_ppl.world.goals import goal_literal
+from phase_ppl.world.goals import goal_literal, is_true
 
 STILL_FRAMES = 8
 CENTRE = (16.0, 12.0)
@@ -54,14 +52,10 @@ def draw(kind: str, rng: np.random.Generator) -> tuple[ppl.Scene, ppl.Hypothesis
 
 
 def reached(event: ppl.Event, hypothesis: ppl.Hypothesis, frame: int) -> list[bool]:
-    """Return whether each agent's landmark goal holds in a frame."""
-    done = []
-    for agent, goal in enumerate(hypothesis.effective_goals):
-        literal = goal_literal(goal, agent)
-        position = event.observation.positions[frame, literal.subject]
-        centre = event.scene.landmark_centres[literal.target]
-        done.append(is_on(position, centre, event.scene.landmark_half_width))
-    return done
+    """Return whether each agent's goal holds in a frame."""
+    poses = event.observation.trajectory[frame]
+    literals = (goal_literal(g, agent) for agent, g in enumerate(hypothesis.effective_goals))
+    return [is_true(literal, poses, event.scene) for literal in literals]
 
 
 def gap(event: ppl.Event, first: int, second: int) -> np.ndarray:
@@ -95,24 +89,23 @@ def trim(event: ppl.Event, kind: str) -> ppl.Event:
     return dataclasses.replace(event, id=kind, observation=ppl.Observation(trajectory))
 
 
-def make(kind: str, frames: int, keep: Callable[[ppl.Event], bool]) -> tuple[ppl.Event, int]:
+def make(kind: str) -> tuple[ppl.Event, int]:
     """Return the first drawn event that shows its type, and the number of draws."""
+    frames = 60 if kind == "collaborate" else 90
     for seed in range(10_000):
         scene, hypothesis = draw(kind, np.random.default_rng([seed, list(LAYOUTS).index(kind)]))
         event = ppl.simulate(scene, hypothesis, frames=frames, seed=seed, planner="paper", id=kind)
         if shows(kind, event, hypothesis):
             event = trim(event, kind)
-            if keep(event):
+            if 30 <= event.observation.n_frames <= 90:
                 return event, seed + 1
     raise RuntimeError(f"no draw shows {kind}")
 
 
 def main(folder: Path) -> None:
     for kind in LAYOUTS:
-        frames = 60 if kind == "collaborate" else 90
-        event, draws = make(kind, frames, lambda e: 30 <= e.observation.n_frames <= 90)
+        event, draws = make(kind)
         ppl.save_event(event, folder / f"{kind}.json")
-        assert event.truth is not None
         print(kind, event.truth.scenario, event.observation.n_frames, "frames,", draws, "draws")
 
 

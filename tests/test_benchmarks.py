@@ -104,6 +104,19 @@ def test_budget_of_one_kernel(figures: Figures) -> None:
     assert found["frames"] <= 14 * found["simulations"]
 
 
+def test_a_server_that_is_killed_loses_no_answer_that_it_has_confirmed(figures: Figures) -> None:
+    pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
+    sizes = {"videos": 4, "trials": 2, "raters": 4, "at-once": 4, "kills": 2, "drop-outs": 0}
+    options = (part for name, value in sizes.items() for part in (f"--{name}", str(value)))
+    report = figures("study_people.py", *options)
+    assert report["kills"] == 2
+    assert report["outcomes"]["finished"] >= 8
+    assert report["confirmed"] >= 8 * 7
+    assert (report["lost"], report["doubled"], report["unconfirmed"]) == (0, 0, 0)
+    assert report["integrity"] == "ok"
+    assert min(map(int, report["raters"])) >= 4
+
+
 def test_reference_beside_what_it_says_of_itself(figures: Figures) -> None:
     rows: Any = figures("budgets.py", "--reference", "--trials", "3")["reference"]
     assert {(row["sd"], row["per_pair"]) for row in rows} >= {(0.3, 4), (5.8, 16)}

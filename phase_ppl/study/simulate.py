@@ -36,7 +36,7 @@ from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
 from phase_ppl.study.study import CLIPS_FOLDER, VIDEOS, Study
 from phase_ppl.world.checks import nonnegative_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_name, shown
 from phase_ppl.world.hypothesis import scenario
 from phase_ppl.world.progress import Bar
 
@@ -144,8 +144,7 @@ def _beliefs(
     elif isinstance(given, str | os.PathLike):
         given = Evaluation.load(given).predictions
     for event in study.events:
-        if event not in given:
-            raise unknown_name("event in the predictions", event, given)
+        check_name("event in the predictions", event, given)
     return dict(given)
 
 

@@ -261,13 +261,11 @@ class Study:
             shown = f"[{host}]" if ":" in host else host
             address = url or f"http://{shown}:{listener.getsockname()[1]}/"
 
-            class Server(uvicorn.Server):
-                async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-                    await super().startup(sockets)
-                    if self.started:
-                        ready(address)
+            async def tell() -> None:
+                ready(address)  # who comes before the first request is answered waits
 
-            server = Server(config)
+            app.state.site.opening.append(tell)
+            server = uvicorn.Server(config)
             keep(server)
             server.run(sockets=[listener])
             if not server.started:
