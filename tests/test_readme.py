@@ -59,9 +59,6 @@ def test_all_pages_with_examples_are_known() -> None:
     assert [page.stem for page in NOTEBOOKS] == notebooks.split()
 
 
-
-
-
 @pytest.mark.parametrize("page", [README, *PAGES], ids=lambda page: page.stem)
 def test_links_lead_to_files_that_are_there(page: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
