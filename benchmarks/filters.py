@@ -17,8 +17,7 @@ import numpy as np
 import phase_ppl as ppl
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import REJECTED
-from phase_ppl.dataset.generation.copies import Recording
-from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, measures, reason_against
+from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, Recording, measures, reason_against
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_literal

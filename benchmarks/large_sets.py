@@ -28,7 +28,7 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_ppl.dataset.generation import making
-from phase_ppl.dataset.generation.copies import Recording
+from phase_ppl.dataset.generation.making import Recording
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.names import AGENTS, NOTHING

@@ -71,11 +71,9 @@ def env(
     """
     if _ParallelEnv is object:
         raise InvalidSettingError("environments need PettingZoo: pip install 'phase_ppl[env]'")
-    if isinstance(world, str):
-        world = worlds.named(world)
-    instance_of("world", world, World, "a phase_ppl.World or the name of one")
     given = {"scene": scene, "goals": goals, "relation": relation}
-    return WorldEnv(world, given, strength, whole_number("steps", steps), bool(full_view))
+    n_steps = whole_number("steps", steps)
+    return WorldEnv(worlds.named(world), given, strength, n_steps, bool(full_view))
 
 
 class WorldEnv(_ParallelEnv):  # type: ignore[misc]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import check_name
 from phase_ppl.world.scene import PHASE, World
 
@@ -46,10 +47,18 @@ def available() -> dict[str, World]:
     return dict(_READY)
 
 
-def named(name: str) -> World:
-    """Return the ready-made world of that name. UnknownNameError: there is none."""
-    check_name("world", name, _READY)
-    return _READY[name]
+def named(world: str | World) -> World:
+    """Return a world, or the ready-made one of that name.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+        InvalidSettingError: it is neither.
+    """
+    if isinstance(world, str):
+        check_name("world", world, _READY)
+        return _READY[world]
+    instance_of("world", world, World, "a phase_ppl.World, or the name of one")
+    return world
 
 
 def __dir__() -> list[str]:

@@ -19,7 +19,7 @@ import dataclasses
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from phase_ppl.dataset.generation.situation import (
     item_to,
 )
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of, whole_number
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown, unknown_name
 from phase_ppl.world.goals import goal_literal, is_true
 from phase_ppl.world.hypothesis import (
@@ -57,44 +57,57 @@ from phase_ppl.world.rooms import ROOMS_OF_RAY
 from phase_ppl.world.scene import PHASE, Scene, Turning, World
 from phase_ppl.world.worlds import named
 
+Drawn = TypeVar("Drawn")
 _TRIES: Final = 200  # draws that a layout may refuse before the family is said to be impossible
 
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A family of events of PHASE."""
+    """A family of events, of PHASE or of other worlds, perhaps with one of its variants chosen."""
 
     name: str  # as users call it
-    # ``function(draw)`` or, with variants, ``function(draw, variant)``
-    function: Callable[..., Situation]
-    scenario: str  # what its events show; the relation follows from it
-    layouts: tuple[int, ...]  # numbers of the layouts it can be drawn in
-    variants: tuple[str, ...]  # names of its variants; empty where there are none
+    # ``function(draw)`` or, with variants, ``function(draw, variant)``; None: draw anew
+    function: Callable[..., Any]
     summary: str  # first line of the function's documentation
+    # what its events show; in other worlds some two agents do, with "independent" all, or a single
+    # one is alone
+    scenario: str
+    variants: tuple[str, ...]  # names of its variants; empty where there are none
+    layouts: tuple[int, ...]  # numbers of PHASE's layouts that it can be drawn in
+    world: World | None  # whose it is; None: any but PHASE with enough of the following
+    needs: Mapping[str, int]  # least number of "agents", "items" and "landmarks"
+    variant: str | None = None
 
     @property
     def relation(self) -> str:
         """What its events show."""
         return RELATION_OF_SCENARIO[self.scenario]
 
-    def draw(
-        self, rng: np.random.Generator, variant: str | None = None, turning: Turning = "both"
-    ) -> Situation:
-        """Return a situation in one of the layouts."""
-        for _ in range(_TRIES):
-            draw = Draw(rng, self.layouts[int(rng.integers(len(self.layouts)))], turning)
-            try:
-                return self.drawn_with(draw, variant)
-            except CannotDraw:
-                continue
-        raise InvalidSettingError(
-            f"family {self.name!r} found no situation in {_TRIES} draws from layouts "
-            f"{list(self.layouts)}"
+    def lacks(self, world: World) -> str:
+        """Return why a world other than PHASE cannot have it; "" where it can."""
+        if self.world is not None and self.world != world:
+            whose = self.world.name
+            return f"the family {self.name!r} is of the world {whose!r}, not of {world.name!r}"
+        there = {what: len(getattr(world, what)) for what in self.needs}
+        few = [what for what, least in self.needs.items() if there[what] < least]
+        wanted, has = (
+            " and ".join(f"{n[what]} {what if n[what] != 1 else what[:-1]}" for what in few)
+            for n in (self.needs, there)
         )
+        return f"the family {self.name!r} needs {wanted}; {world.name!r} has {has}" if few else ""
 
-    def drawn_with(self, draw: Draw, variant: str | None = None) -> Situation:
+    def draw(self, rng: np.random.Generator, turning: Turning = "both") -> Situation:
+        """Return a situation of PHASE in one of the layouts."""
+
+        def once() -> Situation:
+            layout = self.layouts[int(rng.integers(len(self.layouts)))]
+            return self.drawn_with(Draw(rng, layout, turning))
+
+        return self._tried(once, f"from layouts {list(self.layouts)}")
+
+    def drawn_with(self, draw: Draw) -> Situation:
         """Return the situation of one draw."""
-        drawn = self.function(draw) if variant is None else self.function(draw, variant)
+        drawn: Situation = self._called(draw)
         shown = scenario(*drawn.hypothesis.effective_goals)
         if shown != self.scenario:
             raise InvalidSettingError(
@@ -102,6 +115,49 @@ class Family:
                 f"not {self.scenario}"
             )
         return drawn
+
+    def draw_in(self, world: World, seed: int) -> CastSituation:
+        """Return a situation of another world, in which nobody is where it wants to get."""
+        draw = CastDraw(world, np.random.default_rng(seed))
+        return self._tried(lambda: self._drawn_in(draw), f"in {world.name!r}")
+
+    def _drawn_in(self, draw: CastDraw) -> CastSituation:
+        found = self._called(draw)
+        if found is None:
+            draw.refuse("it returned None")
+        told = f"family {self.name!r} drew {shown(found)}, expected a scene and roles"
+        match found:
+            case (Scene() as scene, Roles() as roles):
+                pass
+            case _:
+                raise InvalidSettingError(f"{told}, or None")
+        if not scene.world == roles.world == draw.world:
+            raise InvalidSettingError(f"{told} of the world {draw.world.name!r}")
+        n, showing = len(roles.world.agents), len(pairs_showing(self.scenario, roles))
+        if showing < (n * (n - 1) // 2 if self.scenario == "independent" else 1):
+            raise InvalidSettingError(
+                f"family {self.name!r} drew {roles}, which is not {self.scenario}"
+            )
+        for agent, goal in enumerate(roles.effective_goals):
+            literal = goal_literal(goal, agent, draw.world)
+            if literal.positive and is_true(literal, scene.start, scene):
+                draw.refuse(f"{draw.world.goals[goal]!r} is true at the start")
+        return CastSituation(scene, roles)
+
+    def _called(self, draw: Draw | CastDraw) -> Any:
+        return self.function(draw) if self.variant is None else self.function(draw, self.variant)
+
+    def _tried(self, once: Callable[[], Drawn], where: str) -> Drawn:
+        reason = ""
+        for _ in range(_TRIES):
+            try:
+                return once()
+            except CannotDraw as refused:
+                reason = str(refused)
+        raise InvalidSettingError(
+            f"family {self.name!r} found no situation in {_TRIES} draws {where}"
+            + (f", the last since {reason}" if reason else "")
+        )
 
 
 def pairs_showing(what: str, wanted: Hypothesis | Roles) -> list[tuple[int, int]]:
@@ -114,74 +170,8 @@ def pairs_showing(what: str, wanted: Hypothesis | Roles) -> list[tuple[int, int]
     ]
 
 
-@dataclasses.dataclass(frozen=True)
-class CastFamily:
-    """A family of events of other worlds than PHASE."""
-
-    name: str  # as users call it
-    # ``function(draw)`` or, with variants, ``function(draw, variant)``; None: draw anew
-    function: Callable[..., tuple[Scene, Roles] | None]
-    # what some two agents show; with "independent" all do, or a single one is alone
-    scenario: str
-    variants: tuple[str, ...]  # names of its variants; empty where there are none
-    summary: str  # first line of the function's documentation
-    world: World | None  # whose it is; None: any with enough of the following
-    needs: Mapping[str, int]  # least number of "agents", "items" and "landmarks"
-
-    def lacks(self, world: World) -> str:
-        """Return why a world cannot have it; "" where it can."""
-        if world == PHASE or self.world not in (None, world):
-            whose = "other worlds" if self.world is None else f"the world {self.world.name!r}"
-            return f"the family {self.name!r} is of {whose}, not of {world.name!r}"
-        if self.world is not None:
-            return ""
-        there = {what: len(getattr(world, what)) for what in self.needs}
-        few = [what for what, least in self.needs.items() if there[what] < least]
-        wanted, has = (
-            " and ".join(f"{n[what]} {what if n[what] != 1 else what[:-1]}" for what in few)
-            for n in (self.needs, there)
-        )
-        return f"the family {self.name!r} needs {wanted}; {world.name!r} has {has}" if few else ""
-
-    def draw(self, world: World, seed: int, variant: str | None = None) -> CastSituation:
-        """Return a situation in which no goal to get somewhere is true at the start."""
-        draw, reason = CastDraw(world, np.random.default_rng(seed)), ""
-        for _ in range(_TRIES):
-            try:
-                return self._drawn_with(draw, variant)
-            except CannotDraw as refused:
-                reason = str(refused)
-        raise InvalidSettingError(
-            f"family {self.name!r} found no situation in {_TRIES} draws in {world.name!r}"
-            + (f", the last since {reason}" if reason else "")
-        )
-
-    def _drawn_with(self, draw: CastDraw, variant: str | None) -> CastSituation:
-        found = self.function(draw) if variant is None else self.function(draw, variant)
-        if found is None:
-            draw.refuse("it returned None")
-        told = f"family {self.name!r} drew {shown(found)}, expected"
-        if not (isinstance(found, tuple) and len(found) == 2):
-            raise InvalidSettingError(f"{told} a scene and roles, or None")
-        scene, roles = found
-        if not (isinstance(scene, Scene) and isinstance(roles, Roles)):
-            raise InvalidSettingError(f"{told} a scene and roles, or None")
-        if not scene.world == roles.world == draw.world:
-            raise InvalidSettingError(f"{told} a scene and roles of the world {draw.world.name!r}")
-        n, showing = len(roles.world.agents), len(pairs_showing(self.scenario, roles))
-        if showing < (n * (n - 1) // 2 if self.scenario == "independent" else 1):
-            raise InvalidSettingError(
-                f"family {self.name!r} drew {roles}, which is not {self.scenario}"
-            )
-        for agent, goal in enumerate(roles.effective_goals):
-            literal = goal_literal(goal, agent, draw.world)
-            if literal.positive and is_true(literal, scene.start, scene):
-                draw.refuse(f"{draw.world.goals[goal]!r} is true at the start")
-        return CastSituation(scene, roles)
-
-
 FAMILIES: Final = Registry[Family]("family", entry_points="phase_ppl.families")
-CAST_FAMILIES: Final = Registry[CastFamily]("family", entry_points="phase_ppl.families")
+CAST_FAMILIES: Final = Registry[Family]("family", entry_points="phase_ppl.families")
 """Of other worlds than PHASE, whose names may be the same."""
 
 
@@ -219,54 +209,46 @@ def register_family(
             raise unknown_name("layout", layout, map(str, LAYOUTS))
     if not layouts or ":" in name:
         raise InvalidSettingError(f"family {name!r}: expected layouts, and a name without ':'")
-    world = named(world) if isinstance(world, str) else world
-    instance_of("world", world, (World, type(None)), "a phase_ppl.World, the name of one, or None")
-    if world == PHASE:
-        return FAMILIES.register(
-            name,
-            lambda function, summary: Family(
-                name, function, scenario, tuple(layouts), tuple(variants), summary
-            ),
-        )
-    needs = {"agents": agents, "items": items, "landmarks": landmarks}
-    for what, n in needs.items():
-        whole_number(what, n, 0)
-    return CAST_FAMILIES.register(
+    world = None if world is None else named(world)
+    least = {"agents": agents, "items": items, "landmarks": landmarks}
+    needs = {what: whole_number(what, n, 0) for what, n in least.items() if world is None}
+    registry = FAMILIES if world == PHASE else CAST_FAMILIES
+    kinds = tuple(variants), tuple(layouts)
+    return registry.register(
         name,
-        lambda function, summary: CastFamily(
-            name, function, scenario, tuple(variants), summary, world, needs
-        ),
+        lambda function, summary: Family(name, function, summary, scenario, *kinds, world, needs),
     )
 
 
 def available_families(world: World | str = PHASE) -> list[str]:
     """Return the names of all families that a world, or the ready-made one of a name, has."""
-    world = named(world) if isinstance(world, str) else world
+    world = named(world)
     if world == PHASE:
         return FAMILIES.names()
     return [name for name, family in CAST_FAMILIES.items() if not family.lacks(world)]
 
 
-def family_and_variant(cell: str) -> tuple[Family, str | None]:
-    """Return what "FAMILY" or "FAMILY:VARIANT" names in PHASE."""
-    name, _, _ = cell.partition(":")
-    return FAMILIES[name], _variant(FAMILIES[name], cell)
-
-
-def cast_family_and_variant(cell: str, world: World) -> tuple[CastFamily, str | None]:
-    """Return what "FAMILY" or "FAMILY:VARIANT" names in a world other than PHASE."""
-    name, _, _ = cell.partition(":")
-    if name not in CAST_FAMILIES.names():
-        if name in FAMILIES.names():
-            raise InvalidSettingError(
-                f"the family {name!r} is for the world PHASE only, not {world.name!r}"
-            )
+def family_of(cell: str, world: World = PHASE) -> Family:
+    """Return the family, with its variant, that "FAMILY" or "FAMILY:VARIANT" names in a world."""
+    name, colon, variant = cell.partition(":")
+    if world == PHASE:
+        family = FAMILIES[name]
+    elif name in CAST_FAMILIES.names():
+        family = CAST_FAMILIES[name]
+        if lacking := family.lacks(world):
+            raise InvalidSettingError(lacking)
+    elif name in FAMILIES.names():
+        raise InvalidSettingError(
+            f"the family {name!r} is for the world PHASE only, not {world.name!r}"
+        )
+    else:
         raise unknown_name(f"family of {world.name!r}", name, available_families(world))
-    family = CAST_FAMILIES[name]
-    lacking = family.lacks(world)
-    if lacking:
-        raise InvalidSettingError(lacking)
-    return family, _variant(family, cell)
+    if not family.variants and not colon:
+        return family
+    if variant not in family.variants:
+        allowed = [f"{name}:{known}" for known in family.variants] or [name]
+        raise unknown_name("variant", cell, allowed)
+    return dataclasses.replace(family, variant=variant)
 
 
 def draw_situation(cell: str, world: World | str, seed: int) -> CastSituation:
@@ -284,19 +266,10 @@ def draw_situation(cell: str, world: World | str, seed: int) -> CastSituation:
         InvalidSettingError: the world is PHASE, or cannot have the family; or what the family draws
             is not what it should be, or nothing.
     """
-    world = named(world) if isinstance(world, str) else world
-    family, variant = cast_family_and_variant(cell, world)
-    return family.draw(world, whole_number("seed", seed, 0), variant)
-
-
-def _variant(family: Family | CastFamily, cell: str) -> str | None:
-    name, colon, variant = cell.partition(":")
-    if not family.variants and not colon:
-        return None
-    if variant not in family.variants:
-        allowed = [f"{name}:{known}" for known in family.variants] or [name]
-        raise unknown_name("variant", cell, allowed)
-    return variant
+    world = named(world)
+    if world == PHASE:
+        raise InvalidSettingError("draw_situation knows other worlds only, not 'PHASE'")
+    return family_of(cell, world).draw_in(world, whole_number("seed", seed, 0))
 
 
 @register_family("chasing", scenario="opposing")
@@ -552,9 +525,7 @@ class Change(NamedTuple):
         return {"ids_moved_by": self.ids} if self.ids else {"layout_before": before.layout}
 
 
-def changed(
-    family: Family, variant: str | None, situation: Situation
-) -> list[tuple[Change, Situation]]:
+def changed(family: Family, situation: Situation) -> list[tuple[Change, Situation]]:
     """Return all situations that are a situation in another layout, or with ids moved by one.
 
     Goals, alpha and all places and angles at the start are those of the first.
@@ -565,19 +536,17 @@ def changed(
           if layout != situation.layout and layout in family.layouts),
         *(Change(situation.layout, step) for step in _STEPS),
     ]  # fmt: skip
-    found = ((change, _redrawn(family, variant, situation, change)) for change in changes)
+    found = ((change, _redrawn(family, situation, change)) for change in changes)
     return [(change, other) for change, other in found if other is not None]
 
 
-def _redrawn(
-    family: Family, variant: str | None, situation: Situation, change: Change
-) -> Situation | None:
+def _redrawn(family: Family, situation: Situation, change: Change) -> Situation | None:
     sizes = _moved(situation.scene.radius.tolist(), SIZES, change.ids)
     strengths = _moved(situation.hypothesis.strengths, STRENGTH_LEVELS, change.ids)
     if sizes is None or strengths is None:
         return None
     try:
-        found = family.drawn_with(_Redraw(situation, change), variant)
+        found = family.drawn_with(_Redraw(situation, change))
     except CannotDraw:
         return None
     # what a family fixes is not moved, and what it draws elsewhere than from a Draw is drawn anew

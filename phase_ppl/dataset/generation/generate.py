@@ -15,7 +15,7 @@ from typing import Any, Final, overload
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.events_json import event_from_record, event_record
+from phase_ppl.dataset.events_json import event_from_record
 from phase_ppl.dataset.events_netcdf import checksum, events_bytes
 from phase_ppl.dataset.generated import (
     BLOCKS,
@@ -28,7 +28,7 @@ from phase_ppl.dataset.generated import (
     REJECTED,
     GeneratedEvents,
 )
-from phase_ppl.dataset.generation.making import Made, Rejected, make
+from phase_ppl.dataset.generation.making import Part, make
 from phase_ppl.dataset.generation.plan import (
     BLOCK,
     PHASE500,
@@ -39,7 +39,6 @@ from phase_ppl.dataset.generation.plan import (
     scaled,
 )
 from phase_ppl.simulator.processes import Failure, results, slots_of
-from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -67,48 +66,31 @@ def part_file(folder: Path, slot: Slot) -> Path:
     return folder / PARTS / f"{slot.number:05d}.json"
 
 
-def write_part(folder: Path, made: Made, keep_rejected: bool) -> None:
-    """Keep what became of a slot."""
-    rejected: list[dict[str, Any]] = []
-    for id, reason, event, measures, replanned in made.rejected:
-        rejected.append({"id": id, "reason": reason, "replanned": replanned, "measures": measures})
-        if keep_rejected and event is not None:
-            rejected[-1]["event"] = event_record(event)
-    content = {
-        "name": made.slot.name,
-        "cell": made.slot.cell,
-        "events": [event_record(event) for event in made.events],
-        "entries": made.entries,
-        "rejected": rejected,
-    }
-    write_json(part_file(folder, made.slot), {"sha256": _digest(content), **content})
+def read_part(folder: Path, slot: Slot) -> Part:
+    """Return what is kept of a slot, with events in place of their records.
 
-
-def read_part(folder: Path, slot: Slot) -> Made:
-    """Return what is kept of a slot (InvalidEventError: it is damaged)."""
+    InvalidEventError: it is damaged.
+    """
     source = part_file(folder, slot)
-    content = read_json(source)
-    digest = content.pop("sha256", None)
+    part = read_json(source)
     try:
-        if digest != _digest(content):
+        if part.pop("sha256", None) != _digest(part):
             raise InvalidEventError("its content is not what sha256 says")
-        if content["name"] != slot.name:
-            raise InvalidEventError(f"it holds {shown(content['name'])}")
-        events = [event_from_record(record) for record in content["events"]]
-        made = Made(slot, events, list(content["entries"]), [])
-        for draw in content["rejected"]:
-            event = event_from_record(draw["event"]) if "event" in draw else None
-            told = draw["id"], draw["reason"], event, draw["measures"], draw["replanned"]
-            made.rejected.append(Rejected(*told))
-        if [event.id for event in events] != [entry["id"] for entry in made.entries]:
+        if part["name"] != slot.name:
+            raise InvalidEventError(f"it holds {shown(part['name'])}")
+        part["events"] = [event_from_record(record) for record in part["events"]]
+        for draw in part["rejected"]:
+            if "event" in draw:
+                draw["event"] = event_from_record(draw["event"])
+        if [event.id for event in part["events"]] != [entry["id"] for entry in part["entries"]]:
             raise InvalidEventError("its events and entries are not the same")
-        return made
+        return part
     except (KeyError, TypeError, PhasePPLError) as error:
         raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
 
 
-def _digest(content: Mapping[str, Any]) -> str:
-    text = json.dumps(content, sort_keys=True, allow_nan=False)
+def _digest(part: Part) -> str:
+    text = json.dumps(part, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -128,11 +110,10 @@ def assemble(
     entries in the manifest. It was ``made_by`` these versions, the last ones last; the part of each
     slot is in a folder of its own, or the same.
     """
-    cells = plan["cells"]
     # of simulations, and of those of re-planned copies
-    kept = {replanned: dict.fromkeys(cells, 0) for replanned in (False, True)}
-    reasons: dict[bool, dict[str, Counter[str]]] = {
-        replanned: {cell: Counter() for cell in cells} for replanned in (False, True)
+    tally: dict[bool, dict[str, dict[str, Any]]] = {
+        replanned: {cell: {"kept": 0, "rejected": Counter()} for cell in plan["cells"]}
+        for replanned in (False, True)
     }
     given_up: list[str] = []
     sizes: list[int] = []
@@ -141,35 +122,33 @@ def assemble(
     for start in range(0, len(slots), BLOCK):
         events: list[Event] = []
         entries = []
-        refused: list[Event] = []
-        told: list[dict[str, Any]] = []
+        rejected: list[dict[str, Any]] = []
         for slot in slots[start : start + BLOCK]:
             part = read_part(folder_of(slot), slot)
-            events += part.events
-            entries += part.entries
-            kept[False][slot.cell] += bool(part.events)
-            kept[True][slot.cell] += sum(bool(entry.get("replanned")) for entry in part.entries)
-            given_up += [] if part.events else [slot.name]
-            for id, reason, event, measures, replanned in part.rejected:
-                reasons[replanned][slot.cell][reason] += 1
-                if event is not None:
-                    refused.append(event)
-                    draw = {"reason": reason, "replanned": replanned, "measures": measures}
-                    told.append({"id": id, "cell": slot.cell, **draw})
+            events += part["events"]
+            entries += part["entries"]
+            tally[False][slot.cell]["kept"] += bool(part["events"])
+            for entry in part["entries"]:
+                tally[True][slot.cell]["kept"] += bool(entry.get("replanned"))
+            given_up += [] if part["events"] else [slot.name]
+            for draw in part["rejected"]:
+                tally[draw["replanned"]][slot.cell]["rejected"][draw["reason"]] += 1
+                if "event" in draw:
+                    rejected.append({"id": draw.pop("id"), "cell": slot.cell, **draw})
         for event, entry in zip(events, entries, strict=True):
             entry["checksum"] = checksum(event)
         place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
         if events:
             write_bytes(place / EVENTS, (".nc",), events_bytes(events))
-        if refused:
+        if rejected:
+            refused = [draw.pop("event") for draw in rejected]
             write_bytes(place / f"{REJECTED}.nc", (".nc",), events_bytes(refused))
-            write_json(place / f"{REJECTED}.json", {"rejected": told})
+            write_json(place / f"{REJECTED}.json", {"rejected": rejected})
         if not single:
             write_json(place / ENTRIES, {"entries": entries})
         sizes.append(len(events))
     if not sum(sizes):
         raise OutputError(f"{out}: no draw of any kind was kept")
-    replans = {cell: {"kept": n, "rejected": reasons[True][cell]} for cell, n in kept[True].items()}
     write_json(
         out / MANIFEST,
         {
@@ -177,115 +156,69 @@ def assemble(
             "plan": dict(plan),
             "versions": made_by[-1],
             "earlier_versions": made_by[:-1],
-            "kept": kept[False],
-            "rejected": reasons[False],
-            "replans": replans if plan["replans"] else {},
+            "kept": {cell: n["kept"] for cell, n in tally[False].items()},
+            "rejected": {cell: n["rejected"] for cell, n in tally[False].items()},
+            "replans": tally[True] if plan["replans"] else {},
             "given_up": given_up,
             **({"entries": entries} if single else {"blocks": sizes}),
         },
     )
 
 
-# --- what is missing, and the whole --------------------------------------------------------------
+# --- what is missing -----------------------------------------------------------------------------
 
 
-class _Builder:
-    """The folder of a data set that is being made, or of the share of a ``shard``.
+def _damage(folder: Path, slot: Slot) -> str | None:
+    """Return "" where the part of a slot is there, why not where it is damaged; None: none is."""
+    if not part_file(folder, slot).is_file():
+        return None
+    try:
+        read_part(folder, slot)
+    except InvalidEventError as error:
+        return str(error)
+    return ""
 
-    Events whose part was there and is damaged are missing again.
-    """
 
-    def __init__(
-        self,
-        path: Path,
-        plan: Plan,
-        *,
-        keep_rejected: bool,
-        resume: bool,
-        other_versions: bool,
-        shard: Shard | None,
-    ) -> None:
-        self.path, self._plan, self._keep_rejected = path, plan, keep_rejected
-        self._slots = plan.slots() if shard is None else shard.of_all(plan.slots())
-        record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
-        if shard is not None:
-            record[SHARD] = str(shard)
-        target = path / PLAN
-        self._made_by: list[dict[str, Any]] = []
-        if target.exists():
-            if not resume:
-                raise OutputError(f"{path} holds a data set already; resume it, or name another")
-            stored = read_json(target)
-            self._made_by = stored.pop("versions", [{}])
-            apart = differences(stored, record)
-            if apart:
-                raise OutputError(f"{path} holds a data set of another plan: {'; '.join(apart)}")
-        writable_folder(path / PARTS)
-        self._damaged: list[str] = []
-        self._finished = (path / MANIFEST).is_file()
-        self._missing = [] if self._finished else [s for s in self._slots if not self._is_made(s)]
-        if self._missing:
-            self._made_by = versions_so_far(self._made_by, path, other_versions)
-            write_json(target, {**record, "versions": self._made_by})
-
-    def _is_made(self, slot: Slot) -> bool:
-        if not part_file(self.path, slot).is_file():
-            return False
-        try:
-            read_part(self.path, slot)
-        except InvalidEventError:
-            self._damaged.append(slot.name)
-            return False
-        return True
-
-    def make(
-        self, n_workers: int | None, executor: Executor | None, progress: bool | None
-    ) -> dict[str, Any]:
-        """Make what is missing; return what that cost."""
-        clock = time.perf_counter()
-        total, left = len(self._slots), len(self._missing)
-        failures: list[str] = []
-        made = results(make, self._plan, self._missing, n_workers, "the plan", executor)
-        try:
-            bar = Bar(total, total - left, progress, "event", "events")
-            with contextlib.closing(made), bar:
-                for slot, result in made:
-                    if isinstance(result, Failure):
-                        failures.append(f"{slot.cell}, number {slot.number}: {result.reason}")
-                    else:
-                        write_part(self.path, result, self._keep_rejected)
-                        left -= 1
-                    bar.update()
-        except KeyboardInterrupt:
-            raise GenerationInterrupted(
-                f"interrupted with {left} of {total} events to be made; resume goes on"
-            ) from None
-        except SimulationError as error:
-            raise SimulationError(
-                f"{error}: {left} of {total} events are still to be made; the others are kept in "
-                f"{self.path}, and resume goes on"
-            ) from None
-        if failures:
-            raise SimulationError(
-                f"{len(failures)} events could not be made, the first: {failures[0]}; the others "
-                f"are kept in {self.path}"
-            )
-        seconds = time.perf_counter() - clock
-        return {"seconds": seconds, "workers": n_workers, "made_now": len(self._missing)}
-
-    def finish(self, cost: Mapping[str, Any]) -> GeneratedEvents:
-        """Put the parts together and return the data set."""
-        if not self._finished:
-            plan = self._plan.to_dict()
-            assemble(self.path, plan, self._made_by, self._slots, lambda _: self.path)
-            write_json(self.path / COST, {**cost, "made_anew": self._damaged})
-        for slot in self._slots:
-            part_file(self.path, slot).unlink(missing_ok=True)
-        for half in (self.path / PARTS).glob(".part-*"):  # of a process that was killed
-            half.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # what else is there is not ours
-            (self.path / PARTS).rmdir()
-        return GeneratedEvents(self.path)
+def _make_missing(
+    folder: Path,
+    plan: Plan,
+    missing: Sequence[Slot],
+    total: int,
+    keep_rejected: bool,
+    n_workers: int | None,
+    executor: Executor | None,
+    progress: bool | None,
+) -> None:
+    """Make the parts of slots, of so many in all."""
+    left = len(missing)
+    failures: list[str] = []
+    made = results(make, plan, missing, n_workers, "the plan", executor)
+    try:
+        bar = Bar(total, total - left, progress, "event", "events")
+        with contextlib.closing(made), bar:
+            for slot, part in made:
+                if isinstance(part, Failure):
+                    failures.append(f"{slot.cell}, number {slot.number}: {part.reason}")
+                else:
+                    for draw in () if keep_rejected else part["rejected"]:
+                        draw.pop("event", None)
+                    write_json(part_file(folder, slot), {"sha256": _digest(part), **part})
+                    left -= 1
+                bar.update()
+    except KeyboardInterrupt:
+        raise GenerationInterrupted(
+            f"interrupted with {left} of {total} events to be made; resume goes on"
+        ) from None
+    except SimulationError as error:
+        raise SimulationError(
+            f"{error}: {left} of {total} events are still to be made; the others are kept in "
+            f"{folder}, and resume goes on"
+        ) from None
+    if failures:
+        raise SimulationError(
+            f"{len(failures)} events could not be made, the first: {failures[0]}; the others "
+            f"are kept in {folder}"
+        )
 
 
 # --- the call --------------------------------------------------------------------------------
@@ -390,8 +323,7 @@ def generate(  # type: ignore[misc]
         GenerationInterrupted: Ctrl-C; what was finished is kept.
     """
     given = {"splits": splits, "frames": frames, "max_tries": max_tries}
-    world = named(world) if isinstance(world, str) else world
-    instance_of("world", world, World, "a phase_ppl.World, or the name of one")
+    world = named(world)
     of_phase = world == PHASE
     if cells is None:
         if n is None and not of_phase:
@@ -412,16 +344,47 @@ def generate(  # type: ignore[misc]
         recolour=of_phase if recolour is None else recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
-    slots = slots_of(workers, executor)
-    share = None if shard is None else Shard.named(shard)
+    at_once = slots_of(workers, executor)
+    folder, slots = Path(out), plan.slots()
+    record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
+    if shard is not None:
+        share = Shard.named(shard)
+        slots, record[SHARD] = share.of_all(slots), str(share)
     with locked(writable_folder(out)):
-        builder = _Builder(
-            Path(out),
-            plan,
-            keep_rejected=keep_rejected,
-            resume=resume,
-            other_versions=other_versions,
-            shard=share,
-        )
-        cost = builder.make(slots, executor, progress)
-        return builder.finish(cost) if share is None else builder.path
+        made_by: list[dict[str, Any]] = []
+        if (folder / PLAN).exists():
+            if not resume:
+                raise OutputError(f"{folder} holds a data set already; resume it, or name another")
+            stored = read_json(folder / PLAN)
+            made_by = stored.pop("versions", [{}])
+            apart = differences(stored, record)
+            if apart:
+                raise OutputError(f"{folder} holds a data set of another plan: {'; '.join(apart)}")
+        writable_folder(folder / PARTS)
+        finished = (folder / MANIFEST).is_file()
+        damage = {} if finished else {slot: _damage(folder, slot) for slot in slots}
+        missing = [slot for slot, wrong in damage.items() if wrong != ""]
+        if missing:
+            made_by = versions_so_far(made_by, folder, other_versions)
+            write_json(folder / PLAN, {**record, "versions": made_by})
+        clock = time.perf_counter()
+        _make_missing(folder, plan, missing, len(slots), keep_rejected, at_once, executor, progress)
+        seconds = time.perf_counter() - clock
+        if shard is not None:
+            return folder
+        if not finished:
+            assemble(folder, plan.to_dict(), made_by, slots, lambda _: folder)
+            cost = {
+                "seconds": seconds,
+                "workers": at_once,
+                "made_now": len(missing),
+                "made_anew": [slot.name for slot, wrong in damage.items() if wrong],
+            }
+            write_json(folder / COST, cost)
+        for slot in slots:
+            part_file(folder, slot).unlink(missing_ok=True)
+        for half in (folder / PARTS).glob(".part-*"):  # of a process that was killed
+            half.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # what else is there is not ours
+            (folder / PARTS).rmdir()
+        return GeneratedEvents(folder)

@@ -1,4 +1,4 @@
-"""Making one event of a plan, with its copies."""
+"""Making one event of a plan, with its copies: simulated, measured, kept, and shown otherwise."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from phase_ppl.dataset.generation.copies import Recording, recoloured, record, reflected
-from phase_ppl.dataset.generation.families import changed, family_and_variant, pairs_showing
+from phase_ppl.dataset.events_json import event_record
+from phase_ppl.dataset.generation.families import changed, pairs_showing
 from phase_ppl.dataset.generation.plan import (
     MOST_TRIES,
     REFLECTION_SHARES,
@@ -20,20 +21,249 @@ from phase_ppl.dataset.generation.plan import (
     Slot,
 )
 from phase_ppl.dataset.generation.situation import Situation
-from phase_ppl.physics.actions import DIRECTIONS
+from phase_ppl.dataset.motion import last_motion
+from phase_ppl.physics.actions import DIRECTIONS, NO_ACTION, Action
 from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
-from phase_ppl.world.goals import goal_literal, is_true, possible_goals
+from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, all_ways
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING, Predicate
+from phase_ppl.world.scene import PHASE, Scene, Turning, World
+
+AFTER_MOTION: Final = 8
+"""Frames kept after the last motion, as in the original recordings: 2 s of video."""
+
+SHORTEST: Final = 33  # frames that are always kept: the shortest original recording
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
+    """A simulated situation."""
+
+    scene: Scene  # what was known at the start
+    hypothesis: Hypothesis  # stated goals, alpha, strengths
+    layout: int  # number of the layout, before any reflection
+    trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
+    # (time, agent) action that led to the frame, ``NO_ACTION`` at the start
+    actions: NDArray[np.int64]
+    held: NDArray[np.int64]  # (time, agent) item held when that action was chosen, or ``NOTHING``
+
+
+def record(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
+    """Simulate a situation for ``frames``, 12 per simulated second; cut after the last motion."""
+    scene, hypothesis = situation.scene, situation.hypothesis
+    steps = simulator.steps(scene, hypothesis, np.random.default_rng(seed))
+    taken = list(itertools.islice(steps, frames))
+    trajectory = np.array([frame for frame, _ in taken], np.float64)
+    at_start = [(NO_ACTION, NOTHING)] * len(AGENTS)
+    doing = np.array(
+        [[(one.action, one.held) for one in pair] or at_start for _, pair in taken], np.int64
+    )
+    length = after_motion(trajectory)
+    actions, held = np.moveaxis(doing[:length], 2, 0)
+    return Recording(scene, hypothesis, situation.layout, trajectory[:length], actions, held)
+
+
+def after_motion(trajectory: FloatArray) -> int:
+    """Return how many frames of a (time, entity, coord) trajectory to keep."""
+    return min(len(trajectory), max(SHORTEST, last_motion(trajectory) + 1 + AFTER_MOTION))
+
+
+# --- copies that look different and mean the same -------------------------------------------------
+# Landmarks keep their places and colours, so under a reflection a goal is about another landmark;
+# agents that turn one way only turn the other way.
+
+
+class Reflection(NamedTuple):
+    """A reflection of the arena about a line through its centre."""
+
+    matrix: FloatArray  # (2, 2) of offsets from the centre
+    offset: float  # angle a becomes ``offset`` - a, rad
+
+
+REFLECTIONS: Final = {
+    "up-down": Reflection(np.array([[1.0, 0.0], [0.0, -1.0]]), np.pi),
+    "left-right": Reflection(np.array([[-1.0, 0.0], [0.0, 1.0]]), 0.0),
+    "about y=x": Reflection(np.array([[0.0, 1.0], [1.0, 0.0]]), -np.pi / 2),
+    "about y=-x": Reflection(np.array([[0.0, -1.0], [-1.0, 0.0]]), np.pi / 2),
+}
+"""Name -> reflection; the names are those of the authors' files."""
+
+_IN_A_MIRROR: Final = (
+    (Action.TURN_LEFT, Action.TURN_RIGHT),
+    (Action.LEFT, Action.RIGHT),
+    (Action.UP_LEFT, Action.UP_RIGHT),
+    (Action.DOWN_LEFT, Action.DOWN_RIGHT),
+)
+"""Actions that look like each other in a mirror; all others look like themselves."""
+
+_OTHER_WAY: Final[dict[str, Turning]] = {"both": "both", "ccw": "cw", "cw": "ccw"}
+
+
+def reflected(recording: Recording, name: str) -> Recording:
+    """Return the recording seen in a mirror."""
+    matrix, offset = REFLECTIONS[name]
+    scene = recording.scene
+
+    def mirrored(points: FloatArray) -> FloatArray:
+        return np.asarray(scene.centre + (points - scene.centre) @ matrix.T)
+
+    def turned(poses: FloatArray) -> FloatArray:
+        result = -np.array(poses)
+        result[..., :2] = mirrored(poses[..., :2])
+        result[..., : len(AGENTS), 2] += offset
+        return result
+
+    apart = mirrored(scene.landmark_centres)[:, None] - scene.landmark_centres
+    landmark = np.linalg.norm(apart, axis=2).argmin(axis=1).tolist()
+    actions = np.array(recording.actions)
+    for left, right in _IN_A_MIRROR:
+        actions[recording.actions == left] = right
+        actions[recording.actions == right] = left
+    return dataclasses.replace(
+        recording,
+        scene=dataclasses.replace(
+            scene,
+            start=turned(scene.start),
+            walls=mirrored(scene.walls),
+            turning=_OTHER_WAY[scene.turning],
+        ),
+        hypothesis=_renamed(recording.hypothesis, list(range(len(ENTITIES))), landmark),
+        trajectory=turned(recording.trajectory),
+        actions=actions,
+    )
+
+
+def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
+    """Return the recording with the colours of the agents, of the items or of both exchanged."""
+    order = list(range(len(ENTITIES)))
+    for swap, first in ((agents, 0), (items, BLUE_ITEM)):
+        if swap:
+            order[first], order[first + 1] = order[first + 1], order[first]
+    agent_order, scene = order[: len(AGENTS)], recording.scene
+    held = recording.held[:, agent_order]
+    return dataclasses.replace(
+        recording,
+        scene=dataclasses.replace(scene, start=scene.start[order], radius=scene.radius[order]),
+        hypothesis=_renamed(recording.hypothesis, order, list(range(len(LANDMARKS)))),
+        trajectory=recording.trajectory[:, order],
+        actions=recording.actions[:, agent_order],
+        held=np.where(held >= 0, np.array(order)[held], held),
+    )
+
+
+def _renamed(hypothesis: Hypothesis, entity: list[int], landmark: list[int]) -> Hypothesis:
+    """Return the hypothesis with other entities (entity -> entity, in pairs) and landmarks."""
+    goals, alpha, strengths = [0, 0], [0, 0], [0.0, 0.0]
+    for agent, goal in enumerate((hypothesis.goal_red, hypothesis.goal_green)):
+        literal = goal_literal(goal, agent)
+        targets = entity if literal.predicate is Predicate.TOUCH else landmark
+        goals[entity[agent]] = literal_goal(
+            literal._replace(subject=entity[literal.subject], target=targets[literal.target])
+        )
+        alpha[entity[agent]] = hypothesis.alpha[agent]
+        strengths[entity[agent]] = hypothesis.strengths[agent]
+    return Hypothesis(goals[0], goals[1], (alpha[0], alpha[1]), *strengths)
+
+
+# --- what can be seen in a recording, and whether it is what it should show -----------------------
+
+STILL: Final = 0.02
+"""Units per frame that an agent must move by for its push to count as having an effect."""
+
+PUSHES: Final = tuple(int(action) for action in np.flatnonzero(DIRECTIONS.any(axis=1)))
+"""Actions that push."""
 
 NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met
 MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push without any effect
 Measures = Mapping[str, Any]
+
+
+def measures(recording: Recording) -> dict[str, Any]:
+    """Return facts about a recording, as plain numbers and lists.
+
+    Keys; those in brackets are lists over agents, red first:
+
+    * ``frames``.
+    * ``at_start``, ``ever``, ``at_end`` [agent]: whether its effective goal is true then.
+    * ``closest``: least distance between the agents, in units of the sum of their sizes.
+    * ``met``: frames in which the agents touch.
+    * ``touched`` [agent]: items that it touched.
+    * ``held`` [agent]: share of frames in which it holds something.
+    * ``moved`` [entity]: length of its way, units.
+    * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
+    """
+    found = _measured(
+        recording.trajectory, recording.scene, recording.hypothesis, recording.actions[1:]
+    )
+    for of_the_pair in ("closest", "met"):
+        (found[of_the_pair],) = found[of_the_pair].values()
+    return {**found, "held": (recording.held >= 0).mean(axis=0).tolist()}
+
+
+def measures_elsewhere(event: Event) -> dict[str, Any]:
+    """Return facts about a simulated event of another world than PHASE, as :func:`measures`.
+
+    ``closest`` and ``met`` are by pair, such as "red & green"; ``held`` is missing; and there is
+    ``reached`` [agent]: whether it has a goal of its own that became true.
+    """
+    assert event.thoughts is not None
+    found = _measured(
+        event.observation.trajectory, event.scene, event.truth, event.thoughts.actions
+    )
+    own = zip(event.truth.stated, found["at_start"], found["at_end"], strict=True)
+    reached = [goal is not None and end and not start for goal, start, end in own]
+    return {**found, "reached": reached}
+
+
+def _measured(
+    track: FloatArray, scene: Scene, wanted: Hypothesis | Roles, actions: IntArray
+) -> dict[str, Any]:
+    """Return :func:`measures_elsewhere` but for ``reached``; actions are (step, agent)."""
+    world = scene.world
+    n_agents, n = len(world.agents), len(world.entities)
+    literals = [
+        goal_literal(goal, agent, world) for agent, goal in enumerate(wanted.effective_goals)
+    ]
+    truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
+    steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
+    pushes = np.isin(actions, PUSHES) & (steps[:, :n_agents] < STILL)
+
+    def touching(one: int, other: int) -> list[bool]:
+        return [bool(touches(one, other, frame, scene.radius, n_agents)) for frame in track]
+
+    closest, met = {}, {}
+    for one, other in itertools.combinations(range(n_agents), 2):
+        name = _named(world, (one, other))
+        apart = np.linalg.norm(track[:, one, :2] - track[:, other, :2], axis=1)
+        closest[name] = float((apart / scene.radius[[one, other]].sum()).min())
+        met[name] = sum(touching(one, other))
+    return {
+        "frames": len(track),
+        "at_start": truth[0].tolist(),
+        "ever": truth.any(axis=0).tolist(),
+        "at_end": truth[-1].tolist(),
+        "closest": closest,
+        "met": met,
+        "touched": [
+            [world.entities[item] for item in range(n_agents, n) if any(touching(agent, item))]
+            for agent in range(n_agents)
+        ],
+        "moved": steps.sum(axis=0).tolist(),
+        "stuck": [
+            max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
+            for of_agent in pushes.T.tolist()
+        ],
+    }
+
+
+def _named(world: World, pair: tuple[int, int]) -> str:
+    """Return what measures call two agents, such as "red & green"."""
+    return " & ".join(world.keys[agent] for agent in pair)
 
 
 def reason_against(scenario: str, wanted: Hypothesis | Roles, found: Measures) -> str | None:
@@ -72,242 +302,102 @@ def reason_against(scenario: str, wanted: Hypothesis | Roles, found: Measures) -
     return None if None in reasons else reasons[0]
 
 
-# --- what can be seen in a recording ---------------------------------------------------------
-
-STILL: Final = 0.02
-"""Units per frame that an agent must move by for its push to count as having an effect."""
-
-PUSHES: Final = tuple(int(action) for action in np.flatnonzero(DIRECTIONS.any(axis=1)))
-"""Actions that push."""
-
-
-def measures(recording: Recording) -> dict[str, Any]:
-    """Return facts about a recording, as plain numbers and lists.
-
-    Keys; those in brackets are lists over agents, red first:
-
-    * ``frames``.
-    * ``at_start``, ``ever``, ``at_end`` [agent]: whether its effective goal is true then.
-    * ``closest``: least distance between the agents, in units of the sum of their sizes.
-    * ``met``: frames in which the agents touch.
-    * ``touched`` [agent]: items that it touched.
-    * ``held`` [agent]: share of frames in which it holds something.
-    * ``moved`` [entity]: length of its way, units.
-    * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
-    """
-    track, scene = recording.trajectory, recording.scene
-    closest, met = _of_pair(track, scene, (0, 1))
-    of_bodies = _of_bodies(track, scene, recording.actions[1:])
-    return {
-        **_of_goals(track, scene, recording.hypothesis),
-        "closest": closest,
-        "met": met,
-        "touched": of_bodies["touched"],
-        "held": (recording.held >= 0).mean(axis=0).tolist(),
-        "moved": of_bodies["moved"],
-        "stuck": of_bodies["stuck"],
-    }
-
-
-def _of_goals(track: FloatArray, scene: Scene, wanted: Hypothesis | Roles) -> dict[str, Any]:
-    """Return how long it took, and per agent whether its effective goal is true, and when."""
-    literals = [
-        goal_literal(goal, agent, scene.world) for agent, goal in enumerate(wanted.effective_goals)
-    ]
-    truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
-    return {
-        "frames": len(track),
-        "at_start": truth[0].tolist(),
-        "ever": truth.any(axis=0).tolist(),
-        "at_end": truth[-1].tolist(),
-    }
-
-
-def _of_pair(track: FloatArray, scene: Scene, pair: tuple[int, int]) -> tuple[float, int]:
-    """Return how near two agents come, in units of the sum of their sizes, and how often touch."""
-    n_agents, (one, other) = len(scene.world.agents), pair
-    apart = np.linalg.norm(track[:, one, :2] - track[:, other, :2], axis=1)
-    met = sum(touches(one, other, frame, scene.radius, n_agents) for frame in track)
-    return float((apart / scene.radius[[one, other]].sum()).min()), met
-
-
-def _of_bodies(track: FloatArray, scene: Scene, actions: IntArray) -> dict[str, Any]:
-    """Return ``touched``, ``moved`` and ``stuck``, of (step, agent) actions."""
-    world = scene.world
-    n_agents = len(world.agents)
-    steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
-    pushes = np.isin(actions, PUSHES) & (steps[:, :n_agents] < STILL)
-    return {
-        "touched": [
-            [world.entities[item] for item in range(n_agents, len(world.entities))
-             if any(touches(agent, item, frame, scene.radius, n_agents) for frame in track)]
-            for agent in range(n_agents)
-        ],
-        "moved": steps.sum(axis=0).tolist(),
-        "stuck": [
-            max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
-            for of_agent in pushes.T.tolist()
-        ],
-    }  # fmt: skip
-
-
-def measures_elsewhere(event: Event) -> dict[str, Any]:
-    """Return facts about a simulated event of another world than PHASE, as :func:`measures`.
-
-    ``closest`` and ``met`` are by pair, such as "red & green"; ``held`` is missing; and there is
-    ``reached`` [agent]: whether it has a goal of its own that became true.
-    """
-    track, world, wanted = event.observation.trajectory, event.scene.world, event.truth
-    found = _of_goals(track, event.scene, wanted)
-    own = zip(wanted.stated, found["at_start"], found["at_end"], strict=True)
-    reached = [goal is not None and end and not start for goal, start, end in own]
-    pairs = {
-        _named(world, pair): _of_pair(track, event.scene, pair)
-        for pair in itertools.combinations(range(len(world.agents)), 2)
-    }
-    assert event.thoughts is not None
-    return {
-        **found,
-        "reached": reached,
-        "closest": {name: closest for name, (closest, _) in pairs.items()},
-        "met": {name: met for name, (_, met) in pairs.items()},
-        **_of_bodies(track, event.scene, event.thoughts.actions),
-    }
-
-
-def _named(world: World, pair: tuple[int, int]) -> str:
-    """Return what measures call two agents, such as "red & green"."""
-    return " & ".join(world.keys[agent] for agent in pair)
-
-
 # --- making ----------------------------------------------------------------------------------
 
 REPLAN_TRIES: Final = 3  # simulations of a changed situation after which it is given up
 _SLOTS: Final = 10**5
 
+Part = dict[str, Any]
+"""What became of a slot, as plain data.
 
-class Rejected(NamedTuple):
-    """A simulation that did not show what it should."""
-
-    id: str  # of it as an event
-    reason: str  # why it was not kept
-    event: Event | None  # it; None: there was nothing to simulate
-    found: dict[str, Any]  # its measures
-    replanned: bool  # whether it was to be a re-planned copy
-
-
-class Made(NamedTuple):
-    """What became of a slot."""
-
-    slot: Slot  # what was wanted
-    events: list[Event]  # the event and its copies; empty where every draw was rejected
-    entries: list[dict[str, Any]]  # per event what the manifest says about it
-    # draws before the one that was kept, and failed attempts at re-planned copies
-    rejected: list[Rejected]
+``name`` and ``cell`` are the slot's. ``events``, the event and its copies, are none where every
+draw was rejected; ``entries`` say of each what the manifest says. ``rejected`` are the draws before
+the one that was kept, and failed attempts at re-planned copies (``replanned``): with ``id``,
+``reason``, ``measures``, and ``event`` unless there was nothing to simulate.
+"""
 
 
-def make(plan: Plan, slot: Slot) -> Made:
+def make(plan: Plan, slot: Slot) -> Part:
     """Draw and simulate situations of a slot until one shows what it should.
 
     In PHASE a situation is one of a family, and its event has copies; in another world it is one of
     a family, or a random scene with roles.
     """
-    made = Made(slot, [], [], [])
+    part: Part = {"name": slot.name, "cell": slot.cell, "events": [], "entries": [], "rejected": []}
     tried = _tried_in_phase if plan.world == PHASE else _tried_elsewhere
     for attempt in range(plan.max_tries):
-        tried(plan, made, attempt)
-        if made.events:
+        tried(plan, slot, part, attempt)
+        if part["events"]:
             break
-    return made
+    return part
 
 
-def _tried_in_phase(plan: Plan, made: Made, attempt: int) -> None:
+def _tried_in_phase(plan: Plan, slot: Slot, part: Part, attempt: int) -> None:
     """Draw a situation of a family; keep its recording, and copies of it, if it is good."""
-    slot = made.slot
-    family, variant = family_and_variant(slot.cell)
+    family = plan.families[slot.cell]
     rng = np.random.default_rng([plan.seed, 0, slot.number, attempt])
-    situation = family.draw(rng, variant, plan.turning)
-    recording = _simulated(plan, made, situation, rng, f"{slot.name}-{attempt}")
+    situation = family.draw(rng, plan.turning)
+    simulator = JointSimulator(plan.planner)
+
+    def simulated(what: Situation, id: str, replanned: bool = False) -> Recording | None:
+        recording = record(what, simulator, plan.frames, int(rng.integers(2**31)))
+        found = measures(recording)
+        reason = reason_against(family.scenario, recording.hypothesis, found)
+        if reason is not None:
+            _reject(part, id, reason, event_of(recording, id), found, replanned)
+        return recording if reason is None else None
+
+    def keep(
+        recording: Recording, attempt: int, look: Look, replanned: dict[str, Any] | None = None
+    ) -> None:
+        if look.reflection != UNCHANGED:
+            recording = reflected(recording, look.reflection)
+        shown = recoloured(recording, agents=look.agents, items=look.items)
+        id = f"{slot.name}.{len(part['events'])}" if part["events"] else slot.name
+        part["events"].append(event_record(event_of(shown, id)))
+        part["entries"].append(
+            {
+                "id": id,
+                "group": slot.name,
+                "split": slot.split,
+                "family": family.name,
+                "variant": family.variant,
+                "layout": shown.layout,
+                "attempt": attempt,
+                "replanned": replanned,
+                "reflection": look.reflection,
+                "agents_exchanged": look.agents,
+                "items_exchanged": look.items,
+                "hypothesis": shown.hypothesis.to_dict(),
+                "scenario": shown.hypothesis.scenario,
+                "relation": shown.hypothesis.relation,
+                "measures": measures(shown),
+            }
+        )
+
+    recording = simulated(situation, f"{slot.name}-{attempt}")
     if recording is None:
         return
     shares = np.array([REFLECTION_SHARES[look.reflection] for look in plan.looks])
     shares /= shares.sum()
     for index in rng.choice(len(shares), 1 + plan.copies, replace=False, p=shares):
-        _keep(made, recording, attempt, plan.looks[index])
+        keep(recording, attempt, plan.looks[index])
     if not plan.replans:
         return
     # numbers of their own: the event and its other copies are the same without them
     rng = np.random.default_rng([plan.seed, 2, slot.number])
-    changes = changed(family, variant, situation)
-    wanted = len(made.events) + plan.replans
+    changes = changed(family, situation)
+    wanted = len(part["events"]) + plan.replans
     for place in rng.permutation(len(changes)):
-        if len(made.events) == wanted:
+        if len(part["events"]) == wanted:
             break
         change, other = changes[place]
         for again in range(REPLAN_TRIES):
-            id = f"{slot.name}-{change.name}-{again}"
-            recording = _simulated(plan, made, other, rng, id, replanned=True)
+            recording = simulated(other, f"{slot.name}-{change.name}-{again}", replanned=True)
             if recording is not None:
                 look = plan.looks[int(rng.choice(len(shares), p=shares))]
-                _keep(made, recording, again, look, change.described(situation))
+                keep(recording, again, look, change.described(situation))
                 break
-
-
-def _simulated(
-    plan: Plan,
-    made: Made,
-    situation: Situation,
-    rng: np.random.Generator,
-    id: str,
-    *,
-    replanned: bool = False,
-) -> Recording | None:
-    """Return the recording of a situation if it is to be kept, and note it if not."""
-    simulator = JointSimulator(plan.planner)
-    recording = record(situation, simulator, plan.frames, int(rng.integers(2**31)))
-    found = measures(recording)
-    family, _ = family_and_variant(made.slot.cell)
-    reason = reason_against(family.scenario, recording.hypothesis, found)
-    if reason is None:
-        return recording
-    made.rejected.append(Rejected(id, reason, event_of(recording, id), found, replanned))
-    return None
-
-
-def _keep(
-    made: Made,
-    recording: Recording,
-    attempt: int,
-    look: Look,
-    replanned: dict[str, Any] | None = None,
-) -> None:
-    """Add an event, or a copy of it, to what was made."""
-    slot = made.slot
-    id = f"{slot.name}.{len(made.events)}" if made.events else slot.name
-    if look.reflection != UNCHANGED:
-        recording = reflected(recording, look.reflection)
-    shown = recoloured(recording, agents=look.agents, items=look.items)
-    made.events.append(event_of(shown, id))
-    family, variant = family_and_variant(slot.cell)
-    made.entries.append(
-        {
-            "id": id,
-            "group": slot.name,
-            "split": slot.split,
-            "family": family.name,
-            "variant": variant,
-            "layout": shown.layout,
-            "attempt": attempt,
-            "replanned": replanned,
-            "reflection": look.reflection,
-            "agents_exchanged": look.agents,
-            "items_exchanged": look.items,
-            "hypothesis": shown.hypothesis.to_dict(),
-            "scenario": shown.hypothesis.scenario,
-            "relation": shown.hypothesis.relation,
-            "measures": measures(shown),
-        }
-    )
 
 
 def event_of(recording: Recording, id: str) -> Event:
@@ -316,36 +406,47 @@ def event_of(recording: Recording, id: str) -> Event:
     return Event(recording.scene, Observation(recording.trajectory), id=id, truth=truth)
 
 
-def _tried_elsewhere(plan: Plan, made: Made, attempt: int) -> None:
+def _reject(
+    part: Part,
+    id: str,
+    reason: str,
+    event: Event | None,
+    found: Measures,
+    replanned: bool = False,
+) -> None:
+    told = {"id": id, "reason": reason, "replanned": replanned, "measures": found}
+    part["rejected"].append(told if event is None else {**told, "event": event_record(event)})
+
+
+def _tried_elsewhere(plan: Plan, slot: Slot, part: Part, attempt: int) -> None:
     """Draw a situation; keep its event if it is good.
 
     Of a family it is one that shows its scenario, of random scenes with roles one in which an agent
     reaches a goal of its own.
     """
-    slot, world = made.slot, plan.world
-    seed, id = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt, f"{slot.name}-{attempt}"
-    family, variant = plan.families.get(slot.cell, (None, None))
+    world, id = plan.world, f"{slot.name}-{attempt}"
+    seed = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt
+    family = plan.families.get(slot.cell)
     if family is not None:
-        scene, roles = family.draw(world, seed, variant)
+        scene, roles = family.draw_in(world, seed)
     else:
         drawn = _drawn_roles(plan, seed)
         if isinstance(drawn, str):
-            made.rejected.append(Rejected(id, drawn, None, {}, False))
+            _reject(part, id, drawn, None, {})
             return
         scene, roles = world.random_scene(seed), drawn
     scene = dataclasses.replace(scene, turning=plan.turning)
     event = simulate(scene, roles, frames=plan.frames, seed=seed, planner=plan.planner, id=id)
     found = measures_elsewhere(event)
-    event = dataclasses.replace(event, thoughts=None)
     reason = None if any(found["reached"]) else "no goal is reached"
     if family is not None:
         reason = reason_against(family.scenario, roles, found)
     if reason is not None:
-        made.rejected.append(Rejected(id, reason, event, found, False))
+        _reject(part, id, reason, event, found)
         return
-    of_family = {} if family is None else {"family": family.name, "variant": variant}
-    made.events.append(dataclasses.replace(event, id=slot.name))
-    made.entries.append(
+    of_family = {} if family is None else {"family": family.name, "variant": family.variant}
+    part["events"].append(event_record(dataclasses.replace(event, id=slot.name)))
+    part["entries"].append(
         {
             "id": slot.name,
             "group": slot.name,

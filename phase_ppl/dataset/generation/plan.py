@@ -18,12 +18,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.dataset.generation.families import (
-    MOST_CHANGES,
-    CastFamily,
-    cast_family_and_variant,
-    family_and_variant,
-)
+from phase_ppl.dataset.generation.families import MOST_CHANGES, Family, family_of
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import check_memory, instance_of, number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
@@ -100,37 +95,36 @@ class Slot(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What is to be generated."""
+    """What is to be generated, in the settings of :func:`phase_ppl.generate`."""
 
-    # FAMILY or FAMILY:VARIANT -> number of events; in another world also ``cell_of`` it, of random
-    # scenes with roles
+    # in another world than PHASE also ``cell_of`` it, of random scenes with roles
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
-    # name -> share, in any unit
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
-    # further copies of each event, with other reflections and colours; they stay in its split
     copies: int = 0
-    # re-planned copies of each event at most: its situation simulated anew in a layout of the same
-    # kind, or with all sizes and strengths one id further; in its split too
     replans: int = 0
-    reflect: bool = True  # whether events are reflected, and colours exchanged, at random
+    reflect: bool = True
     recolour: bool = True
-    # which way agents can turn before any reflection; the original ones only "ccw"
-    turning: Turning = "both"
-    frames: int = FRAMES  # length before the cut after the last motion
-    planner: str | PlannerConfig = "fast"  # "fast", "paper" or a ``PlannerConfig``
-    seed: int = 0  # of everything random
-    max_tries: int = MAX_TRIES  # draws after which a slot is given up
-    world: World = PHASE  # another than PHASE has no reflections and other colours
-    # of the random scenes of such a world; None: all that can be wanted is alike
+    turning: Turning = "both"  # the original events have only "ccw", before any reflection
+    frames: int = FRAMES
+    planner: str | PlannerConfig = "fast"
+    seed: int = 0
+    max_tries: int = MAX_TRIES
+    world: World = PHASE
     roles: DrawRoles | None = None
 
     def __post_init__(self) -> None:
         for given in ("cells", "splits"):
             instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
         for cell, n in self.cells.items():
-            if self.world == PHASE:
-                family_and_variant(cell)
             whole_number(cell, n, 0)
+        own = cell_of(self.world)
+        families = {
+            cell: family_of(cell, self.world)
+            for cell in self.cells
+            if self.world == PHASE or cell != own
+        }
+        # by themselves and not by name, since worker processes know no families of others
+        object.__setattr__(self, "families", families)
         if self.world != PHASE:
             self._check_elsewhere()
         elif self.roles is not None:
@@ -171,22 +165,16 @@ class Plan:
                     f"{self.world.name!r}"
                 )
         whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
-        random = cell_of(self.world)
-        families = {
-            cell: cast_family_and_variant(cell, self.world) for cell in self.cells if cell != random
-        }
-        # by themselves and not by name, since worker processes know no families of others
-        object.__setattr__(self, "families", families)
-        for family, variant in families.values():  # what a function of others does is found out now
-            family.draw(self.world, self.seed, variant)
+        for family in self.families.values():  # what functions of others do is found out now
+            family.draw_in(self.world, self.seed)
         if self.roles is not None and not callable(self.roles):
             raise InvalidSettingError(
                 f"roles={shown(self.roles)}, expected a function (world, seed) such as "
                 "phase_ppl.roles.draw"
             )
 
-    families: ClassVar[Mapping[str, tuple[CastFamily, str | None]]] = {}
-    """Cell -> family and variant, in another world than PHASE."""
+    families: ClassVar[Mapping[str, Family]] = {}
+    """Cell -> family, with its variant."""
 
     @property
     def looks(self) -> list[Look]:
@@ -215,7 +203,7 @@ class Plan:
             if self.families:
                 record["families"] = {
                     family.name: _function_record(family.function)
-                    for family, _ in self.families.values()
+                    for family in self.families.values()
                 }
         return dict(json.loads(json.dumps(record, default=dict)))
 

@@ -14,7 +14,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.generation.copies import Recording, recoloured, reflected
+from phase_ppl.dataset.generation.making import Recording, recoloured, reflected
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.world.arrays import FloatArray, IntArray

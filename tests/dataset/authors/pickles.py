@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from phase_ppl.dataset.generation.copies import Recording, reflected
+from phase_ppl.dataset.generation.making import Recording, reflected
 from phase_ppl.dataset.generation.situation import walls_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import Hypothesis

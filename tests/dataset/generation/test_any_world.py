@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,22 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
+from phase_ppl.dataset.generation import families, making
+from phase_ppl.dataset.generation.families import CAST_FAMILIES, draw_situation, register_family
 from phase_ppl.dataset.generation.generate import generate
-from phase_ppl.dataset.generation.making import uniform_roles
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
+from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, reason_against, uniform_roles
+from phase_ppl.dataset.generation.situation import CastDraw, CastSituation
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    OutputError,
+    SimulationError,
+    UnknownNameError,
+)
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Roles, scenario
 
 SOLO, TRIO = ppl.worlds.SOLO, ppl.worlds.TRIO
 ONE_THREAD: dict[str, Any] = {"workers": 1, "progress": False}
@@ -135,3 +145,301 @@ def test_roles_of_another_world_are_refused_and_named(tmp_path: Path) -> None:
         generate(
             tmp_path / "set", 1, world=SOLO, roles=lambda world, seed: drawn(seed), **ONE_THREAD
         )
+
+
+# --- families -------------------------------------------------------------------------------------
+
+OURS = ("chasing", "collab", "compete", "help", "hinder", "independent")
+QUICK = PlannerConfig(particles=4, simulations=2, rollout_length=1)
+SMALL: dict[str, Any] = {"workers": 1, "progress": False, "frames": 3, "planner": QUICK}
+HOME, FIELD = "Get blue ball to home", "Get blue ball to field"
+
+
+@pytest.fixture
+def _forgetful(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A registry that forgets what a test registers."""
+    CAST_FAMILIES.names()
+    monkeypatch.setattr(CAST_FAMILIES, "entries", dict(CAST_FAMILIES.entries))
+
+
+@pytest.fixture
+def _all_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(making, "reason_against", lambda *_: None)
+
+
+def relay(draw: CastDraw) -> CastSituation:
+    """Two bring the blue ball home, one from home, one from beside it."""
+    one, other, _ = draw.agents()
+    return draw.situation(
+        dict.fromkeys((one, other), HOME),
+        strength={one: 150},
+        rooms={"blue ball": "field", one: "home"},
+        near={other: "blue ball"},
+        size={"blue ball": 0.8},
+    )
+
+
+def test_worlds_have_the_families_that_their_cast_is_enough_for() -> None:
+    assert ppl.available_families("solo") == ["independent"]
+    assert set(ppl.available_families(TRIO)) >= set(OURS)
+    assert "help_lift" in ppl.available_families()
+    assert "help" not in ppl.available_families()
+    lonely = ppl.World(["red agent", "green agent"], [], {"home": (8.0, 8.0)}, name="lonely")
+    assert ppl.available_families(lonely) == ["chasing", "hinder", "independent"]
+    with pytest.raises(InvalidSettingError, match="needs 1 item and 2 landmarks; 'lonely' has 0"):
+        draw_situation("compete", lonely, 0)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_two_show_the_scenario_and_the_others_run_errands(name: str) -> None:
+    cast = set()
+    for seed in range(8):
+        scene, roles = draw_situation(name, TRIO, seed)
+        found = {
+            pair: scenario(*(roles.effective_goals[a] for a in pair), TRIO, pair)
+            for pair in itertools.combinations(range(3), 2)
+        }
+        others = [pair for pair, shown in found.items() if shown == "independent"]
+        assert len(others) == (3 if name == "independent" else 2)
+        assert set(found.values()) - {"independent"} <= {CAST_FAMILIES[name].scenario}
+        cast |= {pair for pair in found if pair not in others}
+        for agent, goal in enumerate(roles.effective_goals):
+            literal = goal_literal(goal, agent, TRIO)
+            assert not (literal.positive and is_true(literal, scene.start, scene))
+    assert len(cast) != 1, "anybody may be one of the two"
+
+
+def test_a_situation_follows_from_its_seed() -> None:
+    one, other, third = (draw_situation("help", "trio", seed) for seed in (1, 1, 2))
+    assert np.array_equal(one.scene.start, other.scene.start)
+    assert one.roles == other.roles
+    assert not np.array_equal(one.scene.start, third.scene.start)
+
+
+@pytest.mark.usefixtures("_forgetful")
+def test_a_family_of_ones_own_says_who_starts_where_how_large_and_strong() -> None:
+    register_family("relay", scenario="collaborative", world=TRIO)(relay)
+    for seed in range(5):
+        scene, roles = draw_situation("relay", TRIO, seed)
+        at_home, beside = [TRIO.agent(a) for a, goal in roles.goals.items() if goal == HOME]
+        if roles.strengths[beside] == 150:
+            at_home, beside = beside, at_home
+        assert roles.strengths[at_home] == 150
+        ball = TRIO.entity("blue ball")
+        rooms = scene.rooms.room_of(scene.start[:, :2])
+        home, field = scene.rooms.room_of(scene.landmark_centres[:2])
+        assert (rooms[at_home], rooms[beside], rooms[ball]) == (home, field, field)
+        gap = np.linalg.norm(scene.start[beside, :2] - scene.start[ball, :2])
+        assert 0 <= gap - scene.radius[[beside, ball]].sum() <= 2
+        assert scene.radius[ball] == 0.8
+    with pytest.raises(InvalidSettingError, match="'relay' is of the world 'trio', not of 'solo'"):
+        draw_situation("relay", SOLO, 0)
+    assert "relay" not in ppl.available_families("solo")
+
+
+@pytest.mark.usefixtures("_forgetful", "_all_are_kept")
+def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register_family("relay", scenario="collaborative", world=TRIO)(relay)
+    given = {"world": "trio", "cells": {"relay": 2, "hinder": 1}, "seed": 4, **SMALL}
+    calls = iter(range(9))
+    whole = making.make
+
+    def stopping(*job: Any) -> Any:
+        if next(calls) == 1:
+            raise KeyboardInterrupt
+        return whole(*job)
+
+    monkeypatch.setattr("phase_ppl.dataset.generation.generate.make", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        generate(tmp_path / "set", **given)
+    made = generate(tmp_path / "set", **given, resume=True)
+    again = generate(tmp_path / "again", **given)
+    assert made.manifest["entries"] == again.manifest["entries"]
+    assert made.manifest["kept"] == {"relay": 2, "hinder": 1}
+    for event, entry in zip(made, made.entries, strict=True):
+        assert entry["id"].startswith(entry["family"])
+        scene, roles = draw_situation(entry["family"], "trio", entry["seed"])
+        simulated = ppl.simulate(scene, roles, seed=entry["seed"], frames=3, planner=QUICK)
+        assert np.array_equal(simulated.observation.trajectory, event.observation.trajectory)
+        assert event.truth == roles
+
+    def other(draw: CastDraw) -> CastSituation:
+        """Two bring the ball to the field."""
+        return draw.situation(dict.fromkeys(draw.agents()[:2], FIELD))
+
+    del CAST_FAMILIES.entries["relay"]
+    register_family("relay", scenario="collaborative", world=TRIO)(other)
+    with pytest.raises(OutputError, match="another plan: families"):
+        generate(tmp_path / "set", **given, resume=True)
+
+
+@pytest.mark.usefixtures("_all_are_kept")
+def test_families_and_random_scenes_come_in_the_proportions_of_the_cells(tmp_path: Path) -> None:
+    found = generate(tmp_path / "set", 4, world="trio", cells={"help": 1, "chasing": 1}, **SMALL)
+    assert found.manifest["kept"] == {"help": 2, "chasing": 2}
+    random = generate(tmp_path / "other", world="solo", cells={"independent": 1}, **SMALL)
+    assert random.entries[0]["family"] == "independent"
+
+
+@pytest.mark.usefixtures("_forgetful", "_all_are_kept")
+def test_the_command_takes_a_family_of_a_file(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(
+        "import phase_ppl as ppl\n"
+        "places = {'home': (8, 8), 'far': (24, 18)}\n"
+        "mine = ppl.World(['red agent', 'green agent'], ['ball'], places, name='mine')\n"
+        "@ppl.register_family('fetch', scenario='collaborative', world=mine)\n"
+        "def fetch(draw):\n"
+        "    'One helps the other to bring the ball home.'\n"
+        "    return draw.situation({'red agent': 'ball to home'},\n"
+        "                          {('green agent', 'red agent'): 'help'}, near={'ball': 'far'})\n"
+    )
+    command = ["generate", "--world", f"{own}:mine", "--cell", f"{own}:fetch=1", "--workers", "1"]
+    assert main([*command, "--out", str(tmp_path / "set")]) == 0
+    (made,) = ppl.load_events(tmp_path / "set")
+    assert made.id == "fetch-00000"
+    assert made.truth.relation == {("green agent", "red agent"): "help"}
+
+
+@pytest.mark.usefixtures("_forgetful")
+@pytest.mark.parametrize(
+    ("drawn", "message"),
+    [
+        (lambda draw: None, "no situation in 200 draws in 'solo', the last since it returned None"),
+        (lambda draw: draw.refuse("it is late"), "since it is late"),
+        (lambda draw: draw.situation({"red agent": "ball to barn"}, rooms={"ball": "barn"},
+                                     near={"ball": "barn"}, size=4.5), "no place was found"),
+        (lambda draw: draw.situation({"red agent": "ball to barn"}, near={"ball": "brn"}),
+         "unknown agent, item or landmark 'brn'; did you mean 'barn'"),
+        (lambda draw: draw.situation({"red": "ball to barn"}), "unknown agent 'red'"),
+        (lambda draw: SOLO.random_scene(0), "expected a scene and roles, or None"),
+        (lambda draw: (SOLO.random_scene(0), None), "expected a scene and roles, or None"),
+        (lambda draw: draw_situation("help", TRIO, 0), "roles of the world 'solo'"),
+        (lambda draw: (SOLO.scene({"red agent": (4, 4), "ball": (20, 4), "box": (8, 16)}),
+                       Roles.of(SOLO, {"red agent": "red agent to home"})),
+         "since 'Get red agent to home' is true at the start"),
+    ],
+)  # fmt: skip
+def test_what_a_family_cannot_draw_is_said(drawn: Any, message: str) -> None:
+    register_family("odd", scenario="independent", world=SOLO)(drawn)
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
+        draw_situation("odd", SOLO, 0)
+
+
+@pytest.mark.usefixtures("_forgetful")
+def test_a_family_that_breaks_its_promise_is_refused_before_anything_is_made(
+    tmp_path: Path,
+) -> None:
+    register_family("odd", scenario="opposing", world=TRIO)(relay)
+    with pytest.raises(InvalidSettingError, match="which is not opposing"):
+        generate(tmp_path / "set", world=TRIO, cells={"odd": 1}, **SMALL)
+    assert not (tmp_path / "set").exists()
+    with pytest.raises(UnknownNameError, match="unknown variant 'help:LMA'; did you mean 'help'"):
+        generate(tmp_path / "set", world=TRIO, cells={"help:LMA": 1}, **SMALL)
+
+
+def test_a_family_of_any_world_can_have_variants_and_names_of_phases(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(families.CAST_FAMILIES, "entries", dict(CAST_FAMILIES.entries))
+
+    @register_family("help_move", scenario="independent", variants=("ball", "box"), world=None)
+    def of_kind(draw: CastDraw, variant: str) -> CastSituation:
+        """Somebody moves something."""
+        return draw.situation({"red agent": f"{variant} to home"})
+
+    assert draw_situation("help_move:box", SOLO, 0).roles.goals["red agent"] == "Get box to home"
+    with pytest.raises(UnknownNameError, match="help_move:ball"):
+        draw_situation("help_move", SOLO, 0)
+
+
+# --- what is kept -------------------------------------------------------------------------------
+
+
+def measured(**changes: Any) -> dict[str, Any]:
+    """Return measures of an event of the trio in which everything went well."""
+    pairs = ("red & green", "red & purple", "green & purple")
+    return {
+        "at_start": [False] * 3,
+        "at_end": [True] * 3,
+        "stuck": [0] * 3,
+        "touched": [["blue ball"], ["blue ball"], []],
+        "closest": dict.fromkeys(pairs, NEAR / 2),
+        **changes,
+    }
+
+
+def roles(green: str, relation: str | None = None, red: str = HOME) -> Roles:
+    """Red wants the ball home, green what is said, or helps or hinders; purple walks about."""
+    goals = {"red agent": red, "purple agent": "purple agent to pond"}
+    if relation is not None:
+        return Roles.of(TRIO, goals, {("green agent", "red agent"): relation})
+    return Roles.of(TRIO, {**goals, "green agent": green})
+
+
+FAR = dict.fromkeys(("red & green", "red & purple", "green & purple"), NEAR)
+
+
+@pytest.mark.parametrize(
+    ("shown", "wanted", "found", "reason"),
+    [
+        ("collaborative", roles("", "help"), {}, None),
+        ("collaborative", roles("", "help"), {"at_end": [True, True, False]}, None),
+        ("collaborative", roles("", "help"), {"at_end": [True, False, True]}, "not reached"),
+        ("collaborative", roles("", "help", "red agent to home"), {"touched": [[]] * 3}, None),
+        ("collaborative", roles(HOME), {"touched": [["blue ball"], ["pink ball"], []]}, "not both"),
+        ("collaborative", roles(HOME), {"stuck": [0, 0, MAX_STUCK + 1]}, "is stuck"),
+        ("collaborative", roles(HOME), {"at_start": [False, False, True]}, "true at the start"),
+        ("competing", roles(FIELD), {"at_end": [False] * 3}, None),
+        ("competing", roles(FIELD), {"touched": [[], ["blue ball"], []]}, "not both"),
+        ("opposing", roles("", "hinder"), {"at_end": [False] * 3, "touched": [[]] * 3}, None),
+        ("opposing", roles("", "hinder"), {"at_start": [False, True, False]}, None),
+        ("opposing", roles("", "hinder"), {"closest": {**FAR, "red & purple": 0.5}}, "never come"),
+        ("independent", roles("green agent to barn"), {}, None),
+        ("independent", roles("green agent to barn"), {"at_end": [True, True, False]}, "reached"),
+    ],
+)
+def test_kept_is_what_two_show_or_all_if_they_are_independent(
+    shown: str, wanted: Roles, found: dict[str, Any], reason: str | None
+) -> None:
+    told = reason_against(shown, wanted, measured(**found))
+    assert (told is None) if reason is None else reason in str(told)
+
+
+def test_of_several_pairs_one_is_enough() -> None:
+    everybody = Roles.of(TRIO, dict.fromkeys(TRIO.agents, HOME))
+    ball = ["blue ball"]
+    assert reason_against("collaborative", everybody, measured(touched=[ball, [], ball])) is None
+    assert reason_against("collaborative", everybody, measured(touched=[ball, [], []])) is not None
+
+
+def test_measures_are_of_all_agents_and_pairs() -> None:
+    scene = TRIO.random_scene(3)
+    goals = {"red agent": HOME, "green agent": FIELD, "purple agent": "get to red agent"}
+    event = ppl.simulate(scene, goals=goals, frames=5, seed=0, planner=QUICK)
+    found = making.measures_elsewhere(event)
+    track = event.observation.trajectory
+    apart = np.linalg.norm(track[:, 0, :2] - track[:, 2, :2], axis=1)
+    assert found["closest"]["red & purple"] == pytest.approx(
+        apart.min() / (scene.radius[0] + scene.radius[2])
+    )
+    assert list(found["met"]) == ["red & green", "red & purple", "green & purple"]
+    assert [len(found[key]) for key in ("touched", "stuck", "at_end", "moved")] == [3, 3, 3, 5]
+
+
+@pytest.mark.slow
+def test_events_of_families_show_what_they_should(tmp_path: Path) -> None:
+    cells = {"help": 1, "hinder": 1}
+    made = generate(
+        tmp_path / "set", world=TRIO, cells=cells, seed=2, frames=80, workers=1, progress=False
+    )
+    for event, entry in zip(made, made.entries, strict=True):
+        ((who, whom), stance), *_ = event.truth.relation.items()
+        assert stance == entry["family"]
+        pair = [TRIO.agent(who), TRIO.agent(whom)]
+        if stance == "help":
+            literals = [goal_literal(event.truth.effective_goals[a], a, TRIO) for a in pair]
+            end = event.observation.trajectory[-1]
+            assert all(is_true(literal, end, event.scene) for literal in literals)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import time
@@ -128,6 +129,9 @@ def test_sets_of_many_slots_are_written_and_read_in_blocks(
     assert list(blocks[::-2].entries) == list(one[::-2].entries)
     assert [event.id for event in blocks[::-2]] == one.ids[::-2]
     assert blocks.split("train").ids == one.split("train").ids
+    found, known = (ppl.statistics(each, each.manifest) for each in (blocks, one))
+    assert "split" in found["tables"]
+    assert json.dumps(found) == json.dumps(known)
     assert [(e.id, why) for e, why in blocks.rejected()] == [
         (e.id, why) for e, why in one.rejected()
     ]

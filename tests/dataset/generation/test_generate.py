@@ -7,6 +7,7 @@ import json
 import pickle
 import shutil
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation import generate as module
 from phase_ppl.dataset.generation import making
-from phase_ppl.dataset.generation.families import family_and_variant
+from phase_ppl.dataset.generation.families import family_of
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
 from phase_ppl.dataset.statistics import goal_type
@@ -96,9 +97,9 @@ def test_the_preset_is_the_papers_set() -> None:
     relations: Counter[str] = Counter()
     goals: Counter[str] = Counter()
     for cell, n in PHASE500.items():
-        family, variant = family_and_variant(cell)
+        family = family_of(cell)
         relations[family.relation] += n
-        drawn = family.draw(np.random.default_rng(0), variant).hypothesis
+        drawn = family.draw(np.random.default_rng(0)).hypothesis
         for goal in drawn.effective_goals:
             goals[goal_type(goal)] += n
     assert relations == {"friendly": 200, "adversarial": 192, "neutral": 108}
@@ -118,12 +119,9 @@ def test_splits_are_the_papers_and_the_same_in_every_cell() -> None:
     assert Plan(seed=1).slots() != slots
 
 
-@pytest.mark.parametrize(("total", "expected"), [(10, [6, 2, 2]), (1, [1, 0, 0]), (3, [2, 0, 1])])
-def test_numbers_are_shared_out_by_largest_remainders(total: int, expected: list[int]) -> None:
-    assert list(apportioned(total, SPLITS).values()) == expected
-
-
-def test_a_set_of_any_size_has_the_papers_proportions() -> None:
+def test_numbers_are_shared_out_by_largest_remainders() -> None:
+    for total, expected in ((10, [6, 2, 2]), (1, [1, 0, 0]), (3, [2, 0, 1])):
+        assert list(apportioned(total, SPLITS).values()) == expected
     cells = scaled(PHASE500, 50)
     assert sum(cells.values()) == 50
     assert all(abs(n - PHASE500[cell] / 10) < 1 for cell, n in cells.items())
@@ -132,7 +130,9 @@ def test_a_set_of_any_size_has_the_papers_proportions() -> None:
 def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(tmp_path: Path) -> None:
     cells = {"chasing": 1, "hinder:LMA": 1}
     one = generate(tmp_path / "one", cells=cells, seed=4, **QUICK)
-    two = generate(tmp_path / "two", cells=cells, seed=4, **{**QUICK, "workers": 2})
+    with ThreadPoolExecutor(2) as executor:  # given what processes are given
+        given = {**QUICK, "workers": 2, "executor": executor}
+        two = generate(tmp_path / "two", cells=cells, seed=4, **given)
     assert [event.id for event in one] == [event.id for event in two]
     for first, second in zip(one, two, strict=True):
         np.testing.assert_array_equal(first.observation.trajectory, second.observation.trajectory)
@@ -292,18 +292,6 @@ def test_interrupted_generation_goes_on_to_the_same_set(
     again = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
     assert make.calls == 3 + 3
     assert again.entries == whole.entries
-
-
-@pytest.mark.usefixtures("all_go")
-def test_statistics_of_a_set_in_blocks_are_those_of_one_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: GeneratedEvents
-) -> None:
-    monkeypatch.setattr(module, "BLOCK", 2)
-    made = generate(tmp_path / "set", cells=CELLS, **QUICK)
-    assert "entries" not in made.manifest
-    found, known = (ppl.statistics(one, one.manifest) for one in (made, whole))
-    assert json.dumps(found) == json.dumps(known)
-    assert "family" in found["tables"]
 
 
 def test_a_set_is_loaded_by_its_folder_and_checked(tmp_path: Path, whole: GeneratedEvents) -> None:
