@@ -1,4 +1,4 @@
-"""The package's own event files: JSON that a person can read and write.
+"""Events as JSON that a person can read and write, and the authors' test videos in theirs.
 
 One event::
 
@@ -49,6 +49,15 @@ Several events: ``{"format": "phase-ppl-events-1", "events": [...]}``, each as a
 ``format``), with different ids.
 
 Writing and reading changes no number.
+
+The ``phase-test-1`` format has the authors' PHASE test videos: one object, whose head gives the
+arena and the landmarks' half width, and ``videos``, a list. Per video, ``observed`` holds what an
+observer may use (walls, landmarks, sizes, trajectories), ``truth`` the generating parameters,
+``human`` counts of people's relation judgments, ``models`` the predictions of other models. Goals
+are effective ones: helper and helpee share a goal, a hinderer holds the negation.
+``mirror_of_original`` is not read. Any events of one arena can be written so. It has no place for a
+start other than the first frame, for ``turning``, which is read off the angles, or for
+``resets_velocity``.
 """
 
 from __future__ import annotations
@@ -56,67 +65,46 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from phase_ppl.dataset.documents import event_id, only, optional, per_name, require
+from phase_ppl.dataset.motion import observed_turning
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.event import Event, Observation, Truth
-from phase_ppl.world.hypothesis import Roles
-from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
-from phase_ppl.world.scene import PHASE, Scene, Turning, World, finite_array, one_or_all
+from phase_ppl.world.errors import InvalidEventError, shown
+from phase_ppl.world.event import (
+    FRAMES_PER_SECOND,
+    SHOWN_SECONDS_PER_FRAME,
+    Event,
+    Observation,
+    Truth,
+)
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS, Roles
+from phase_ppl.world.names import AGENTS
+from phase_ppl.world.scene import (
+    LANDMARK_HALF_WIDTH,
+    PHASE,
+    Scene,
+    Turning,
+    World,
+    check_is_phase,
+    finite_array,
+    one_or_all,
+)
 
 EVENT_FORMAT: Final = "phase-ppl-event-1"
 EVENTS_FORMAT: Final = "phase-ppl-events-1"
+VIDEOS_FORMAT: Final = "phase-test-1"
 
 Entries = list[tuple[str, Callable[[], Event]]]
 """What a file holds: per event its id and the function that reads it."""
 
-LABELS: Final[Mapping[str, Sequence[str]]] = {
-    "entity": ENTITIES,
-    "coord": ("x", "y", "angle"),
-    "xy": ("x", "y"),
-    "landmark": LANDMARKS,
-    "bound": ("x_min", "x_max", "y_min", "y_max"),
-}
-"""Dimension of an array -> names of the places along it."""
-
-LENGTH: Final = "units of length"
-POSE: Final = "units of length (x, y), radians (angle)"
-
-
-def labels_of(world: World) -> Mapping[str, Sequence[str]]:
-    """Return :data:`LABELS` with the names of a world."""
-    return {**LABELS, "entity": world.entities, "landmark": world.landmark_names}
-
-
-class Field(NamedTuple):
-    """An array of an event, as its files have it."""
-
-    key: str  # its name in a JSON scene
-    dims: tuple[str, ...]  # its dimensions; those of ``LABELS`` have named places
-    units: str = LENGTH  # in words
-
-    def shape(self, labels: Mapping[str, Sequence[str]]) -> tuple[int | None, ...]:
-        """Return the length of each dimension; None for any."""
-        return tuple(len(labels[dim]) if dim in labels else None for dim in self.dims)
-
-
-TRAJECTORY: Final = Field("trajectories", ("time", "entity", "coord"), POSE)
-SCENE: Final[Mapping[str, Field]] = {
-    "start": Field("start", ("entity", "coord"), POSE),
-    "radius": Field("radius", ("entity",)),
-    "walls": Field("walls", ("wall", "end", "xy")),
-    "landmark_centres": Field("landmarks", ("landmark", "xy")),
-    "landmark_half_width": Field("landmark_half_width", ()),
-    "arena": Field("arena", ("bound",)),
-}
-"""Attribute of a scene -> how files have it; beside these there are ``turning``, a text, and
-``resets_velocity``, which only a scene that does so has."""
+ARRAYS: Final = ("start", "radius", "walls", "landmark_centres", "landmark_half_width", "arena")
+"""Of a scene, which also has ``turning``, a text, and perhaps ``resets_velocity``."""
 
 DOCUMENTS: Final = ("judgments", "predictions")  # of any content
 _EVENT_FIELDS: Final = ("format", "id", "world", "scene", "trajectories", "truth", *DOCUMENTS)
@@ -131,13 +119,6 @@ _LINE_CHARACTERS = 100
 # --- reading ---------------------------------------------------------------------------------
 
 
-def fields_of(world: World) -> Mapping[str, Field]:
-    """Return :data:`SCENE`; squares of landmarks have sizes of their own but in PHASE."""
-    if world == PHASE:
-        return SCENE
-    return {**SCENE, "landmark_half_width": Field("landmark_half_width", ("landmark",))}
-
-
 def read_one(document: Mapping[str, Any]) -> Entries:
     """Return the one event of a document in :data:`EVENT_FORMAT`, not yet read."""
     return [(event_id(document), functools.partial(event_from_record, document))]
@@ -146,10 +127,10 @@ def read_one(document: Mapping[str, Any]) -> Entries:
 def read_many(document: Mapping[str, Any]) -> Entries:
     """Return the events of a document in :data:`EVENTS_FORMAT`, not yet read."""
     only(document, ("format", "events"), "a file of events")
-    return entries_of(document, "events", event_from_record)
+    return _entries_of(document, "events", event_from_record)
 
 
-def entries_of(
+def _entries_of(
     document: Mapping[str, Any], field: str, read: Callable[[dict[str, Any]], Event]
 ) -> Entries:
     """Return the events in a list of JSON objects, each to be read by ``read``."""
@@ -168,13 +149,12 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
     given = optional(record, "world", dict)
     world = PHASE if given is None else World.from_dict(given)
     tracks = require(record, "trajectories", dict)
-    observation = read_observation(tracks, "trajectories", world.entities)
+    observation = _observation(tracks, world.entities)
     truth = optional(record, "truth", dict)
     known: Truth | Roles | None = None
     if truth is not None:
         only(truth, _TRUTH_FIELDS, "truth")
-        of_phase = world == PHASE
-        known = read_truth(truth, "strengths") if of_phase else Roles.from_dict(world, truth)
+        known = _truth(truth) if world == PHASE else Roles.from_dict(world, truth)
     return Event(
         scene=_scene(require(record, "scene", dict), observation.trajectory[0], world),
         observation=observation,
@@ -185,59 +165,48 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
     )
 
 
-def read_observation(
-    record: Mapping[str, Any], where: str, entities: Sequence[str] = ENTITIES
-) -> Observation:
-    """Return the observation in an object that maps entity names to rows of [x, y, angle]."""
+def _observation(record: Mapping[str, Any], entities: Sequence[str]) -> Observation:
     tracks = [
-        finite_array(f"{where}[{name!r}]", rows, (None, 3))
-        for name, rows in zip(entities, per_name(record, entities, where), strict=True)
+        finite_array(f"trajectories[{name!r}]", rows, (None, 3))
+        for name, rows in zip(entities, per_name(record, entities, "trajectories"), strict=True)
     ]
     lengths = [len(track) for track in tracks]
     if len(set(lengths)) > 1:
         listed = ", ".join(f"{n} {name}" for n, name in zip(lengths, entities, strict=True))
-        raise InvalidEventError(f"{where} differ in length: {listed}")
+        raise InvalidEventError(f"trajectories differ in length: {listed}")
     return Observation(np.stack(tracks, axis=1))
 
 
 def _scene(record: Mapping[str, Any], first_frame: FloatArray, world: World) -> Scene:
     only(record, _SCENE_FIELDS, "scene")
     given: dict[str, Any] = {"start": first_frame, "world": world}
-    labels = labels_of(world)
     for name in ("walls", "turning", "landmark_half_width", "resets_velocity"):
         if name in record:
             given[name] = record[name]
-    if "arena" in record:
-        given["arena"] = _by_name(record, "arena", ("x", "y"), (2, 2)).ravel()
-    for name in ("landmark_centres", "start", "radius"):
-        key, dims, _ = SCENE[name]
+    bodies, marks = world.entities, world.landmark_names
+    for name, key, names, each in (
+        ("arena", "arena", ("x", "y"), (2,)),
+        ("landmark_centres", "landmarks", marks, (2,)),
+        ("start", "start", bodies, (3,)),
+        ("radius", "radius", bodies, ()),
+    ):
         if key in record or name == "radius":
-            given[name] = _by_name(record, key, labels[dims[0]], SCENE[name].shape(labels))
+            values = per_name(require(record, key, dict, "scene"), names, f"scene.{key}")
+            given[name] = finite_array(f"scene.{key}", values, (len(names), *each))
+    if "arena" in given:
+        given["arena"] = given["arena"].ravel()
     return Scene(**given)
 
 
-def _by_name(
-    record: Mapping[str, Any], key: str, names: Sequence[str], shape: tuple[int | None, ...]
-) -> FloatArray:
-    values = per_name(require(record, key, dict, "scene"), names, f"scene.{key}")
-    return finite_array(f"scene.{key}", values, shape)
-
-
-def read_truth(
-    record: Mapping[str, Any], field: str, newtons: Callable[[Any], Any] = lambda force: force
-) -> Truth:
-    """Return the truth in an object whose ``field`` has the strengths, which ``newtons`` reads."""
-    goals = per_name(require(record, "goals", dict, "truth"), AGENTS, "truth.goals")
-    levels = optional(record, field, dict, "truth")
-    given = [None, None] if levels is None else per_name(levels, AGENTS, f"truth.{field}")
-    red, green = (newtons(level) for level in given)
+def _truth(record: Mapping[str, Any]) -> Truth:
+    red, green = per_name(require(record, "goals", dict, "truth"), AGENTS, "truth.goals")
+    forces = optional(record, "strengths", dict, "truth")
     return Truth(
-        goal_red=goals[0],
-        goal_green=goals[1],
-        relation=optional(record, "relation", str, "truth") or "",
-        scenario=optional(record, "scenario", str, "truth") or "",
-        strength_red=red,
-        strength_green=green,
+        red,
+        green,
+        optional(record, "relation", str, "truth") or "",
+        optional(record, "scenario", str, "truth") or "",
+        *((None, None) if forces is None else per_name(forces, AGENTS, "truth.strengths")),
     )
 
 
@@ -252,20 +221,25 @@ def turned(event: Event, turning: Turning) -> Event:
 def event_record(event: Event) -> dict[str, Any]:
     """Return the JSON object that :func:`event_from_record` turns back into ``event``."""
     instance_of("event", event, Event, "a phase_ppl.Event")
-    scene, world = event.scene, event.scene.world
-    arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in SCENE}
+    scene, world, truth = event.scene, event.scene.world, event.truth
+    arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in ARRAYS}
     arrays["landmark_half_width"] = one_or_all(scene.half_widths.tolist())
+    tracks = np.moveaxis(event.observation.trajectory, 1, 0).tolist()
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
         "id": event_id({"id": event.id}),
         **({} if world == PHASE else {"world": world.to_dict()}),
         "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
-        "trajectories": tracks_record(event.observation.trajectory, world.entities),
+        "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
-    if isinstance(event.truth, Roles):
-        record["truth"] = event.truth.to_dict()
-    elif event.truth is not None:
-        record["truth"] = truth_record(event.truth, "strengths")
+    if isinstance(truth, Truth):
+        goals, forces = (
+            (truth.goal_red, truth.goal_green),
+            (truth.strength_red, truth.strength_green),
+        )
+        record["truth"] = truth_record(goals, truth.relation, truth.scenario, forces)
+    elif truth is not None:
+        record["truth"] = truth.to_dict()
     given = ((name, getattr(event, name)) for name in DOCUMENTS)
     return record | {name: dict(content) for name, content in given if content is not None}
 
@@ -273,9 +247,9 @@ def event_record(event: Event) -> dict[str, Any]:
 def scene_record(
     arrays: Mapping[str, Any], turning: str, resets_velocity: bool = False, world: World = PHASE
 ) -> dict[str, Any]:
-    """Return the JSON object of a scene, given the values of :data:`SCENE` and its rules."""
+    """Return the JSON object of a scene, given its :data:`ARRAYS` and its rules."""
     return {
-        "arena": arena_record(arrays["arena"]),
+        "arena": _arena_record(arrays["arena"]),
         "walls": arrays["walls"],
         "landmarks": dict(zip(world.landmark_names, arrays["landmark_centres"], strict=True)),
         "landmark_half_width": arrays["landmark_half_width"],
@@ -286,30 +260,22 @@ def scene_record(
     }
 
 
-def arena_record(arena: Sequence[float]) -> dict[str, list[float]]:
+def truth_record(
+    goals: Iterable[str], relation: str, scenario: str, strengths: Iterable[float | None]
+) -> dict[str, Any]:
+    """Return the JSON object of a truth of PHASE."""
+    return {
+        "goals": dict(zip(AGENTS, goals, strict=True)),
+        "relation": relation,
+        "scenario": scenario,
+        "strengths": dict(zip(AGENTS, strengths, strict=True)),
+    }
+
+
+def _arena_record(arena: Sequence[float]) -> dict[str, list[float]]:
     """Return the JSON object of x_min, x_max, y_min, y_max."""
     x0, x1, y0, y1 = arena
     return {"x": [x0, x1], "y": [y0, y1]}
-
-
-def tracks_record(
-    trajectory: FloatArray, entities: Sequence[str] = ENTITIES
-) -> dict[str, list[list[float]]]:
-    """Return the JSON object that :func:`read_observation` reads."""
-    return {name: trajectory[:, entity].tolist() for entity, name in enumerate(entities)}
-
-
-def truth_record(
-    truth: Truth, field: str, level: Callable[[float | None], Any] = lambda force: force
-) -> dict[str, Any]:
-    """Return the JSON object that :func:`read_truth` reads; ``level`` tells a strength."""
-    forces = (truth.strength_red, truth.strength_green)
-    return {
-        "goals": dict(zip(AGENTS, (truth.goal_red, truth.goal_green), strict=True)),
-        "relation": truth.relation,
-        "scenario": truth.scenario,
-        field: dict(zip(AGENTS, map(level, forces), strict=True)),
-    }
 
 
 def event_bytes(event: Event) -> bytes:
@@ -346,3 +312,147 @@ def _layout(value: Any, indent: int) -> str:
         opening, closing = "[", "]"
     inside = ",\n".join(pad + part for part in parts)
     return f"{opening}\n{inside}\n{' ' * indent}{closing}"
+
+
+# --- the authors' test videos --------------------------------------------------------------------
+
+_AUTHORS_DOCUMENTS: Final = {"judgments": "human", "predictions": "models"}
+"""What the package calls them -> what the authors do."""
+
+
+def read_videos(document: Mapping[str, Any]) -> Entries:
+    """Return the videos of a document in :data:`VIDEOS_FORMAT`, not yet read."""
+    return _entries_of(document, "videos", functools.partial(_event_of_video, head=document))
+
+
+def _event_of_video(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Event:
+    """Return what a video is in the package's own words, read."""
+    observed = require(record, "observed", dict)
+    truth = optional(record, "truth", dict)
+    if truth is not None:
+        levels = optional(truth, "strength_id", dict, "truth")
+        if levels is not None:
+            levels = {agent: _newtons(level) for agent, level in levels.items()}
+        known = {name: truth.get(name) for name in ("goals", "relation", "scenario")}
+        truth = {**known, "strengths": levels}
+    event = event_from_record(
+        {
+            "id": record.get("id"),
+            "scene": {
+                "arena": head.get("arena"),
+                "walls": require(observed, "wall_segments", list, "observed"),
+                "landmarks": _by_its_name(observed, "landmarks", "centre"),
+                "landmark_half_width": head.get("landmark_half_width", LANDMARK_HALF_WIDTH),
+                "radius": _by_its_name(observed, "entities", "radius"),
+            },
+            "trajectories": require(observed, "trajectories", dict, "observed"),
+            "truth": truth,
+            **{ours: record.get(theirs) for ours, theirs in _AUTHORS_DOCUMENTS.items()},
+        }
+    )
+    n_frames = optional(observed, "n_frames", int, "observed")
+    if n_frames not in (None, event.observation.n_frames):
+        raise InvalidEventError(
+            f"observed.n_frames is {n_frames}, but the trajectories have "
+            f"{event.observation.n_frames}"
+        )
+    return turned(event, observed_turning(event.observation.trajectory, event.scene.radius))
+
+
+def _by_its_name(observed: Mapping[str, Any], field: str, value: str) -> dict[str, Any]:
+    """Return name -> ``value`` of each object of the list ``field``."""
+    where = f"observed.{field}"
+    found: dict[str, Any] = {}
+    for index, part in enumerate(require(observed, field, list, "observed")):
+        if not isinstance(part, dict):
+            raise InvalidEventError(f"{where}[{index}] is no JSON object")
+        name = require(part, "name", str, f"{where}[{index}]")
+        if name in found:
+            raise InvalidEventError(f"{where} names {name!r} twice")
+        if value not in part:
+            raise InvalidEventError(f"{where}[{index}], the {name}, has no {value}")
+        found[name] = part[value]
+    return found
+
+
+def _newtons(level: Any) -> float | None:
+    if level is None:
+        return None
+    if isinstance(level, bool) or level not in range(len(STRENGTH_LEVELS)):
+        raise InvalidEventError(
+            f"truth.strength_id is {shown(level)}, expected one of 0..{len(STRENGTH_LEVELS) - 1}"
+        )
+    return STRENGTH_LEVELS[int(level)]
+
+
+def videos_bytes(videos: Sequence[Mapping[str, Any]], scene: Scene) -> bytes:
+    """Return the content of a file of events, each as :func:`video` has it, in a scene's arena."""
+    document = {
+        "format": VIDEOS_FORMAT,
+        "n_videos": len(videos),
+        "arena": _arena_record(scene.arena),
+        "landmark_half_width": scene.landmark_half_width,
+        "physics_seconds_per_frame": 1 / FRAMES_PER_SECOND,
+        "display_seconds_per_frame": SHOWN_SECONDS_PER_FRAME,
+        "trajectory_columns": ["x", "y", "angle"],
+        "goal_labels": list(GOALS),
+        "relation_labels": list(RELATIONS),
+        "scenario_types": list(SCENARIOS),
+        "videos": list(videos),
+    }
+    return to_text(document).encode()
+
+
+def video(event: Event, like: Scene) -> dict[str, Any]:
+    """Return the JSON object of one event of a document, in the arena of the scene ``like``."""
+    scene = event.scene
+    check_is_phase(scene.world, "this format")
+    check_start(event)
+    if (scene.arena, scene.landmark_half_width) != (like.arena, like.landmark_half_width):
+        raise InvalidEventError("its arena is not that of the first event")
+    own = event_record(event)
+    record: dict[str, Any] = {
+        "id": event.id,
+        "observed": {
+            "n_frames": event.observation.n_frames,
+            "wall_segments": own["scene"]["walls"],
+            "landmarks": [
+                {"name": name, "colour": name.split()[0], "centre": centre}
+                for name, centre in own["scene"]["landmarks"].items()
+            ],
+            "entities": [
+                {"name": name, "kind": name.split()[1], "colour": name.split()[0], "radius": size}
+                for name, size in own["scene"]["radius"].items()
+            ],
+            "trajectories": own["trajectories"],
+        },
+    }
+    if "truth" in own:
+        strengths = own["truth"].pop("strengths")
+        levels = {agent: strength_level(force) for agent, force in strengths.items()}
+        record["truth"] = {**own["truth"], "strength_id": levels}
+    return record | {
+        _AUTHORS_DOCUMENTS[name]: own[name] for name in _AUTHORS_DOCUMENTS if name in own
+    }
+
+
+def check_start(event: Event) -> None:
+    """Raise InvalidEventError unless the event starts as its first frame shows, and goes on."""
+    if not np.array_equal(event.scene.start, event.observation.trajectory[0]):
+        raise InvalidEventError(
+            "it does not start as its first frame shows, and the format has no place for that"
+        )
+    if event.scene.resets_velocity:
+        raise InvalidEventError(
+            "its agents stand still after each step, and the format has no place for that"
+        )
+
+
+def strength_level(force: float | None) -> int | None:
+    """Return the original id of a strength in newtons, which must have one; None for None."""
+    if force is None:
+        return None
+    if force not in STRENGTH_LEVELS:
+        levels = ", ".join(f"{level:g}" for level in STRENGTH_LEVELS)
+        raise InvalidEventError(f"a strength is {force:g} N, expected one of {levels}")
+    return STRENGTH_LEVELS.index(force)

@@ -17,7 +17,6 @@ compared when the file is read.
 
 from __future__ import annotations
 
-import bisect
 import contextlib
 import copy
 import functools
@@ -45,30 +44,47 @@ from phase_ppl.dataset.documents import (
     reading_bytes,
 )
 from phase_ppl.dataset.events_json import (
+    ARRAYS,
     DOCUMENTS,
     EVENT_FORMAT,
     EVENTS_FORMAT,
-    LABELS,
-    TRAJECTORY,
     Entries,
-    Field,
     event_from_record,
     event_record,
-    fields_of,
-    labels_of,
     scene_record,
     to_text,
+    truth_record,
     turned,
 )
 from phase_ppl.dataset.hdf5 import check_hdf5, netcdf_bytes, reading
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.scene import PHASE, Turning, World, finite_array, one_or_all
 
-_FORCE: Final = Field("", (), "N")
-_TEXT: Final = Field("", (), "")
+LABELS: Final[Mapping[str, Sequence[str]]] = {
+    "entity": ENTITIES,
+    "coord": ("x", "y", "angle"),
+    "xy": ("x", "y"),
+    "landmark": LANDMARKS,
+    "bound": ("x_min", "x_max", "y_min", "y_max"),
+}
+"""Dimension of an array -> names of the places along it."""
+
+_LENGTH: Final = "units of length"
+_POSE: Final = "units of length (x, y), radians (angle)"
+_ARRAYS: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
+    "trajectory": (("time", "entity", "coord"), _POSE),
+    "start": (("entity", "coord"), _POSE),
+    "radius": (("entity",), _LENGTH),
+    "walls": (("wall", "end", "xy"), _LENGTH),
+    "landmark_centres": (("landmark", "xy"), _LENGTH),
+    "landmark_half_width": ((), _LENGTH),
+    "arena": (("bound",), _LENGTH),
+}
+"""Array of an event -> its dimensions, and its units in words."""
+
 _GOALS: Final = ("goal_red", "goal_green")
 _STRENGTHS: Final = ("strength_red", "strength_green")
 _RESETS: Final = "resets_velocity"
@@ -76,6 +92,18 @@ _RESETS: Final = "resets_velocity"
 
 _TIME_TOLERANCE: Final = 1e-3
 """Relative deviation of a time step from 1/12 s that is put down to rounding."""
+
+
+def labels_of(world: World) -> Mapping[str, Sequence[str]]:
+    """Return :data:`LABELS` with the names of a world."""
+    return {**LABELS, "entity": world.entities, "landmark": world.landmark_names}
+
+
+def _arrays_of(world: World) -> Mapping[str, tuple[tuple[str, ...], str]]:
+    """Return :data:`_ARRAYS`; squares of landmarks have sizes of their own but in PHASE."""
+    return (
+        _ARRAYS if world == PHASE else {**_ARRAYS, "landmark_half_width": (("landmark",), _LENGTH)}
+    )
 
 
 def event_dataset(event: Event) -> xr.Dataset:
@@ -87,32 +115,31 @@ def event_dataset(event: Event) -> xr.Dataset:
     """
     instance_of("event", event, Event, "a phase_ppl.Event")
     scene, world = event.scene, event.scene.world
-    values: dict[str, tuple[Field, Any]] = {
-        "trajectory": (TRAJECTORY, event.observation.trajectory),
-        **{name: (field, getattr(scene, name)) for name, field in fields_of(world).items()},
-        "turning": (_TEXT, scene.turning),
-    }
+    values: dict[str, Any] = {"trajectory": event.observation.trajectory}
+    values |= {name: getattr(scene, name) for name in (*ARRAYS, "turning")}
     if scene.resets_velocity:
-        values[_RESETS] = _TEXT, np.int8(1)
+        values[_RESETS] = np.int8(1)
     documents: dict[str, Any] = {}
     if world == PHASE:
         for name in (*_GOALS, "relation", "scenario"):
-            values[name] = _TEXT, getattr(event.truth, name, "")
+            values[name] = getattr(event.truth, name, "")
         for name in _STRENGTHS:
             force = getattr(event.truth, name, None)
-            values[name] = _FORCE, np.nan if force is None else force
+            values[name] = np.nan if force is None else force
     else:
-        values["landmark_half_width"] = fields_of(world)["landmark_half_width"], scene.half_widths
+        values["landmark_half_width"] = scene.half_widths
         documents = {"world": world.to_dict(), "truth": event.truth and event.truth.to_dict()}
     documents |= {name: getattr(event, name) for name in DOCUMENTS}
     for name, content in documents.items():
-        values[name] = _TEXT, "" if content is None else to_text(dict(content), compact=True)
+        values[name] = "" if content is None else to_text(dict(content), compact=True)
+    described = {**_arrays_of(world), **dict.fromkeys(_STRENGTHS, ((), "N"))}
     seconds = np.arange(event.observation.n_frames) / FRAMES_PER_SECOND
     return xr.Dataset(
         {
             # copies: an event's own arrays are read-only
-            name: (field.dims, np.array(value), {"units": field.units} if field.units else {})
-            for name, (field, value) in values.items()
+            name: (dims, np.array(values[name]), {"units": units} if units else {})
+            for name in values
+            for dims, units in [described.get(name, ((), ""))]
         },
         {
             "time": ("time", seconds, {"units": "s", "long_name": "simulated time"}),
@@ -141,30 +168,28 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     given = _document(dataset, "world")
     world = PHASE if given is None else World.from_dict(given)
     labels = labels_of(world)
-    arrays = {"trajectory": TRAJECTORY, **fields_of(world)}
-    found = {name: _values(dataset, name, field.dims, labels) for name, field in arrays.items()}
+    arrays = _arrays_of(world)
+    found = {name: _values(dataset, name, dims, labels) for name, (dims, _) in arrays.items()}
     found["radius"] = found["radius"].tolist()
     if given is not None:
         found["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
     tracks = np.moveaxis(found["trajectory"], 1, 0)
-    turning = _text(dataset, "turning", required=True)
+    turning, resets = _text(dataset, "turning", required=True), _number(dataset, _RESETS)
+    if resets not in (None, 0, 1):
+        raise InvalidEventError(f"{_RESETS} is {shown(resets)}, expected 0 or 1")
     record: dict[str, Any] = {
         "world": given,
         "truth": None if given is None else _document(dataset, "truth"),
         **{name: _document(dataset, name) for name in DOCUMENTS},
         "id": _text(dataset, "event", required=True),
-        "scene": scene_record(found, turning, _resets(dataset), world),
+        "scene": scene_record(found, turning, bool(resets), world),
         "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
     goals = [_text(dataset, name) for name in _GOALS]
     if any(goals):
-        forces = (_force(dataset, name) for name in _STRENGTHS)
-        record["truth"] = {
-            "goals": dict(zip(AGENTS, goals, strict=True)),
-            "relation": _text(dataset, "relation"),
-            "scenario": _text(dataset, "scenario"),
-            "strengths": dict(zip(AGENTS, forces, strict=True)),
-        }
+        relation, scenario = _text(dataset, "relation"), _text(dataset, "scenario")
+        forces = (_number(dataset, name) for name in _STRENGTHS)
+        record["truth"] = truth_record(goals, relation, scenario, forces)
     return event_from_record(record)
 
 
@@ -228,17 +253,9 @@ def _plain(value: object) -> Any:
     return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
-def _resets(dataset: xr.Dataset) -> bool:
-    value = dataset.variables[_RESETS].values.tolist() if _RESETS in dataset.variables else 0
-    if value not in (0, 1):
-        raise InvalidEventError(f"{_RESETS} is {shown(value)}, expected 0 or 1")
-    return bool(value)
-
-
-def _force(dataset: xr.Dataset, name: str) -> float | None:
-    if name not in dataset.variables:
-        return None
-    value = dataset.variables[name].values.tolist()
+def _number(dataset: xr.Dataset, name: str) -> Any:
+    """Return a number without dimensions; None where there is none."""
+    value = dataset.variables[name].values.tolist() if name in dataset.variables else None
     return None if isinstance(value, float) and np.isnan(value) else value
 
 
@@ -423,6 +440,14 @@ def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
 # --- events that are read when they are asked for --------------------------------------------
 
 
+class _Stored(NamedTuple):
+    """An event in one of several files."""
+
+    id: str
+    file: int
+    index: int  # of it in that file
+
+
 class StoredEvents(Sequence[Event]):
     """Events of files of several, of which an event is read each time it is asked for.
 
@@ -449,39 +474,34 @@ class StoredEvents(Sequence[Event]):
         ]
         self._turning = turning
         self._states: list[_State] = []
-        self._ids: list[str] = []
-        self._starts: list[int] = []
-        for file in self._files:
+        self._stored: list[_Stored] = []
+        for number, file in enumerate(self._files):
             with naming(file):
                 self._states.append(_state(file))
-                self._starts.append(len(self._ids))
-                self._ids += _listing(file, self._states[-1]).ids
-                check_ids(self._ids)
-        self._places: Sequence[int] = range(len(self._ids))
+                ids = _listing(file, self._states[-1]).ids
+                self._stored += [_Stored(id, number, index) for index, id in enumerate(ids)]
+                check_ids(self.ids)
 
     @property
     def ids(self) -> list[str]:
         """The ids of the events, in their order."""
-        return [self._ids[place] for place in self._places]
+        return [one.id for one in self._stored]
 
     def chosen(self, indices: Sequence[int]) -> Self:
         """Return some of the events, in the order of the indices."""
         found = copy.copy(self)
-        found._places = [self._places[index] for index in indices]
+        found._stored = [self._stored[index] for index in indices]
         return found
 
     def read(self, indices: Sequence[int]) -> list[Event]:
         """Return events in one go."""
         events: list[Event] = []
-        places = [self._places[index] for index in indices]
-        for number, of_file in itertools.groupby(places, self._number_of_file):
+        wanted = [self._stored[index] for index in indices]
+        for number, of_file in itertools.groupby(wanted, lambda one: one.file):
             events += self._read(number, of_file)
         return events if self._turning is None else [turned(e, self._turning) for e in events]
 
-    def _number_of_file(self, place: int) -> int:
-        return bisect.bisect_right(self._starts, place) - 1
-
-    def _read(self, number: int, places: Iterable[int]) -> Iterator[Event]:
+    def _read(self, number: int, wanted: Iterable[_Stored]) -> Iterator[Event]:
         path, state = self._files[number], self._states[number]
         with contextlib.ExitStack() as stack:
             with naming(path):
@@ -492,9 +512,9 @@ class StoredEvents(Sequence[Event]):
                 listed = _listing(path, state)
                 with reading():
                     file = stack.enter_context(h5py.File(path, "r"))
-            for place in places:
-                with naming(path, self._ids[place]):
-                    yield event_at(file, listed, place - self._starts[number])
+            for one in wanted:
+                with naming(path, one.id):
+                    yield event_at(file, listed, one.index)
 
     @overload
     def __getitem__(self, index: int) -> Event: ...
@@ -508,7 +528,7 @@ class StoredEvents(Sequence[Event]):
         return self.read([range(len(self))[index]])[0]
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._stored)
 
     def __iter__(self) -> Iterator[Event]:
         for start in range(0, len(self), _AT_ONCE):

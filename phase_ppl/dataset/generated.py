@@ -74,7 +74,7 @@ class GeneratedEvents(StoredEvents):
         filled = [block for block, n in zip(self._blocks, sizes, strict=True) if n]
         super().__init__([folder / EVENTS for folder in filled or [self.path]], turning)
         told = [entry["id"] for entry in self.manifest.get("entries", [])]
-        if len(self._ids) != sum(sizes) if sizes else self._ids != told:
+        if len(self) != sum(sizes) if sizes else self.ids != told:
             raise InvalidEventError(
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
             )
@@ -95,17 +95,7 @@ class GeneratedEvents(StoredEvents):
         """
         if self._blocks:
             return _Entries(self)
-        return [self.manifest["entries"][place] for place in self._places]
-
-    def _entry(self, index: int) -> dict[str, Any]:
-        """Return what is known about one of the events of a set in blocks."""
-        place = self._places[index]
-        number = self._number_of_file(place)
-        folder, within = self._files[number].parent, place - self._starts[number]
-        entries = _entries_of(folder / ENTRIES)
-        if within >= len(entries) or entries[within]["id"] != self._ids[place]:
-            raise InvalidEventError(f"{folder}: {EVENTS} and {ENTRIES} are not of the same events")
-        return entries[within]
+        return [self.manifest["entries"][one.index] for one in self._stored]
 
     @property
     def cost(self) -> dict[str, Any]:
@@ -150,7 +140,12 @@ class _Entries(Sequence[dict[str, Any]]):
     def __getitem__(self, index: int | slice) -> dict[str, Any] | Sequence[dict[str, Any]]:
         if isinstance(index, slice):
             return self._events[index].entries
-        return self._events._entry(index)
+        id, number, within = self._events._stored[index]
+        folder = self._events._files[number].parent
+        entries = _entries_of(folder / ENTRIES)
+        if within >= len(entries) or entries[within]["id"] != id:
+            raise InvalidEventError(f"{folder}: {EVENTS} and {ENTRIES} are not of the same events")
+        return entries[within]
 
     def __len__(self) -> int:
         return len(self._events)

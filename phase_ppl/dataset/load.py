@@ -63,9 +63,8 @@ def load_event(
 
     Args:
         path: an event file, JSON (:mod:`phase_ppl.dataset.events_json`) or NetCDF
-            (:mod:`phase_ppl.dataset.events_netcdf`), the authors' videos
-            (:mod:`phase_ppl.dataset.phase_test`), or the name of a bundled event, with or without
-            ".json", where no file of that name exists.
+            (:mod:`phase_ppl.dataset.events_netcdf`), or the name of a bundled event, with or
+            without ".json", where no file of that name exists.
         video: id of the wanted event; must be given if the file holds several.
         turning: "both", "ccw" or "cw" instead of what the file says or shows.
         format: "phase-pickle" for a pickle of PHASE's authors
@@ -122,13 +121,12 @@ def _entries(path: PathLike, format: str | None) -> Entries:
     if bundled is not None:
         file = _folder() / f"{bundled}{_JSON}"
         return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]
-    from phase_ppl.dataset import phase_test
     from phase_ppl.dataset.hdf5 import is_hdf5
 
     readers: Mapping[str, Callable[[Mapping[str, Any]], Entries]] = {
         events_json.EVENT_FORMAT: events_json.read_one,
         events_json.EVENTS_FORMAT: events_json.read_many,
-        phase_test.FORMAT: phase_test.read,
+        events_json.VIDEOS_FORMAT: events_json.read_videos,
     }
     with naming(path):
         entries: Entries
@@ -220,7 +218,7 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
         events: with different ids.
         path: a name that ends as the format's files do, see ``EXPORTS``.
         format: "json" or "netcdf", as :func:`save_events` writes them;
-            "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.dataset.phase_test`);
+            "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.dataset.events_json`);
             "phase-processed", a pickle of plain data and arrays as the authors have them
             (:mod:`phase_ppl.dataset.authors.videos`), which
             ``load_events(path, format="phase-pickle")`` reads. The first two keep everything, the
@@ -243,11 +241,9 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
     video: Callable[[Event], dict[str, Any]]
     together: Callable[[list[dict[str, Any]]], bytes]
     if format == "phase-test":
-        from phase_ppl.dataset import phase_test
-
         like = events[0].scene
-        video = functools.partial(phase_test.video, like=like)
-        together = functools.partial(phase_test.videos_bytes, scene=like)
+        video = functools.partial(events_json.video, like=like)
+        together = functools.partial(events_json.videos_bytes, scene=like)
     else:
         from phase_ppl.dataset.authors import videos as authors
 

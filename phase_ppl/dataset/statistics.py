@@ -52,21 +52,7 @@ def _counted(units: int, counts: Mapping[str, int]) -> dict[str, Any]:
     return {"units": units, "counts": dict(counts), "shares": shares}
 
 
-def _by_strength(name: str, figures: Sequence[float]) -> dict[str, float]:
-    return {f"{name}_{level}": figure for level, figure in zip(LEVELS, figures, strict=True)}
-
-
-_ALL: Final = 500
-_WITHOUT_TEST: Final = 400
-_TEST: Final = 100
-_SINGLE_VALUES: Final[Mapping[str, float | None]] = {
-    **{"frames_min": 33, "frames_median": 75, "frames_max": 101, "untrimmed": 0.38},
-    **_by_strength("speed_mean", (4.5, 6.6, 8.4, 9.1)),
-    **_by_strength("speed_p99", (21, 30, 39, 47)),
-    **_by_strength("speed_max", (28, 42, 55, 63)),
-    **dict.fromkeys(("at_rest", *(f"at_rest_{level}" for level in LEVELS))),
-    **{"step_median": 0.38, "step_max": 5.1, "items_move": 0.24, "holding": 0.25},
-}
+_ALL, _WITHOUT_TEST, _TEST = 500, 400, 100  # events
 
 PHASE: Final[Mapping[str, Any]] = {
     "name": "PHASE",
@@ -93,7 +79,20 @@ PHASE: Final[Mapping[str, Any]] = {
             # of rest, the least and the greatest of the four strengths are known
             "between": [0.19, 0.31] if value is None else None,
         }
-        for name, value in _SINGLE_VALUES.items()
+        for name, value in {
+            **{"frames_min": 33, "frames_median": 75, "frames_max": 101, "untrimmed": 0.38},
+            **{
+                f"speed_{what}_{level}": figure
+                for what, figures in {
+                    "mean": (4.5, 6.6, 8.4, 9.1),
+                    "p99": (21, 30, 39, 47),
+                    "max": (28, 42, 55, 63),
+                }.items()
+                for level, figure in zip(LEVELS, figures, strict=True)
+            },
+            **dict.fromkeys(("at_rest", *(f"at_rest_{level}" for level in LEVELS))),
+            **{"step_median": 0.38, "step_max": 5.1, "items_move": 0.24, "holding": 0.25},
+        }.items()
     },
 }
 """The original events in figures. A value's ``between`` is all that is known of it."""
@@ -283,7 +282,6 @@ def _holding(
 def _tables(
     events: Sequence[Event], told: Sequence[Mapping[str, Any]], units: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the tables of :func:`statistics`."""
     world = events[0].scene.world
     n = len(world.agents)
     sizes = sorted(f"{size:g}" for size in SIZES)
@@ -299,23 +297,23 @@ def _tables(
     }
     labels: dict[str, list[tuple[str, str]]] = {key: [] for key in known}
     for event, entry, unit in zip(events, told, units, strict=True):
-        size = [_size(float(radius)) for radius in event.scene.radius]
+        size = [
+            next((f"{one:g}" for one in SIZES if abs(radius - one) < 1e-3), OTHER)
+            for radius in event.scene.radius
+        ]
+        forces = [force for force in _strengths(event) if force is not None]
+        goals, pairs = _goals_and_scenarios(event.truth)
         of_event: dict[str, Iterable[str]] = {
-            "strength": [_level(force) for force in _strengths(event) if force is not None],
+            "relation": [relation for relation, _ in pairs],
+            "scenario": [name for _, name in pairs],
+            "goal_type": [goal_type(goal, world) for goal in goals],
+            "goal": [world.goals[goal] for goal in goals],
+            "strength": [f"{force:g}" if force in STRENGTH_LEVELS else OTHER for force in forces],
             "agent_size": size[:n],
             "item_size": size[n:],
         }
-        if event.truth is not None:
-            goals, scenarios = _goals_and_scenarios(event.truth)
-            of_event.update(
-                relation=[relation for relation, _ in scenarios],
-                scenario=[name for _, name in scenarios],
-                goal_type=[goal_type(goal, world) for goal in goals],
-                goal=[world.goals[goal] for goal in goals],
-            )
-        for key in ("family", "layout", "split", "reflection"):
-            if entry.get(key) is not None:
-                of_event[key] = [str(entry[key])]
+        for key in known.keys() - of_event:
+            of_event[key] = [] if entry.get(key) is None else [str(entry[key])]
         for key, given in of_event.items():
             labels[key] += [(label, unit) for label in given]
     found = {}
@@ -328,17 +326,21 @@ def _tables(
     return found
 
 
-def _goals_and_scenarios(truth: Truth | Roles) -> tuple[Sequence[int], list[tuple[str, str]]]:
+def _goals_and_scenarios(
+    truth: Truth | Roles | None,
+) -> tuple[Sequence[int], list[tuple[str, str]]]:
     """Return (agent,) effective goals, and relation and scenario of every pair of agents."""
-    if not isinstance(truth, Roles):
-        pair = truth.relation, truth.scenario
-        return [goal_index(goal) for goal in (truth.goal_red, truth.goal_green)], [pair]
-    goals = truth.effective_goals
+    if truth is None:
+        return [], []
+    if isinstance(truth, Truth):
+        goals = [goal_index(goal) for goal in (truth.goal_red, truth.goal_green)]
+        return goals, [(truth.relation, truth.scenario)]
+    pairs = itertools.combinations(enumerate(truth.effective_goals), 2)
     names = [
-        scenario(goals[one], goals[other], truth.world, (one, other))
-        for one, other in itertools.combinations(range(len(goals)), 2)
+        scenario(goal, goal_of_other, truth.world, (one, other))
+        for (one, goal), (other, goal_of_other) in pairs
     ]
-    return goals, [(RELATION_OF_SCENARIO[name], name) for name in names]
+    return truth.effective_goals, [(RELATION_OF_SCENARIO[name], name) for name in names]
 
 
 def goal_type(goal: str | int, world: World = PHASE_WORLD) -> str:
@@ -360,14 +362,6 @@ def _strengths(event: Event) -> tuple[float | None, ...]:
     if event.truth is not None:
         return event.truth.strength_red, event.truth.strength_green
     return (None,) * len(event.scene.world.agents)
-
-
-def _level(force: float) -> str:
-    return f"{force:g}" if force in STRENGTH_LEVELS else OTHER
-
-
-def _size(radius: float) -> str:
-    return next((f"{size:g}" for size in SIZES if abs(radius - size) < 1e-3), OTHER)
 
 
 def _place(label: str) -> tuple[int, int, str]:

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.authors.videos import video
-from phase_ppl.dataset.generation.copies import recoloured
-from phase_ppl.dataset.generation.making import event_of
+from phase_ppl.dataset.generation.making import event_of, recoloured
 from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of
 from phase_ppl.dataset.load import bundled_events, export_events, load_event, load_events
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError

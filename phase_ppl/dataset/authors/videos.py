@@ -53,11 +53,10 @@ from numpy.typing import NDArray
 
 from phase_ppl.dataset.authors.pickles import read_pickle
 from phase_ppl.dataset.documents import event_id, require
-from phase_ppl.dataset.events_json import Entries
-from phase_ppl.dataset.generation.copies import REFLECTIONS
+from phase_ppl.dataset.events_json import Entries, check_start, strength_level
+from phase_ppl.dataset.generation.making import REFLECTIONS
 from phase_ppl.dataset.generation.situation import LAYOUTS
 from phase_ppl.dataset.motion import full_turn, observed_turning
-from phase_ppl.dataset.phase_test import check_start, strength_level
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
@@ -142,11 +141,11 @@ def _truth(rest: str) -> Truth | None:
         goal_string((kind, int(entity), int(target), int(sign)), holder)
         for holder, (kind, entity, target, sign) in enumerate(goals)
     )
-    strengths = [
-        None if found[agent] == "None" else STRENGTH_LEVELS[int(found[agent])]
-        for agent in ("red", "green")
-    ]
-    return Truth(red, green, strength_red=strengths[0], strength_green=strengths[1])
+    of_red, of_green = (
+        None if level == "None" else STRENGTH_LEVELS[int(level)]
+        for level in found.group("red", "green")
+    )
+    return Truth(red, green, strength_red=of_red, strength_green=of_green)
 
 
 def goal_string(goal: Goal, holder: int) -> str:
@@ -224,29 +223,22 @@ def read(path: str | os.PathLike[str]) -> Entries:
         return [(event_id({"id": said.id}), functools.partial(_event, content, said, raw=True))]
     if not isinstance(content, list):
         raise InvalidEventError(f"holds {_kind(content)}, expected a list of videos or one record")
-    names = [_name(video, index) for index, video in enumerate(content)]
-    ids = [_id(name) for name in names]
+    ids, names = [], []
+    for index, video in enumerate(content):
+        where = f"videos[{index}]"
+        if not isinstance(video, dict):
+            raise InvalidEventError(f"{where} is {_kind(video)}, expected a dict")
+        names.append(event_id({"id": require(video, "name", str, where)}, where))
+        try:
+            ids.append(parse_name(names[-1]).id)
+        except InvalidEventError:  # reported when the video is read
+            ids.append(names[-1])
     given = Counter(ids)
     unique = [id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)]
     return [
         (id, functools.partial(_processed, video, id))
         for video, id in zip(content, unique, strict=True)
     ]
-
-
-def _name(video: object, index: int) -> str:
-    where = f"videos[{index}]"
-    if not isinstance(video, dict):
-        raise InvalidEventError(f"{where} is {_kind(video)}, expected a dict")
-    name = require(video, "name", str, where)
-    return event_id({"id": name}, where)
-
-
-def _id(name: str) -> str:
-    try:
-        return parse_name(name).id
-    except InvalidEventError:  # reported when the video is read
-        return name
 
 
 def _processed(video: Mapping[str, Any], id: str) -> Event:
@@ -427,7 +419,10 @@ def repaired(angles: FloatArray, radius: float) -> FloatArray:
     if (angles > _ROUNDING).any() or (angles < -_TURN - _ROUNDING).any():
         return angles
     way, after = _PASSING.T
-    price = _price(way)
+    passes = np.stack(np.broadcast_arrays(way[:, None, None], way[None, :, None], _JUMPS))
+    back = (passes > 0).any(axis=0) & (passes < 0).any(axis=0)
+    # (state, former state, jump) of passing the cut
+    price = _PASS * np.abs(passes[[0, 2]]).sum(axis=0) + _BACK * back
     share = _TURN * way * after / SUBSTEPS
     # relative to the turns done before the frame, and after it
     before, later = angles[:, None] + share, angles[:, None] + share - _TURN * way
@@ -444,15 +439,6 @@ def repaired(angles: FloatArray, radius: float) -> FloatArray:
         choices.append(best)
         cost = flat[np.arange(len(share)), best] + misfit[frame]
     return _followed(before, way, choices, int(cost.argmin()))
-
-
-def _price(way: NDArray[np.int64]) -> FloatArray:
-    """Return (state, former state, jump) what passing the cut costs."""
-    passes = np.stack(
-        np.broadcast_arrays(way[:, None, None], way[None, :, None], _JUMPS[None, None, :])
-    )
-    back = (passes > 0).any(axis=0) & (passes < 0).any(axis=0)
-    return _PASS * np.abs(passes[[0, 2]]).sum(axis=0) + _BACK * back
 
 
 def _misfit(before: FloatArray, radius: float) -> FloatArray:
@@ -479,12 +465,9 @@ def _followed(
         former, jump = divmod(int(best[state]), len(_JUMPS))
         steps[-1] = state, int(_JUMPS[jump])
         steps.append((former, 0))
-    level, result = 0, []
-    for frame, (state, jump) in enumerate(reversed(steps)):
-        level += jump
-        result.append(before[frame, state] + _TURN * level)
-        level += int(way[state])
-    return np.array(result, np.float64)
+    states, jumps = np.array(steps[::-1]).T
+    passed = np.cumsum(jumps) + np.concatenate([[0], np.cumsum(way[states])[:-1]])
+    return np.asarray(before[np.arange(len(states)), states] + _TURN * passed)
 
 
 # --- the processed form ----------------------------------------------------------------------
@@ -513,11 +496,14 @@ def video(event: Event) -> dict[str, Any]:
         )
     check_start(event)
     place = _place(event)
-    if place.is_diagonal:
-        _check_angles(event)
+    for agent in range(len(AGENTS)) if place.is_diagonal else ():
+        angles = trajectory[:, agent, 2]
+        if not np.array_equal(repaired(angles, float(scene.radius[agent])), angles):
+            raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
     velocity = _velocity(trajectory, place.copy, scene)
     rows = np.concatenate([trajectory[..., :2], velocity, trajectory[..., 2:]], axis=-1)
     goals = [] if truth is None else [truth.goal_red, truth.goal_green]
+    majority = (event.judgments or {}).get("majority")
     return {
         "name": file_name(event_id({"id": event.id}), place, truth, len(rows)),
         "trajectories": [np.array(rows[:, entity]) for entity in range(rows.shape[1])],
@@ -526,7 +512,7 @@ def video(event: Event) -> dict[str, Any]:
         "physical_goals": [list(goal_numbers(goal, holder)) for holder, goal in enumerate(goals)],
         "wall_segs": [[tuple(end) for end in wall] for wall in scene.walls.tolist()],
         "landmark_centers": [tuple(centre) for centre in scene.landmark_centres.tolist()],
-        "social_goals": _majority(event.judgments),
+        "social_goals": majority if majority in RELATIONS else None,
     }
 
 
@@ -534,22 +520,13 @@ def _place(event: Event) -> Place:
     """Return a layout, reflected or not, with the event's walls: that of its id if it fits."""
     lengths = event.scene.rooms.wall_length
     in_id = place_in_id(event.id)
-    copies = (None, *range(len(_COPIES)))
-    known = [Place(layout, copy) for copy in copies for layout in LAYOUTS]
-    for place in [in_id, *known] if in_id in known else known:
-        if place is not None and np.allclose(_lengths(place), lengths):
+    known = [Place(layout, copy) for copy in (None, 0, 1, 2, 3) for layout in LAYOUTS]
+    for place in sorted(known, key=lambda one: one != in_id):
+        if np.allclose(_lengths(place), lengths):
             return place
     raise InvalidEventError(
         "its walls are those of no original layout, by whose number such files know them"
     )
-
-
-def _check_angles(event: Event) -> None:
-    """Raise InvalidEventError if the agents' angles would be taken for wrapped ones."""
-    for agent in range(len(AGENTS)):
-        angles = event.observation.trajectory[:, agent, 2]
-        if not np.array_equal(repaired(angles, float(event.scene.radius[agent])), angles):
-            raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
 
 
 def _lengths(place: Place) -> FloatArray:
@@ -576,8 +553,3 @@ def _velocity(trajectory: FloatArray, copy: int | None, scene: Scene) -> FloatAr
         velocity[:, :n] += scene.centre - matrix @ scene.centre
         velocity[:, n:] = velocity[:, n:] @ matrix  # its own inverse
     return velocity
-
-
-def _majority(judgments: Mapping[str, Any] | None) -> str | None:
-    majority = (judgments or {}).get("majority")
-    return majority if isinstance(majority, str) and majority in RELATIONS else None
