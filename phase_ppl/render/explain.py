@@ -76,7 +76,12 @@ def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
     episodes.sort(key=lambda one: (one.begin, one.agent))
     if path is not None:
         _film(event, thoughts, path)
-    return "\n".join(_line(event, thoughts, one) for one in episodes)
+    lines = []
+    for one in episodes:
+        begin, end = one.begin / SIMULATED_PER_SECOND, one.end / SIMULATED_PER_SECOND
+        words = f"{begin:4.1f} to {end:4.1f} s  {_sentence(event, thoughts, one.agent, one.begin)}"
+        lines.append(textwrap.fill(words, 88, subsequent_indent=" " * 16))
+    return "\n".join(lines)
 
 
 def _episodes(event: Event, thoughts: Thoughts, agent: int) -> list[Episode]:
@@ -96,12 +101,6 @@ def _episodes(event: Event, thoughts: Thoughts, agent: int) -> list[Episode]:
             found.append(Episode(agent, begin, step, *steps[begin]))
         begin = step
     return found
-
-
-def _line(event: Event, thoughts: Thoughts, one: Episode) -> str:
-    begin, end = (step / SIMULATED_PER_SECOND for step in (one.begin, one.end))
-    words = _sentence(event, thoughts, one.agent, one.begin)
-    return textwrap.fill(f"{begin:4.1f} to {end:4.1f} s  {words}", 88, subsequent_indent=" " * 16)
 
 
 def _sentence(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
@@ -208,6 +207,7 @@ def _film(event: Event, thoughts: Thoughts, path: str | os.PathLike[str]) -> Non
     n_agents = len(event.scene.world.agents)
     painters = [Painter(event.scene, (agent,), pale=0.45) for agent in range(n_agents)]
     poses = between_frames(event.observation.trajectory, FRAMES_PER_STEP)
+    font = ImageFont.load_default(_TEXT_SIZE)
 
     def draw(index: int) -> Image.Image:
         step = min(index // FRAMES_PER_STEP, len(thoughts.subgoals) - 1)
@@ -216,8 +216,13 @@ def _film(event: Event, thoughts: Thoughts, path: str | os.PathLike[str]) -> Non
             for agent, painter in enumerate(painters)
         ]
         picture = side_by_side(panels, _BELOW)
+        canvas, width = ImageDraw.Draw(picture), picture.width // n_agents
         for agent in range(n_agents):
-            _write(picture, event, thoughts, step, agent)
+            words = _sentence(event, thoughts, agent, step)
+            lines = textwrap.wrap(f"{words[0].upper()}{words[1:]}.", round(width * _LETTERS))
+            for row, line in enumerate(lines):
+                top = picture.height - _BELOW + 4 + row * (_TEXT_SIZE + 6)
+                canvas.text((agent * width + _MARGIN, top), line, fill=_INK, font=font)
         return picture
 
     film(draw, len(poses), path)
@@ -236,13 +241,3 @@ def _mind(
             box = (x - _DOT, y - _DOT, x + _DOT, y + _DOT)
             draw.ellipse(box, fill=event.scene.world.entity_colours[entity], outline=_INK)
     return panel(picture)
-
-
-def _write(picture: Image.Image, event: Event, thoughts: Thoughts, step: int, agent: int) -> None:
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(_TEXT_SIZE)
-    words = _sentence(event, thoughts, agent, step)
-    width = picture.width // len(event.scene.world.agents)
-    letters = round(width * _LETTERS)
-    for row, line in enumerate(textwrap.wrap(f"{words[0].upper()}{words[1:]}.", letters)):
-        at = (agent * width + _MARGIN, picture.height - _BELOW + 4 + row * (_TEXT_SIZE + 6))
-        draw.text(at, line, fill=_INK, font=font)

@@ -191,11 +191,15 @@ class Painter:
             for entity in self._order:
                 self._draw_entity(picture, entity, faint[entity])
             picture = Image.blend(picture, self.floor, _FAINT)
+
+        def line(draw: ImageDraw.ImageDraw, at: Points) -> None:
+            draw.line(at, fill=255, width=TRAIL_PIXELS * self._fine, joint="curve")
+
         if trail is not None and len(trail) > 1:
             for entity in self._order:
                 points = self.pixel(trail[:, entity, :2])
                 colour = trail_colour(self._colours[entity])
-                _paste(picture, colour, points, self._trail, self._fine, margin=TRAIL_PIXELS)
+                _paste(picture, colour, points, line, self._fine, margin=TRAIL_PIXELS)
         for entity in self._order:
             self._draw_entity(picture, entity, pose[entity])
         picture.paste(WALL_COLOUR, mask=self.walls)
@@ -260,9 +264,6 @@ class Painter:
         self._polygon(picture, colour, self.pixel(pose[:2] + UNIT_TRAPEZOID @ turn))
         for eye in self.pixel(pose[:2] + EYES @ turn):
             self._disc(picture, EYE_COLOUR, eye, EYE_RADIUS * radius)
-
-    def _trail(self, draw: ImageDraw.ImageDraw, at: Points) -> None:
-        draw.line(at, fill=255, width=TRAIL_PIXELS * self._fine, joint="curve")
 
     def _polygon(self, picture: Image.Image, colour: Colour | int, corners: FloatArray) -> None:
         _paste(picture, colour, corners, lambda draw, at: draw.polygon(at, fill=255), self._fine)

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import pickle
-import re
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,14 @@ from hypothesis import strategies as st
 from phase_ppl.dataset import documents
 from phase_ppl.dataset.documents import parse_text
 from phase_ppl.dataset.events_json import event_record
-from phase_ppl.dataset.load import load_event, load_events, save_event, save_events
+from phase_ppl.dataset.load import load_event, load_events, save_event
 from phase_ppl.world.errors import (
     InvalidEventError,
-    InvalidSettingError,
     PhasePPLError,
     UnknownNameError,
 )
 from phase_ppl.world.names import ENTITIES
-from tests.dataset.authors.traps import Trap
+from tests.dataset.authors.test_unpickle import Trap
 from tests.dataset.test_phase_test import put, video, write
 from tests.world.examples import make_event
 
@@ -189,29 +187,8 @@ def test_a_wrong_value_is_named_with_the_file(tmp_path: Path, case: str) -> None
     assert message in refused(path, kind)
 
 
-def test_one_of_several_videos_must_be_named(tmp_path: Path) -> None:
-    path = tmp_path / "all.json"
-    save_events([make_event(id=f"video{n}") for n in range(5)], path)
-    message = f"{path} holds 5 videos; name one of them: 'video0', 'video1', 'video2', ..."
-    with pytest.raises(InvalidSettingError, match=re.escape(message)):
-        load_event(path)
-    assert load_event(path, video="video3").id == "video3"
-    with pytest.raises(UnknownNameError, match="unknown video ''"):
-        load_event(path, video="")
-
-
 def test_two_videos_with_one_id_are_refused(tmp_path: Path) -> None:
     assert "holds two videos with the id 'v1'" in refused(write(tmp_path, video(), video()))
-
-
-def test_turning_can_be_overridden_and_is_checked(tmp_path: Path) -> None:
-    path = tmp_path / "one.json"
-    save_event(make_event(), path)
-    assert load_event(path).scene.turning == "both"
-    assert load_event(path, turning="cw").scene.turning == "cw"
-    assert load_events(path, turning="ccw")[0].scene.turning == "ccw"
-    with pytest.raises(UnknownNameError, match="unknown turning 'left'"):
-        load_event(path, turning="left")  # type: ignore[arg-type]
 
 
 odd_values = st.one_of(

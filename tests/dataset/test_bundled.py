@@ -26,41 +26,30 @@ def two_bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("two_bundled")
-def test_a_bundled_event_is_loaded_by_its_name() -> None:
+def test_a_bundled_event_is_loaded_by_its_name_unless_a_file_has_it() -> None:
     assert bundled_events() == ["chase", "meet"]
     assert load_event("meet").id == "meet"
     for name in ("chase", "chase.json", Path("chase.json")):
-        assert load_event(name).id == "chase"
-        assert load_events(name)[0].id == "chase"
+        assert load_event(name).id == load_events(name)[0].id == "chase"
     assert load_event("chase", turning="cw").scene.turning == "cw"
-
-
-@pytest.mark.usefixtures("two_bundled")
-def test_a_file_of_the_same_name_comes_first() -> None:
     save_event(make_event(id="my own"), "chase.json")
-    assert load_event("chase.json").id == "my own"
-    assert load_event("chase").id == "chase"
-
-
-@pytest.mark.usefixtures("two_bundled")
-def test_a_folder_of_the_same_name_does_not_hide_a_bundled_event() -> None:
     Path("chase").mkdir()
+    assert (load_event("chase.json").id, load_event("chase").id) == ("my own", "chase")
+
+
+@pytest.mark.usefixtures("two_bundled")
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("results", "results: is a folder"),
+        ("data/chase.json", r"data/chase.json: no such file"),
+        ("chasing", r"chasing: no such file .* \(chase, meet\)"),
+    ],
+)
+def test_nothing_else_stands_for_a_bundled_event(name: str, said: str) -> None:
     Path("results").mkdir()
-    assert load_event("chase").id == "chase"
-    with pytest.raises(InvalidEventError, match="results: is a folder"):
-        load_event("results")
-
-
-@pytest.mark.usefixtures("two_bundled")
-def test_a_missing_file_in_a_folder_is_not_replaced_by_a_bundled_event() -> None:
-    with pytest.raises(InvalidEventError, match=r"data/chase.json: no such file"):
-        load_event("data/chase.json")
-
-
-@pytest.mark.usefixtures("two_bundled")
-def test_an_unknown_name_is_answered_with_the_bundled_ones() -> None:
-    with pytest.raises(InvalidEventError, match=r"chasing: no such file .* \(chase, meet\)"):
-        load_event("chasing")
+    with pytest.raises(InvalidEventError, match=said):
+        load_event(name)
     with pytest.raises(UnknownNameError, match="chase: unknown video 'other'"):
         load_event("chase", video="other")
 

@@ -7,6 +7,7 @@ import json
 import math
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -136,7 +137,12 @@ def test_events_of_one_file_come_back_in_order(tmp_path: Path, name: str) -> Non
         load_event(path)
     with pytest.raises(UnknownNameError, match=rf"{name}: unknown video 'plane'; .* 'plain'"):
         load_event(path, video="plane")
+    with pytest.raises(UnknownNameError, match=rf"{name}: unknown video ''"):
+        load_event(path, video="")
     assert load_events(path, turning="cw")[2].scene.turning == "cw"
+    assert load_event(path, "b", turning="ccw").scene.turning == "ccw"
+    with pytest.raises(UnknownNameError, match="unknown turning 'left'"):
+        load_event(path, "b", turning="left")  # type: ignore[arg-type]
     (tmp_path / "renamed").write_bytes(path.read_bytes())
     assert len(load_events(tmp_path / "renamed")) == 4
     bare = [dataclasses.replace(various()[1], id=name) for name in ("one", "two")]
@@ -179,35 +185,31 @@ def test_the_shortest_file_is_the_original_world_without_inner_walls() -> None:
     assert (event.truth, event.judgments, event.predictions) == (None, None, None)
 
 
-def test_entities_may_be_listed_in_any_order() -> None:
-    record = handwritten()
-    record["trajectories"] = dict(reversed(record["trajectories"].items()))
-    assert np.array_equal(event_from_record(record).observation.trajectory[0], START)
-
-
-def test_a_truth_of_goals_alone_implies_the_rest() -> None:
-    record = handwritten()
+def test_entities_come_in_any_order_and_goals_alone_imply_the_rest_of_a_truth() -> None:
     goals = {"red agent": "get to green agent", "green agent": "get away from red agent"}
-    record["truth"] = {"goals": goals}
-    assert event_from_record(record).truth == Truth(*goals.values())
+    record = {**handwritten(), "truth": {"goals": goals}}
+    record["trajectories"] = dict(reversed(record["trajectories"].items()))
+    event = event_from_record(record)
+    assert np.array_equal(event.observation.trajectory[0], START)
+    assert event.truth == Truth(*goals.values())
 
 
 @pytest.mark.parametrize("name", ["one.json", "one.nc"])
-@pytest.mark.parametrize("value", [math.nan, {1, 2}, np.arange(3), 1j])
-def test_judgments_without_a_json_form_are_not_written(
-    tmp_path: Path, value: object, name: str
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        *(
+            ({"judgments": {"odd": value}}, "cannot be written as JSON")
+            for value in (math.nan, {1, 2}, np.arange(3), 1j)
+        ),
+        *(({"id": id}, "id is .*, expected printable text") for id in ("", " ", "a\nb", "\ud800")),
+    ],
+)
+def test_what_no_file_can_say_is_not_written(
+    tmp_path: Path, changes: dict[str, Any], said: str, name: str
 ) -> None:
-    event = Event(make_scene(), Observation(make_trajectory()), judgments={"odd": value})
-    with pytest.raises(InvalidEventError, match=rf"{name}: cannot be written as JSON"):
-        save_event(event, tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", ["one.json", "one.nc"])
-@pytest.mark.parametrize("id", ["", " ", "two\nlines", "\ud800"])
-def test_an_id_that_cannot_be_printed_is_not_written(tmp_path: Path, id: str, name: str) -> None:
-    with pytest.raises(InvalidEventError, match=rf"{name}: id is .*, expected printable text"):
-        save_event(make_event(id=id), tmp_path / name)
+    with pytest.raises(InvalidEventError, match=f"{name}: {said}"):
+        save_event(dataclasses.replace(make_event(), **changes), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 

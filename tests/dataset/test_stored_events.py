@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import h5py
 import loky
@@ -59,22 +60,15 @@ def test_only_what_is_asked_for_is_read(whole: tuple[Path, list[Event]], read: l
     path, events = whole
     found = StoredEvents(path)
     assert (len(found), found.ids, read) == (N, [event.id for event in events], [])
+    part = found[10:2:-3][1:]
+    assert (part.ids, len(found[5:5]), read) == (["event 7", "event 4"], 0, [])
     assert same(found[41], events[41])
     assert same(found[-1], events[-1])
     assert same(found[np.int64(3)], events[3])  # type: ignore[call-overload]
-    assert read == ["event 41", f"event {N - 1}", "event 3"]
+    assert same(part[1], events[4])
+    assert read == ["event 41", f"event {N - 1}", "event 3", "event 4"]
     with pytest.raises(IndexError):
         found[N]
-
-
-def test_slices_are_read_no_sooner(whole: tuple[Path, list[Event]], read: list[str]) -> None:
-    path, events = whole
-    part = StoredEvents(path)[10:2:-3][1:]
-    assert part.ids == ["event 7", "event 4"]
-    assert read == []
-    assert same(part[1], events[4])
-    assert read == ["event 4"]
-    assert len(StoredEvents(path)[5:5]) == 0
 
 
 def test_all_come_in_order_and_the_file_is_closed(whole: tuple[Path, list[Event]]) -> None:
@@ -89,22 +83,17 @@ def test_all_come_in_order_and_the_file_is_closed(whole: tuple[Path, list[Event]
     assert open_files() == before
 
 
-def test_they_can_be_pickled_and_read_by_threads(whole: tuple[Path, list[Event]]) -> None:
+@pytest.mark.parametrize(
+    "pool", [ThreadPoolExecutor, pytest.param(loky.ProcessPoolExecutor, marks=pytest.mark.slow)]
+)
+def test_they_can_be_pickled_and_read_by_threads_and_processes(
+    whole: tuple[Path, list[Event]], pool: Any
+) -> None:
     path, events = whole
     found = pickle.loads(pickle.dumps(StoredEvents(path)))
-    with ThreadPoolExecutor(4) as pool:
-        got = list(pool.map(found.__getitem__, range(0, N, 5)))
+    with pool(4) as started:
+        got = list(started.map(found.__getitem__, range(0, N, 5)))
     assert all(same(one, other) for one, other in zip(got, events[::5], strict=True))
-
-
-@pytest.mark.slow
-def test_they_can_be_read_by_several_processes(whole: tuple[Path, list[Event]]) -> None:
-    path, events = whole
-    found = StoredEvents(path)
-    assert same(found[0], events[0])
-    with loky.ProcessPoolExecutor(2) as pool:
-        got = list(pool.map(found.__getitem__, range(N)))
-    assert all(same(one, other) for one, other in zip(got, events, strict=True))
 
 
 def test_agents_can_be_said_to_turn_otherwise(whole: tuple[Path, list[Event]]) -> None:

@@ -145,12 +145,12 @@ def test_what_an_agent_sees_is_tinted_with_its_colour() -> None:
 
 def test_without_the_option_nothing_is_tinted(tmp_path: Path) -> None:
     event = make_event()
-    image(event, 0, tmp_path / "plain.png")
-    image(event, 0, tmp_path / "tinted.png", fields_of_view=True)
+    image(event, -1, tmp_path / "plain.png")
+    image(event, -1, tmp_path / "tinted.png", fields_of_view=True)
     plain, tinted = (
         np.asarray(Image.open(tmp_path / name)) for name in ("plain.png", "tinted.png")
     )
-    poses = event.observation.trajectory[0]
+    poses = event.observation.trajectory[-1]
     assert np.array_equal(plain, draw_frame(event.scene, poses))
     assert np.array_equal(tinted, draw_frame(event.scene, poses, fields_of_view=True))
     assert not np.array_equal(plain, tinted)

@@ -98,13 +98,9 @@ def test_bodies_move_on_straight_lines_between_frames() -> None:
     assert poses[4, 0].tolist() == [7.0, 4.0, 1.0]
     assert poses[8, 0].tolist() == [7.0, 4.0, 1.0]
     assert between_frames(trajectory[:1], 4).shape == (1, 4, 3)
-
-
-def test_angles_turn_the_shorter_way_round() -> None:
-    trajectory = np.zeros((2, 4, 3))
-    trajectory[:, 0, 2] = (3.1, -3.1)
-    middle = between_frames(trajectory, 2)[1, 0, 2]
-    assert np.cos(middle) == pytest.approx(-1.0)
+    # angles turn the shorter way round
+    trajectory[:2, 0, 2] = (3.1, -3.1)
+    assert np.cos(between_frames(trajectory[:2], 2)[1, 0, 2]) == pytest.approx(-1.0)
 
 
 @pytest.mark.parametrize(
@@ -206,15 +202,6 @@ def test_settings_that_cannot_be_are_refused(
         write(make_event(n_frames=4), tmp_path / name, **setting)
 
 
-def test_one_frame_is_written_as_picture(tmp_path: Path) -> None:
-    event = make_event()
-    image(event, -1, tmp_path / "last.png")
-    drawn = np.asarray(Image.open(tmp_path / "last.png"))
-    assert np.array_equal(
-        drawn, np.asarray(Painter(event.scene).draw(event.observation.trajectory[-1]))
-    )
-
-
 @pytest.mark.parametrize("frame", [4, -5, 100])
 def test_a_frame_that_is_not_there_is_refused(tmp_path: Path, frame: int) -> None:
     with pytest.raises(InvalidSettingError, match=rf"frame={frame}, expected one of 0..3"):
@@ -263,12 +250,12 @@ def read_gif(path: Path) -> tuple[list[NDArray[np.uint8]], list[int]]:
 def test_a_gif_shows_what_is_drawn_at_20_frames_per_second(
     tmp_path: Path, fields_of_view: bool
 ) -> None:
-    event = make_event(n_frames=5)
+    event = make_event(n_frames=3)
     video(event, tmp_path / "event.gif", fields_of_view=fields_of_view)
     frames, durations = read_gif(tmp_path / "event.gif")
     poses = between_frames(event.observation.trajectory, 5)
     painter = Painter(event.scene, fields_of_view)
-    assert durations == [50] * 21
+    assert durations == [50] * 11
     for frame, pose in zip(frames, poses, strict=True):
         drawn = np.asarray(painter.draw(pose)).astype(int)
         difference = np.abs(frame - drawn).max(axis=2)

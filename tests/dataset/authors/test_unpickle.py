@@ -9,7 +9,7 @@ import pickle
 import random
 import struct
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +23,52 @@ from phase_ppl.dataset.authors.pickles import read_pickle, unpickled
 from phase_ppl.dataset.load import load_events
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from tests.dataset.authors.pickles import name_of, processed, record
-from tests.dataset.authors.traps import (
-    EIGHT,
-    EMPTY,
-    F8,
-    SPRUNG,
-    Trap,
-    array,
-    complaint,
-    is_sprung,
-    refused,
-)
+
+SPRUNG = "PHASE_PPL_TEST_TRAP"
+"""A folder, or a variable of the environment, that is there once code of a pickle has run."""
+
+F8 = b"cnumpy\ndtype\nVf8\nI00\nI01\n\x87R(K\x03V<\nNNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb"
+EMPTY = b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85C\x01b\x87R"
+EIGHT = b"C\x08" + bytes(8)
+
+
+class Trap:
+    """Its pickle, when loaded, calls a function."""
+
+    def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
+        self.call = function, arguments
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self.call
+
+
+def is_sprung() -> bool:
+    return SPRUNG in os.environ or Path(SPRUNG).exists()
+
+
+def complaint(content: bytes) -> str | None:
+    """Return the one line with which a pickle is refused; None where it is read."""
+    try:
+        unpickled(content)
+    except InvalidEventError as error:
+        message = str(error)
+    else:
+        return None
+    assert "\n" not in message
+    assert len(message) < 250
+    return message
+
+
+def refused(content: bytes) -> str:
+    message = complaint(content)
+    assert message is not None
+    return message
+
+
+def array(shape: bytes, dtype: bytes = F8, content: bytes = EIGHT) -> bytes:
+    """Return the pickle of an array in parts: (1, shape, dtype, False, content)."""
+    return EMPTY + b"(K\x01" + shape + dtype + b"\x89" + content + b"tb."
+
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
 
@@ -267,14 +302,20 @@ STATES: dict[str, tuple[bytes, str]] = {
     "huge": (array(long(2**30) + b"\x85"), "in 8 bytes, expected 8589934592"),
     "huger": (array(long(2**60) + b"\x85"), "an impossible shape"),
     "product": (array(b"(" + long(2**31) * 8 + b"t"), "in 8 bytes, expected"),
-    "nothing_of_much": (array(b"(" + long(2**40) + b"K\x00t", content=b"C\x00"), "impossible"),
+    "nothing_of_much": (
+        array(b"(" + long(2**40) + b"K\x00t", content=b"C\x00"),
+        "impossible",
+    ),
     "negative": (array(long(-1) + b"\x85"), "an impossible shape"),
     "two_negative": (array(long(-1) + long(-1) + b"\x86"), "an impossible shape"),
     "fraction": (array(b"F1.0\n\x85"), "an impossible shape"),
     "true": (array(b"I01\n\x85"), "an impossible shape"),
     "dimensions": (array(b"(" + b"K\x01" * 9 + b"t"), "an impossible shape"),
     "list": (array(b"](K\x01e"), "an impossible shape"),
-    "too_much": (array(b"K\x01\x85", content=b"C\x10" + bytes(16)), "in 16 bytes, expected 8"),
+    "too_much": (
+        array(b"K\x01\x85", content=b"C\x10" + bytes(16)),
+        "in 16 bytes, expected 8",
+    ),
     "no_dtype": (array(b"K\x01\x85", b"Vf8\n"), "something else than plain numbers"),
     "objects": (array(b"K\x01\x85", content=b"](Ne"), "something else than plain numbers"),
     "array": (array(b"K\x01\x85", content=EMPTY), "something else than plain numbers"),

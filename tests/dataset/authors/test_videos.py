@@ -70,7 +70,7 @@ def assert_shows(event: Event, copy: int | None) -> None:
     assert (event.truth.strength_red, event.truth.strength_green) == (600.0, 150.0)
 
 
-@pytest.mark.parametrize("code", [SHUFFLED, SHORT], ids=["four keys", "three keys"])
+@pytest.mark.parametrize("code", [SHUFFLED, SHORT, {0: 1, 1: 0, 2: 3, 3: 2}], ids=str)
 @pytest.mark.parametrize("copy", KINDS)
 def test_a_processed_video_becomes_what_it_shows(
     tmp_path: Path, copy: int | None, code: dict[int, int]
@@ -232,12 +232,6 @@ def test_a_record_of_an_odd_number_of_substeps_is_refused(tmp_path: Path) -> Non
         load(write(tmp_path, made))
 
 
-def test_colours_that_were_never_shuffled_have_all_four_keys(tmp_path: Path) -> None:
-    code = {0: 1, 1: 0, 2: 3, 3: 2}
-    (event,) = load(write(tmp_path, [processed(None, code)]))
-    assert_shows(event, None)
-
-
 def test_all_tracks_may_be_one_array(tmp_path: Path) -> None:
     video = processed(1)
     video["trajectories"] = np.stack([track[:FRAMES] for track in video["trajectories"]])
@@ -376,14 +370,6 @@ def turning(steps: list[int], radius: float, start: float) -> FloatArray:
 def assert_equal_but_for_whole_turns(got: FloatArray, wanted: FloatArray) -> None:
     whole = np.round((got[0] - wanted[0]) / TURN) * TURN
     np.testing.assert_allclose(got, wanted + whole, atol=1e-9)
-
-
-@pytest.mark.parametrize("radius", SIZES)
-@pytest.mark.parametrize("way", [1, -1])
-def test_an_agent_that_turns_round_and_round(radius: float, way: int) -> None:
-    for part in np.arange(0, 1, 0.1):
-        angles = turning([0, 0, *[way] * 40, 0, 0], radius, -part * TURN)
-        assert_equal_but_for_whole_turns(repaired(spoiled(angles), radius), averaged(angles, 1))
 
 
 @settings(max_examples=200, deadline=None)
