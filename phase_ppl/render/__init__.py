@@ -1,7 +1,6 @@
 """Pictures and animations of events in the look of the PHASE videos."""
 
-from phase_ppl.render.frames import draw_frame
-from phase_ppl.render.stills import contact_sheet, image, strip
+from phase_ppl.render.frames import contact_sheet, draw_frame, image, strip
 from phase_ppl.render.video import video, videos
 
 __all__ = ["contact_sheet", "draw_frame", "image", "strip", "video", "videos"]

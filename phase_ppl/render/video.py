@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import os
 import re
@@ -261,30 +262,24 @@ def videos(
     Returns:
         The files, in the order of the events.
     """
-    import loky
+    from phase_ppl.simulator.processes import results
 
     n_workers = number_of_workers(workers)
     target = writable_folder(folder)
     paths = [target / name for name in _names(events)]
     waiting = [pair for pair in zip(events, paths, strict=True) if not pair[1].is_file()]
     done = len(events) - len(waiting)
-    with Bar(len(events), done, progress, "video", "filming") as bar:
-        if min(n_workers, len(waiting)) < 2:
-            for event, path in waiting:
-                video(event, path)
-                bar.update()
-            return paths
-        with loky.ProcessPoolExecutor(min(n_workers, len(waiting))) as pool:
-            running = [pool.submit(video, event, path) for event, path in waiting]
-            try:
-                for future in loky.as_completed(running):
-                    future.result()
-                    bar.update()
-            except BaseException:
-                for future in running:  # those that have begun are finished
-                    future.cancel()
-                raise
+    made = results(_filmed, None, waiting, min(n_workers, len(waiting)), "the events")
+    with Bar(len(events), done, progress, "video", "filming") as bar, contextlib.closing(made):
+        for _, failure in made:
+            if failure is not None:
+                raise failure.error or OSError(failure.reason)
+            bar.update()
     return paths
+
+
+def _filmed(_: None, job: tuple[Event, Path]) -> None:
+    video(*job)
 
 
 def _names(events: Sequence[Event]) -> list[str]:

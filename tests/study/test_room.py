@@ -20,7 +20,7 @@ from phase_ppl.study.exports import SLIPPED
 from phase_ppl.study.room import Controls, Outbox, Room, Seat, driving, outline, warnings
 from phase_ppl.study.settings import PlaySettings, Settings, template
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
-from tests.render.test_sight import inside
+from tests.render.test_frames import inside
 from tests.study.players import near_goals
 
 

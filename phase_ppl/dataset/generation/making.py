@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -233,8 +233,8 @@ def _measured(
     steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
     pushes = np.isin(actions, PUSHES) & (steps[:, :n_agents] < STILL)
 
-    def touching(one: int, other: int) -> list[bool]:
-        return [bool(touches(one, other, frame, scene.radius, n_agents)) for frame in track]
+    def touching(one: int, other: int) -> Iterator[bool]:
+        return (touches(one, other, frame, scene.radius, n_agents) for frame in track)
 
     closest, met = {}, {}
     for one, other in itertools.combinations(range(n_agents), 2):

@@ -13,7 +13,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -117,18 +117,13 @@ class Plan:
             instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
         for cell, n in self.cells.items():
             whole_number(cell, n, 0)
-        own = cell_of(self.world)
-        families = {
-            cell: family_of(cell, self.world)
-            for cell in self.cells
-            if self.world == PHASE or cell != own
-        }
-        # by themselves and not by name, since worker processes know no families of others
-        object.__setattr__(self, "families", families)
         if self.world != PHASE:
             self._check_elsewhere()
         elif self.roles is not None:
             raise InvalidSettingError("roles are for other worlds: families draw those of PHASE")
+        for family in self.families.values():
+            if self.world != PHASE:  # what functions of others do is found out now
+                family.draw_in(self.world, self.seed)
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
         for name, share in self.splits.items():
@@ -165,16 +160,17 @@ class Plan:
                     f"{self.world.name!r}"
                 )
         whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
-        for family in self.families.values():  # what functions of others do is found out now
-            family.draw_in(self.world, self.seed)
         if self.roles is not None and not callable(self.roles):
             raise InvalidSettingError(
                 f"roles={shown(self.roles)}, expected a function (world, seed) such as "
                 "phase_ppl.roles.draw"
             )
 
-    families: ClassVar[Mapping[str, Family]] = {}
-    """Cell -> family, with its variant."""
+    @functools.cached_property
+    def families(self) -> Mapping[str, Family]:
+        """Cell -> family, with its variant; kept, since worker processes know none of others."""
+        own = None if self.world == PHASE else cell_of(self.world)
+        return {cell: family_of(cell, self.world) for cell in self.cells if cell != own}
 
     @property
     def looks(self) -> list[Look]:

@@ -42,7 +42,7 @@ from phase_ppl.evaluation.figures.rows import (
 )
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.tables import facts, kinds_of, said, true_answers, world_of
-from phase_ppl.render.stills import draw_strip
+from phase_ppl.render.frames import draw_strip
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS

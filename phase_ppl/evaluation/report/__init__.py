@@ -36,7 +36,7 @@ from phase_ppl.evaluation.figures.rows import NothingToDrawError, Results, scena
 from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
 from phase_ppl.evaluation.tables import titles_of, true_answers, true_scenario
-from phase_ppl.render.stills import draw_strip
+from phase_ppl.render.frames import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name

@@ -40,7 +40,7 @@ from phase_ppl.world.names import Predicate
 
 QUICK: dict[str, Any] = {
     "planner": PlannerConfig(particles=5, simulations=2, rollout_length=1),
-    "frames": 34,
+    "frames": 12,
     "workers": 1,
     "progress": False,
 }
@@ -129,10 +129,10 @@ def test_numbers_are_shared_out_by_largest_remainders() -> None:
 
 def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(tmp_path: Path) -> None:
     cells = {"chasing": 1, "hinder:LMA": 1}
-    one = generate(tmp_path / "one", cells=cells, seed=4, **QUICK)
-    with ThreadPoolExecutor(2) as executor:  # given what processes are given
-        given = {**QUICK, "workers": 2, "executor": executor}
-        two = generate(tmp_path / "two", cells=cells, seed=4, **given)
+    given = {**QUICK, "cells": cells, "seed": 4, "frames": 34}
+    one = generate(tmp_path / "one", **given)
+    with ThreadPoolExecutor(2) as executor:  # which is given what processes are
+        two = generate(tmp_path / "two", **{**given, "workers": 2, "executor": executor})
     assert [event.id for event in one] == [event.id for event in two]
     for first, second in zip(one, two, strict=True):
         np.testing.assert_array_equal(first.observation.trajectory, second.observation.trajectory)
