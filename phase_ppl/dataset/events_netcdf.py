@@ -445,7 +445,7 @@ class _Stored(NamedTuple):
 
     id: str
     file: int
-    index: int  # of it in that file
+    place: int  # of it in that file
 
 
 class StoredEvents(Sequence[Event]):
@@ -479,7 +479,7 @@ class StoredEvents(Sequence[Event]):
             with naming(file):
                 self._states.append(_state(file))
                 ids = _listing(file, self._states[-1]).ids
-                self._stored += [_Stored(id, number, index) for index, id in enumerate(ids)]
+                self._stored += [_Stored(id, number, place) for place, id in enumerate(ids)]
                 check_ids(self.ids)
 
     @property
@@ -514,7 +514,7 @@ class StoredEvents(Sequence[Event]):
                     file = stack.enter_context(h5py.File(path, "r"))
             for one in wanted:
                 with naming(path, one.id):
-                    yield event_at(file, listed, one.index)
+                    yield event_at(file, listed, one.place)
 
     @overload
     def __getitem__(self, index: int) -> Event: ...

@@ -95,7 +95,7 @@ class GeneratedEvents(StoredEvents):
         """
         if self._blocks:
             return _Entries(self)
-        return [self.manifest["entries"][one.index] for one in self._stored]
+        return [self.manifest["entries"][one.place] for one in self._stored]
 
     @property
     def cost(self) -> dict[str, Any]:
