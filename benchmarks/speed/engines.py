@@ -64,7 +64,8 @@ def transitions() -> dict[str, Any]:
     def slow() -> None:
         for state, pair in mix:
             world.restore(state)
-            world.advance(pair)
+            for _ in world.substeps(pair):
+                pass
             _ = world.state
 
     seconds = interleaved({"compiled": fast, "pymunk": slow})

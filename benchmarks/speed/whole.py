@@ -61,7 +61,7 @@ def early_stop() -> dict[str, Any]:
         begin, chosen = rng.copy(), {}
         for stops in (True, False):
             rng[:] = begin
-            one = pomcp.make_tree(search.n_simulations) if stops else tree
+            one = pomcp.make_tree(search.simulations) if stops else tree
             settings = search._replace(early_stop=stops)
             chosen[stops] = original(one, *where, settings, params, layout, scratch, rng)  # type: ignore[call-arg]
             steps[stops] += int(one.statistics[1])

@@ -29,7 +29,7 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.goals import goal_literal, planned_as
-from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.names import AGENTS, STOP, Literal, Predicate
 
 NO_INTENT = -1  # of goals that cannot be, or were not asked for
 
@@ -56,7 +56,6 @@ def best_subgoal(
     agreeing: Mapping[Literal, Sequence[int]],
     costs: FloatArray,
     done: float,
-    agent: int,
     config: PlannerConfig,
     n_agents: int = len(AGENTS),
 ) -> Literal:
@@ -68,7 +67,6 @@ def best_subgoal(
         agreeing: subgoal -> particles for which it was planned.
         costs: (K,) cost C of each particle, units.
         done: share of the particles in which the agent's goal is reached.
-        agent: who plans.
         config: settings of the planner.
         n_agents: of the entities, so many are agents.
     """
@@ -86,44 +84,16 @@ def best_subgoal(
     if config.touch_override:
         # the authors' code prefers touching, items first, then other agents
         touching = [c for c in candidates if c.predicate is Predicate.TOUCH and c.positive]
-        candidates = (
-            sorted(touching, key=lambda c: (c.target < n_agents, c.target))[:1] or candidates
-        )
+        if touching:
+            return min(touching, key=lambda c: (c.target < n_agents, c.target))
     return max(candidates, key=value.__getitem__)
 
 
-def reflex(
-    subgoal: Literal, particle: int, agent: int, beliefs: Beliefs, model: WorldModel
-) -> Action | None:
-    """Return the action that needs no search: stop, let go, or grab what is in reach.
-
-    Args:
-        subgoal: what the agent is about.
-        particle: one of the particles that agree with it.
-        agent: which one.
-        beliefs, model: its own.
-    """
-    if subgoal == STOP:
-        return Action.STOP
-    if subgoal.predicate is not Predicate.ATTACH:
-        return None
-    if not subgoal.positive:
-        return Action.DETACH
-    if beliefs.held[particle, agent] != NOTHING:
-        return None
-    item, _ = compiled.find_grab(
-        beliefs.bodies[particle], beliefs.held[particle], agent, model.params
-    )
-    return Action.ATTACH if item == subgoal.target else None
-
-
-class Policies:
+class Policies(Perception):
     """One agent's beliefs, and its intents under the effective goals that all may have.
 
     Args:
-        agent: which one.
-        model: layout and imagined physics.
-        config: settings of the planner.
+        agent, model, config: as of :class:`Perception`.
         seed: of beliefs and searches. From a whole number, the step and the intent follows the
             seed of each search, whose result does not depend on what else is searched then. From
             a generator one search after the other takes its random numbers.
@@ -143,12 +113,9 @@ class Policies:
         seed: int | np.random.Generator,
         goals: Sequence[tuple[int, ...]] | None = None,
     ) -> None:
-        self.agent = agent
-        self.config = config
         self._seed = None if isinstance(seed, np.random.Generator) else seed
         generator = np.random.default_rng(seed if self._seed is None else [self._seed, agent])
-        self._perception = Perception(agent, model, config, generator)
-        self._planner = subgoal_planners(agent, model.abilities)
+        super().__init__(agent, model, config, generator)
         self._search = pomcp.Search.of(config)
         world = model.scene.world
         self._counts = len(world.entities), len(world.agents)
@@ -166,27 +133,23 @@ class Policies:
             if one.towards.helps_along
         }
         self._rows = {goal: row for row, goal in enumerate(sorted(asked))}
-        own = {
-            row: goal_literal(goal, holder, world) for row, (holder, goal) in enumerate(self._rows)
-        }
-        plans = [
-            planned_as(own[row], holder, model.scene) for row, (holder, _) in enumerate(self._rows)
+        literals = [goal_literal(goal, holder, world) for holder, goal in self._rows]
+        self._plans = [
+            planned_as(literal, holder, model.scene)
+            for literal, (holder, _) in zip(literals, self._rows, strict=True)
         ]
         # facts know no goal to be in a room; what is there of it does not depend on the place
-        self._codes = np.array(
-            [
-                pomcp.subgoal_code(
-                    Literal(Predicate.ON, one.subject, 0, one.positive)
-                    if one.predicate is Predicate.CLOSE
-                    else one
-                )
-                for one in plans
-            ]
+        known = (
+            plan._replace(predicate=Predicate.ON, target=0)
+            if plan.predicate is Predicate.CLOSE
+            else plan
+            for plan in self._plans
         )
+        self._codes = np.array([pomcp.subgoal_code(plan) for plan in known])
         self._own = [
-            (row, plans[row], world.predicates[one.target])
-            for row, one in own.items()
-            if one.predicate is Predicate.OWN
+            (row, world.predicates[literal.target])
+            for row, literal in enumerate(literals)
+            if literal.predicate is Predicate.OWN
         ]
         particles = config.particles
         self._row = symbols.Facts(*self._counts)
@@ -198,37 +161,19 @@ class Policies:
         self.intents: list[Intent] = []
         self.intent_of = np.full(n, NO_INTENT)
 
-    @property
-    def beliefs(self) -> Beliefs:
-        """The belief particles."""
-        return self._perception.beliefs
-
-    @property
-    def model(self) -> WorldModel:
-        """Layout and imagined physics; may be exchanged between observations."""
-        return self._perception.model
-
-    @model.setter
-    def model(self, model: WorldModel) -> None:
-        self._perception.model = model
-        self._planner = subgoal_planners(self.agent, model.abilities)
-
-    def done(self, action: Action) -> None:
-        """Say what the agent has just executed, which its next prediction starts from."""
-        self._perception.done(action)
-
     def observe(
         self, bodies: FloatArray, held: IntArray, weld: FloatArray, wanted: BoolArray | None = None
     ) -> None:
         """Look at the true state; bring beliefs and intents up to date.
 
         Args:
-            bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
+            bodies, held, weld: as of :meth:`Perception.observe`.
             wanted: (standpoint,) those whose intents are needed; None: all.
         """
         self._step += 1
-        self._perception.observe(bodies, held, weld)
+        super().observe(bodies, held, weld)
         self._describe()
+        self._planner = subgoal_planners(self.agent, self.model.abilities)
         found: dict[Intent, int] = {}
         self.intent_of[:] = NO_INTENT
         for one in self._alike:
@@ -266,7 +211,8 @@ class Policies:
         (bodies, held), scene = (self.beliefs.bodies, self.beliefs.held), self.model.scene
         angle, cog = bodies[..., 2], self.model.params.cog
         origin = bodies[..., :2] + np.stack([np.sin(angle), -np.cos(angle)], -1) * cog[:, None]
-        for row, planned, predicate in self._own:
+        for row, predicate in self._own:
+            planned = self._plans[row]
             self._done[row] = predicate.is_content(origin, scene)
             if planned.predicate is Predicate.CLOSE and planned.positive:
                 near = planned.subject == self.agent or held[:, self.agent] == planned.subject
@@ -291,17 +237,14 @@ class Policies:
         if towards.helps_along:
             # it matters whether the other is where it wants to be
             kinds += self._done[self._rows[towards.other, other]]
-        planned = planned_as(one.literal, self.agent, self.model.scene)
-        planner = self._planner(planned, towards, one.literal.predicate is Predicate.OWN)
+        planner = self._planner(self._plans[row], towards, one.literal.predicate is Predicate.OWN)
         agreeing: dict[Literal, list[int]] = defaultdict(list)
         for state, members in self._grouped(kinds):
             agreeing[planner.subgoal(state, self._observed)] += members
         for members in agreeing.values():
             members.sort()
         share = np.count_nonzero(done) / len(done)
-        best = best_subgoal(
-            *(agreeing, self._costs[row], share, self.agent, self.config, self._counts[1])
-        )
+        best = best_subgoal(agreeing, self._costs[row], share, self.config, self._counts[1])
         return Intent(best, tuple(agreeing[best]), towards.contested)
 
     def _grouped(self, kinds: IntArray) -> list[tuple[symbols.SymbolicState, list[int]]]:
@@ -350,14 +293,22 @@ class Policies:
         return [reflex for _ in intents]
 
     def _considered(self, intent: Intent) -> IntArray:
-        """Return the actions to search among, or the one that needs no search."""
-        first, held = intent.agreeing[0], self.beliefs.held
-        action = reflex(intent.subgoal, first, self.agent, self.beliefs, self.model)
-        if action is not None:
-            return np.array([action], np.int64)
-        own_held = int(held[first, self.agent])
+        """Return the actions to search among, or the one that needs no search.
+
+        That is to stop, to let go, or to grab what is in reach.
+        """
+        subgoal, first = intent.subgoal, intent.agreeing[0]
+        bodies, held = self.beliefs.bodies[first], self.beliefs.held[first]
+        if subgoal == STOP:
+            return np.array([Action.STOP])
+        if subgoal.predicate is Predicate.ATTACH:
+            if not subgoal.positive:
+                return np.array([Action.DETACH])
+            # nothing is found by an agent that holds something
+            if compiled.find_grab(bodies, held, self.agent, self.model.params)[0] == subgoal.target:
+                return np.array([Action.ATTACH])
         return pomcp.actions_for(
-            intent.subgoal, self.agent, own_held, intent.contested, self._counts[1]
+            subgoal, self.agent, int(held[self.agent]), intent.contested, self._counts[1]
         )
 
     def _search_actions(self, intents: Sequence[Intent], actions: IntArray) -> list[RootStatistics]:
@@ -382,7 +333,7 @@ class Policies:
 
     def _rng(self, intent: Intent) -> NDArray[np.uint64]:
         if self._seed is None:
-            return self._perception.rng
+            return self.rng
         # subgoals have random numbers in common, which compares them like with like too
         text = repr((self._seed, self.agent, self._step, intent.agreeing))
         digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
@@ -407,10 +358,8 @@ class Agent(Policies):
     """An agent with given goals of all: it has one intent, and acts on it.
 
     Args:
-        agent: which one.
         goals: effective goals of all agents, indices into the world's; all agents know all.
-        model, config: as of :class:`Policies`.
-        generator: source of all randomness of this agent.
+        agent, model, config, generator: as of :class:`Perception`.
     """
 
     def __init__(
@@ -429,11 +378,7 @@ class Agent(Policies):
         return self.intents[0]
 
     def decide(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> Decision:
-        """Observe the true state, update the beliefs, and choose subgoal and action.
-
-        Args:
-            bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
-        """
+        """Observe the true state, update the beliefs, and choose subgoal and action."""
         self.observe(bodies, held, weld)
         (root,) = self.root_statistics(self.intents)
         self.done(root.best)

@@ -57,43 +57,6 @@ class Beliefs(NamedTuple):
     open_cells: IntArray
 
 
-def initial_beliefs(
-    truth: FloatArray,
-    agent: int,
-    n_agents: int,
-    n_particles: int,
-    layout: Layout,
-    generator: np.random.Generator,
-) -> Beliefs:
-    """Return particles whose other entities lie uniformly on integer points, at rest.
-
-    Args:
-        truth: (entity, 9) true bodies; only the agent's own row is used.
-        agent: whose beliefs.
-        n_agents: of the entities, so many are agents.
-        n_particles: K.
-    """
-    n_cells = layout.rows * layout.columns
-    bodies = np.zeros((n_particles, *truth.shape))
-    x_points = np.arange(layout.origin[0] + START_INSET, layout.origin[0] + layout.columns - 1)
-    y_points = np.arange(layout.origin[1] - layout.rows + START_INSET, layout.origin[1] - 1)
-    shape = bodies.shape[:2]
-    bodies[..., 0] = generator.choice(x_points, size=shape)
-    bodies[..., 1] = generator.choice(y_points, size=shape)
-    bodies[:, agent] = truth[agent]
-    return Beliefs(
-        bodies=bodies,
-        held=np.full((n_particles, n_agents), NOTHING, np.int64),
-        weld=np.zeros((n_particles, n_agents, 3)),
-        ever_seen=np.zeros(n_cells, np.bool_),
-        visible=np.zeros(n_cells, np.bool_),
-        observed=np.zeros(len(truth), np.bool_),
-        actions=np.full(n_agents, NO_ACTION, np.int64),
-        cells=np.zeros(MAX_OUTLINE_CELLS, np.int64),
-        open_cells=np.zeros(n_cells, np.int64),
-    )
-
-
 @bare_kernel
 def _consistent(
     bodies: FloatArray,
@@ -109,11 +72,8 @@ def _consistent(
     Args:
         missed_by: the agent, if it has just tried to grab and holds nothing; else NOTHING.
     """
-    if (
-        entity >= params.force.shape[0]
-        and missed_by >= 0
-        and in_reach(bodies, missed_by, entity, params)
-    ):
+    is_item = entity >= params.force.shape[0]
+    if is_item and missed_by >= 0 and in_reach(bodies, missed_by, entity, params):
         return False
     n = outline_cells(bodies, entity, params, layout, beliefs.cells)
     off = (
@@ -181,19 +141,14 @@ def _resample(
 @bare_kernel
 def _list_open_cells(beliefs: Beliefs) -> int:
     """List the cells never seen; if none is left, those not in view; else all. Return how many."""
-    n = 0
-    for cell in range(beliefs.ever_seen.shape[0]):
-        if not beliefs.ever_seen[cell]:
-            beliefs.open_cells[n] = cell
-            n += 1
-    if n > 0:
-        return n
-    for cell in range(beliefs.visible.shape[0]):
-        if not beliefs.visible[cell]:
-            beliefs.open_cells[n] = cell
-            n += 1
-    if n > 0:
-        return n
+    for excluded in (beliefs.ever_seen, beliefs.visible):
+        n = 0
+        for cell in range(excluded.shape[0]):
+            if not excluded[cell]:
+                beliefs.open_cells[n] = cell
+                n += 1
+        if n > 0:
+            return n
     for cell in range(beliefs.visible.shape[0]):
         beliefs.open_cells[cell] = cell
     return beliefs.visible.shape[0]
@@ -306,18 +261,32 @@ class Perception:
     def __init__(
         self, agent: int, model: WorldModel, config: PlannerConfig, generator: np.random.Generator
     ) -> None:
-        self.agent = agent
-        self.model = model
-        self.config = config
+        self.agent, self.model, self.config = agent, model, config
         self.rng = make_rng(generator)
-        bodies, _, _ = compiled.from_state(State.at_start(model.scene), model.scene.radius)
-        n_agents = len(model.scene.world.agents)
-        self.beliefs = initial_beliefs(
-            bodies, agent, n_agents, config.particles, model.layout, generator
+        layout, n = model.layout, config.particles
+        truth, held, weld = compiled.from_state(State.at_start(model.scene), model.scene.radius)
+        # the others lie uniformly on integer points, at rest
+        bodies = np.zeros((n, *truth.shape))
+        x_points = np.arange(layout.origin[0] + START_INSET, layout.origin[0] + layout.columns - 1)
+        y_points = np.arange(layout.origin[1] - layout.rows + START_INSET, layout.origin[1] - 1)
+        bodies[..., 0] = generator.choice(x_points, size=bodies.shape[:2])
+        bodies[..., 1] = generator.choice(y_points, size=bodies.shape[:2])
+        bodies[:, agent] = truth[agent]
+        n_cells = layout.rows * layout.columns
+        self.beliefs = Beliefs(
+            bodies=bodies,
+            held=np.tile(held, (n, 1)),
+            weld=np.tile(weld, (n, 1, 1)),
+            ever_seen=np.zeros(n_cells, np.bool_),
+            visible=np.zeros(n_cells, np.bool_),
+            observed=np.zeros(len(truth), np.bool_),
+            actions=np.full(len(held), NO_ACTION, np.int64),
+            cells=np.zeros(MAX_OUTLINE_CELLS, np.int64),
+            open_cells=np.zeros(n_cells, np.int64),
         )
-        self.scratch = compiled.make_scratch(len(bodies), n_agents)
+        self.scratch = compiled.make_scratch(len(truth), len(held))
         self._last_action: Action | None = None
-        self._closed_off = _closed_off(model, bodies[agent, :2])
+        self._closed_off = _closed_off(model, truth[agent, :2])
 
     def done(self, action: Action) -> None:
         """Say what the agent has just executed, which its next prediction starts from."""
@@ -331,32 +300,17 @@ class Perception:
         """
         model, beliefs = self.model, self.beliefs
         vision.observe(
-            bodies,
-            held,
-            self.agent,
-            self.config.full_observation,
-            model.params,
-            model.layout,
-            beliefs.visible,
-            beliefs.cells,
-            beliefs.observed,
+            *(bodies, held, self.agent, self.config.full_observation, model.params, model.layout),
+            *(beliefs.visible, beliefs.cells, beliefs.observed),
         )
         if self._closed_off is not None:  # nothing need be looked for there
             beliefs.visible[self._closed_off] = True
         if self.config.true_state:
             beliefs.bodies[:], beliefs.held[:], beliefs.weld[:] = bodies, held, weld
             return
-        own_action = Action.NO_FORCE if self._last_action is None else self._last_action
+        predict = self._last_action is not None
+        own_action = int(Action.NO_FORCE if self._last_action is None else self._last_action)
         update(
-            beliefs,
-            bodies,
-            held,
-            weld,
-            self.agent,
-            int(own_action),
-            self._last_action is not None,
-            model.params,
-            model.layout,
-            self.scratch,
-            self.rng,
+            *(beliefs, bodies, held, weld, self.agent, own_action, predict),
+            *(model.params, model.layout, self.scratch, self.rng),
         )

@@ -9,6 +9,7 @@ names A* and the predicates; the operators are ours).
 
 from __future__ import annotations
 
+import functools
 import heapq
 import itertools
 import typing
@@ -71,26 +72,18 @@ def _set(values: tuple, index: int, value: object) -> tuple:  # type: ignore[typ
 def start_node(state: SymbolicState, done: tuple[bool, ...], targets: frozenset[int]) -> Node:
     """Return the search node of a symbolic state; only targets count as near."""
     n_agents, n_items = len(state.held), len(state.door_filled_by)
-    near = tuple(
-        next(
-            (
-                n_agents + i
-                for i in range(n_items)
-                if state.in_reach[n_items * a + i] and n_agents + i in targets
-            ),
-            NOTHING,
-        )
-        for a in range(n_agents)
-    )
-    return Node(state.rooms, state.held, near, done, state.door_filled_by)
+    near = [NOTHING] * n_agents
+    for agent, item in np.argwhere(np.reshape(state.in_reach, (n_agents, n_items))).tolist():
+        if near[agent] == NOTHING and n_agents + item in targets:
+            near[agent] = n_agents + item
+    return Node(state.rooms, state.held, tuple(near), done, state.door_filled_by)
 
 
 def _door_free(node: Node, abilities: Abilities, door: int, carried: int) -> bool:
-    n_agents = len(node.held)
-    for item, filled in enumerate(node.clear):
-        if filled == door and abilities.fills[item][door] and n_agents + item != carried:
-            return False
-    return True
+    return not any(
+        filled == door and abilities.fills[item][door] and len(node.held) + item != carried
+        for item, filled in enumerate(node.clear)
+    )
 
 
 def moves(
@@ -107,51 +100,33 @@ def moves(
     """
     rooms, held, near, placed, clear = node
     n_agents, item, room = len(held), held[agent], rooms[agent]
+    actors: tuple[int, ...] = (agent,)
+
+    def step(predicate: Predicate, subject: int, target: int, cost: float, node: Node) -> Step:
+        return Step(actors, Literal(predicate, subject, target), cost, node)
+
     if item == NOTHING:
         for door, following in abilities.neighbours[room]:
             if abilities.passes[agent][door] and _door_free(node, abilities, door, NOTHING):
-                yield Step(
-                    (agent,),
-                    Literal(Predicate.CLOSE, agent, following),
-                    abilities.room_distance[room][following],
-                    Node(
-                        _set(rooms, agent, following),
-                        held,
-                        _set(near, agent, NOTHING),
-                        _set(placed, agent, False),
-                        clear,
-                    ),
-                )
+                there = _set(rooms, agent, following), held, _set(near, agent, NOTHING)
+                after = Node(*there, _set(placed, agent, False), clear)
+                length = abilities.room_distance[room][following]
+                yield step(Predicate.CLOSE, agent, following, length, after)
         for target in targets:
             if target != agent and rooms[target] == room and near[agent] != target:
-                yield Step(
-                    (agent,),
-                    Literal(Predicate.TOUCH, agent, target),
-                    TOUCH_COST,
-                    Node(rooms, held, _set(near, agent, target), placed, clear),
-                )
+                after = Node(rooms, held, _set(near, agent, target), placed, clear)
+                yield step(Predicate.TOUCH, agent, target, TOUCH_COST, after)
         target = near[agent]
         if target >= n_agents and target in targets:
-            yield Step(
-                (agent,),
-                Literal(Predicate.ATTACH, agent, target),
-                GRIP_COST,
-                Node(rooms, _set(held, agent, target), near, placed, clear),
-            )
-        if agent in targets and not placed[agent] and abilities.landmark_in[room] != NOTHING:
-            yield Step(
-                (agent,),
-                Literal(Predicate.ON, agent, abilities.landmark_in[room]),
-                PLACE_COST,
-                Node(rooms, held, near, _set(placed, agent, True), clear),
-            )
+            after = Node(rooms, _set(held, agent, target), near, placed, clear)
+            yield step(Predicate.ATTACH, agent, target, GRIP_COST, after)
+        landmark = abilities.landmark_in[room]
+        if agent in targets and not placed[agent] and landmark != NOTHING:
+            after = Node(rooms, held, near, _set(placed, agent, True), clear)
+            yield step(Predicate.ON, agent, landmark, PLACE_COST, after)
         return
-    yield Step(
-        (agent,),
-        Literal(Predicate.ATTACH, agent, item, positive=False),
-        GRIP_COST,
-        Node(rooms, _set(held, agent, NOTHING), _set(near, agent, item), placed, clear),
-    )
+    after = Node(rooms, _set(held, agent, NOTHING), _set(near, agent, item), placed, clear)
+    yield Step(actors, Literal(Predicate.ATTACH, agent, item, positive=False), GRIP_COST, after)
     others = [a for a, thing in enumerate(held) if a != agent and thing == item]
     actors = (agent, *(other for other in others if other in willing))
     if not abilities.carries(*actors, holders=1 + len(others)) or item not in targets:
@@ -168,20 +143,13 @@ def moves(
             moved, lifted = rooms, placed
             for entity in movers:
                 moved, lifted = _set(moved, entity, following), _set(lifted, entity, False)
-            yield Step(
-                actors,
-                Literal(Predicate.CLOSE, item, following),
-                abilities.room_distance[rooms[item]][following],
-                Node(moved, held, near, lifted, emptied),
-            )
+            length = abilities.room_distance[rooms[item]][following]
+            after = Node(moved, held, near, lifted, emptied)
+            yield step(Predicate.CLOSE, item, following, length, after)
     landmark = abilities.landmark_in[rooms[item]]
     if not apart and not placed[item] and landmark != NOTHING:
-        yield Step(
-            actors,
-            Literal(Predicate.ON, item, landmark),
-            PLACE_COST,
-            Node(rooms, held, near, _set(placed, item, True), emptied),
-        )
+        after = Node(rooms, held, near, _set(placed, item, True), emptied)
+        yield step(Predicate.ON, item, landmark, PLACE_COST, after)
 
 
 def plan(
@@ -235,36 +203,30 @@ def plan(
     return None
 
 
-class Plans:
-    """The cheapest plans for bodies with some abilities; each is looked for once."""
+Finder = Callable[
+    [Node, tuple[int, ...], frozenset[int], Target, tuple[int, int] | None], list[Step] | None
+]
+"""Arguments as of :func:`plan`; at last an entity, and a room that it has to get to, if there is
+one: a lower bound of the cost left."""
 
-    def __init__(self, abilities: Abilities) -> None:
-        self._abilities = abilities
-        self._found: dict[tuple[object, ...], list[Step] | None] = {}
-        self._hopeless: defaultdict[tuple[object, ...], set[Node]] = defaultdict(set)
 
+def plans_of(abilities: Abilities) -> Finder:
+    """Return what finds the cheapest plans of bodies; each is looked for once."""
+    distance = abilities.room_distance
+    hopeless: defaultdict[tuple[object, ...], set[Node]] = defaultdict(set)
+
+    @functools.cache
     def find(
-        self,
         start: Node,
         willing: tuple[int, ...],
         targets: frozenset[int],
         goal: Target,
         heading: tuple[int, int] | None,
     ) -> list[Step] | None:
-        """Return the cheapest plan, or None; arguments as of :func:`plan`.
+        def heuristic(node: Node) -> float:
+            return 0.0 if heading is None else distance[node.rooms[heading[0]]][heading[1]]
 
-        Args:
-            heading: an entity, and a room that it has to get to: a lower bound of the cost left.
-        """
-        key = start, willing, targets, goal, heading
-        if key not in self._found:
-            distance = self._abilities.room_distance
+        known = hopeless[willing, targets, goal]
+        return plan(start, willing, targets, goal.reached, heuristic, abilities, known)
 
-            def heuristic(node: Node) -> float:
-                return 0.0 if heading is None else distance[node.rooms[heading[0]]][heading[1]]
-
-            hopeless = self._hopeless[willing, targets, goal]
-            self._found[key] = plan(
-                start, willing, targets, goal.reached, heuristic, self._abilities, hopeless
-            )
-        return self._found[key]
+    return find

@@ -34,14 +34,7 @@ _ON, _TOUCH, _ATTACH, _CLOSE = (
     int(p) for p in (Predicate.ON, Predicate.TOUCH, Predicate.ATTACH, Predicate.CLOSE)
 )
 _FIRST_SIDEWAYS, _LAST_SIDEWAYS = int(Action.DOWN), int(Action.DOWN_RIGHT)
-
-_NAVIGATION: Final = (
-    Action.TURN_LEFT,
-    Action.TURN_RIGHT,
-    Action.UP,
-    Action.STOP,
-    Action.NO_FORCE,
-)
+_NAVIGATION: Final = (Action.TURN_LEFT, Action.TURN_RIGHT, Action.UP, Action.STOP, Action.NO_FORCE)
 _GRIP: Final = (Action.ATTACH, Action.DETACH)
 
 
@@ -52,11 +45,7 @@ def subgoal_code(literal: Literal) -> IntArray:
 
 
 def actions_for(
-    literal: Literal,
-    agent: int,
-    held: int,
-    contested: bool = False,
-    n_agents: int = len(AGENTS),
+    literal: Literal, agent: int, held: int, contested: bool = False, n_agents: int = len(AGENTS)
 ) -> IntArray:
     """Return the actions that ``agent`` considers for a subgoal, indices into ``Action``.
 
@@ -69,9 +58,8 @@ def actions_for(
     """
     predicate, subject = literal.predicate, literal.subject
     without: tuple[Action, ...]
-    if subject == agent and predicate in (Predicate.TOUCH, Predicate.CLOSE):
-        return np.array(_NAVIGATION, np.int64)
-    if subject == agent and predicate is Predicate.ON and not contested:
+    walks = predicate in (Predicate.TOUCH, Predicate.CLOSE)
+    if subject == agent and (walks or (predicate is Predicate.ON and not contested)):
         return np.array(_NAVIGATION, np.int64)
     if predicate is Predicate.ATTACH:
         without = () if held != NOTHING else (Action.DETACH,)
@@ -86,11 +74,7 @@ def actions_for(
 
 @bare_kernel
 def _distance(
-    bodies: FloatArray,
-    held: IntArray,
-    subgoal: IntArray,
-    params: Params,
-    layout: Layout,
+    bodies: FloatArray, held: IntArray, subgoal: IntArray, params: Params, layout: Layout
 ) -> float:
     predicate, subject, target = subgoal[0], subgoal[1], subgoal[2]
     if predicate == _ATTACH:
@@ -179,7 +163,7 @@ _STREAM_STEP = np.uint64(0xD1342543DE82EF95)
 class Search(NamedTuple):
     """Settings of one search, as compiled code wants them (see ``PlannerConfig``)."""
 
-    n_simulations: int
+    simulations: int
     rollout_length: int
     discount: float
     c_init: float
@@ -190,15 +174,7 @@ class Search(NamedTuple):
     @classmethod
     def of(cls, config: PlannerConfig) -> Search:
         """Return those of a planner."""
-        return cls(
-            config.simulations,
-            config.rollout_length,
-            config.discount,
-            config.c_init,
-            config.c_base,
-            config.early_stop,
-            config.paired,
-        )
+        return cls(*(getattr(config, name) for name in cls._fields))
 
 
 class Tree(NamedTuple):
@@ -238,16 +214,13 @@ _MOST_KEPT: Final = 200_000  # steps; beyond, playouts are imagined for each sea
 
 
 def make_playouts(
-    search: Search,
-    n_searches: int = 1,
-    n_bodies: int = len(ENTITIES),
-    n_agents: int = len(AGENTS),
+    search: Search, n_searches: int = 1, n_bodies: int = len(ENTITIES), n_agents: int = len(AGENTS)
 ) -> Playouts:
     """Return room for the playouts of some searches, which share them if they are paired."""
-    longest = search.n_simulations + 2 + search.rollout_length
+    longest = search.simulations + 2 + search.rollout_length
     slots = kept = 0
     if search.paired and n_searches > 1:
-        playouts = n_searches * search.n_simulations
+        playouts = n_searches * search.simulations
         slots = 2 ** (2 * playouts - 1).bit_length()
         kept = min(playouts * (search.rollout_length + 4), _MOST_KEPT)
     return Playouts(
@@ -465,7 +438,7 @@ def run(
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> int:
-    """Search until the root has ``n_simulations`` visits; return the column of the best action.
+    """Search until the root has been visited as often as is set; return the best action's column.
 
     Args:
         tree: from ``make_tree``, empty.
@@ -477,10 +450,10 @@ def run(
         actions: (A,) actions to consider; columns of the tree stand for them in this order.
     """
     n_actions, sharing = actions.shape[0], playouts.key.shape[0] > 0
-    longest = search.n_simulations + 2 + search.rollout_length
+    longest = search.simulations + 2 + search.rollout_length
     base = below(rng, _STREAMS) if search.paired else 0
     stream = tree.stream if search.paired else rng
-    for visit in range(search.n_simulations):
+    for visit in range(search.simulations):
         first = _select(tree, 0, n_actions, search, rng)
         if search.paired:
             child = tree.child[0, first]
@@ -507,7 +480,7 @@ def run(
         tree.visits[0] += 1
         tree.statistics[0] += 1
         tree.statistics[2] += depth
-        left = search.n_simulations - 1 - visit
+        left = search.simulations - 1 - visit
         if search.early_stop and left <= visit and _leader_is_safe(tree, n_actions, left):
             break
     return _most_visited(tree, n_actions, rng)

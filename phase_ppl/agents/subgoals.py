@@ -12,7 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 
-from phase_ppl.agents.operators import Plans, Step, Target, start_node
+from phase_ppl.agents.operators import Finder, Step, Target, plans_of, start_node
 from phase_ppl.agents.standpoints import Stance
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
@@ -20,7 +20,7 @@ from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 
 
 class SubgoalPlanner:
-    """Chooses subgoals of one agent, remembering each symbolic state it has planned for.
+    """Chooses subgoals of one agent, by ``subgoal``, which remembers what it has planned for.
 
     Args:
         agent: who plans.
@@ -28,7 +28,7 @@ class SubgoalPlanner:
         towards: how it stands to those of others.
         abilities: what the bodies can do.
         settles: whether it stops where its goal is reached, whatever the goal.
-        plans: those of given abilities.
+        plans: what finds those of given abilities.
     """
 
     def __init__(
@@ -38,43 +38,41 @@ class SubgoalPlanner:
         towards: Stance,
         abilities: Abilities,
         settles: bool = False,
-        plans: Callable[[Abilities], Plans] = Plans,
+        plans: Callable[[Abilities], Finder] = plans_of,
     ) -> None:
-        self.agent = agent
-        self.opponent = towards.other
-        self.own = own
+        self.agent, self.own = agent, own
+        self.stance, self.opponent = towards, towards.other
         if own.predicate is Predicate.ON:  # of a room with several landmarks, this one counts
             landmarks = list(abilities.landmark_in)
             landmarks[abilities.landmark_rooms[own.target]] = own.target
             abilities = dataclasses.replace(abilities, landmark_in=tuple(landmarks))
-        self.abilities, self._plans = abilities, plans(abilities)
+        self.abilities, self._find_plan = abilities, plans(abilities)
         self._n_agents = len(abilities.passes) - len(abilities.fills)
-        self.stance = towards
         self._settles = settles and own.positive
-        ends = (own.subject, own.target) if own.predicate is Predicate.TOUCH else (own.subject,)
+        self._touches = own.predicate is Predicate.TOUCH
+        ends = (own.subject, own.target) if self._touches else (own.subject,)
         # these may have gone since they were last seen
         self._others = tuple(end for end in ends if end < self._n_agents and end != agent)
-        self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
+        # the item that it is about may be held; to clear or to fill a door, any may
+        brought = ends[-1] >= self._n_agents and own.subject != agent
+        self._item = ends[-1] if brought else NOTHING
+        self._minds_doors = bool(self._others) and not self._touches
+        self.subgoal = functools.cache(self._choose)
 
-    def subgoal(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+    def _choose(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """Return the subgoal for one symbolic state.
 
         Args:
             state: facts of a belief particle.
             observed: (entity,) those the agent observes now; it heads straight for them.
         """
-        key = (state, observed)
-        found = self._memory.get(key)
-        if found is None:
-            found = self._memory[key] = self._choose(state, observed)
-        return found
-
-    def _choose(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         subject = self.own.subject
         if self._settles and state.own_done and all(observed[other] for other in self._others):
             return self._free_hands(state) or STOP
-        touches = self.own.predicate is Predicate.TOUCH
-        if touches and subject != self.agent:
+        letting_go = None if self._minds_doors else self._free_hands(state, keep=self._item)
+        if letting_go is not None:
+            return letting_go
+        if self._touches and subject != self.agent:
             return self._bring_together(state, observed)
         if self.own.positive:
             if subject >= self._n_agents:
@@ -85,25 +83,19 @@ class SubgoalPlanner:
         if not self.abilities.is_open and self.stance.contested:
             if subject >= self._n_agents:
                 return self._guard_item(state, observed)
-            if subject == self.opponent and not touches:
+            if subject == self.opponent and not self._touches:
                 return self._keep_away(state, observed)
         # nobody to hinder, or no doors to do it by: the goal itself
-        return self._free_hands(state, keep=subject) or self.own
+        return self._free_hands(state, keep=self._item) or self.own
 
     # --- own goals and helping -------------------------------------------------------------
 
     def _go(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(self, landmark) or TOUCH(self, other)."""
         if self.own.predicate is Predicate.ON and state.own_done:
-            return self._free_hands(state) or STOP
-        letting_go = self._free_hands(state)
-        if letting_go is not None:
-            return letting_go
-        if self.own.predicate is Predicate.TOUCH:
-            goal_room = state.rooms[self.own.target]
-            in_view = observed[self.own.target]
-        else:
-            goal_room, in_view = self._goal_room(), False
+            return STOP
+        goal_room = state.rooms[self.own.target] if self._touches else self._goal_room()
+        in_view = self._touches and observed[self.own.target]
         if state.rooms[self.agent] == goal_room or in_view:
             return self.own
         return self._walk(state, {goal_room}, goal_room)
@@ -114,9 +106,6 @@ class SubgoalPlanner:
         holding = state.held[self.agent] == item
         if state.own_done:
             return self._free_hands(state) or STOP
-        letting_go = self._free_hands(state, keep=item)
-        if letting_go is not None:
-            return letting_go
         if self.abilities.is_open and holding:
             return self.own
 
@@ -129,11 +118,8 @@ class SubgoalPlanner:
         own_step = next((s for s in steps or () if self.agent in s.agents), None)
         if own_step is not None and self._can_start(steps, own_step, state):
             return self._start(own_step.literal, alone, item, state, observed)
-        if (
-            self.stance.cooperative
-            and own_step is None
-            and self._must_wait(state, item, room, bool(steps))
-        ):
+        waits = self.stance.cooperative and own_step is None
+        if waits and self._must_wait(state, item, room, bool(steps)):
             return STOP
         if holding:
             # too weak or too wide: keep pulling towards the goal
@@ -150,10 +136,7 @@ class SubgoalPlanner:
         """TOUCH(other, third) or its negation: an item is brought or taken away, others pushed."""
         subject, target = self.own.subject, self.own.target
         if target < self._n_agents:
-            return self._free_hands(state) or self.own
-        letting_go = self._free_hands(state, keep=target)
-        if letting_go is not None:
-            return letting_go
+            return self.own
         if state.held[self.agent] != target:
             if self.own.positive and state.own_done:
                 return STOP
@@ -269,9 +252,6 @@ class SubgoalPlanner:
         me, rival = state.rooms[self.agent], state.rooms[self.opponent]
         item_room, goal_room = state.rooms[item], self._goal_room()
         ability = self.abilities
-        letting_go = self._free_hands(state, keep=item)
-        if letting_go is not None:
-            return letting_go
         rival_way = ability.route((self.opponent,), rival, item_room)
         rival_holds = state.held[self.opponent] == item
         if ability.route((self.agent,), me, item_room) is None:
@@ -287,11 +267,14 @@ class SubgoalPlanner:
             return self._take(state, item, observed)
         if rival_way is None:
             return self._free_hands(state) or STOP
-        refuge = self._closed_room(item, item_room, rival)
+        rooms, distance = self._rooms_to_take_to(item, item_room), ability.room_distance
+        closed = (room for room in rooms if ability.route((self.opponent,), rival, room) is None)
+        refuge = next(closed, None)
         if refuge is None:
             if not holding and me in rival_way[1:-1]:
                 return self._stand_in_door(state, rival_way)
-            refuge = self._far_room(item, item_room, rival)
+            nearer = [room for room in rooms if distance[item_room][room] < distance[rival][room]]
+            refuge = max(nearer, key=lambda room: distance[rival][room], default=None)
         if refuge is None:
             return self._aside(self.opponent, rival).negated()
         if not holding:
@@ -303,16 +286,13 @@ class SubgoalPlanner:
 
     def _hold_back(self, item: int, room: int) -> Literal:
         """Pull an item into the corner of its room; where that is the goal, off the goal."""
-        if room == self._goal_room():
-            return self.own
-        return self._aside(item, room)
+        return self.own if room == self._goal_room() else self._aside(item, room)
 
     def _aside(self, entity: int, room: int) -> Literal:
         """Bring an entity to the landmark of a room, or into a corner where there is none."""
         landmark = self.abilities.landmark_in[room]
-        if landmark == NOTHING:
-            return Literal(Predicate.CLOSE, entity, room)
-        return Literal(Predicate.ON, entity, landmark)
+        where = (Predicate.CLOSE, room) if landmark == NOTHING else (Predicate.ON, landmark)
+        return Literal(where[0], entity, where[1])
 
     def _door(self, entity: int, door: int) -> Literal:
         """Stand in a door; in literals the doors come after the rooms."""
@@ -327,23 +307,6 @@ class SubgoalPlanner:
             if room != goal_room
             and self.abilities.route((self.agent, item), item_room, room) is not None
         ]
-
-    def _closed_room(self, item: int, item_room: int, rival: int) -> int | None:
-        """Return a room to take an item to that is closed to the rival, if there is one."""
-        for room in self._rooms_to_take_to(item, item_room):
-            if self.abilities.route((self.opponent,), rival, room) is None:
-                return room
-        return None
-
-    def _far_room(self, item: int, item_room: int, rival: int) -> int | None:
-        """Return the room farthest from the rival among those nearer to the item than to it."""
-        distance = self.abilities.room_distance
-        nearer = [
-            room
-            for room in self._rooms_to_take_to(item, item_room)
-            if distance[item_room][room] < distance[rival][room]
-        ]
-        return max(nearer, key=lambda room: distance[rival][room], default=None)
 
     def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
         """Go to the nearest door on the rival's way that this agent can get to."""
@@ -415,21 +378,15 @@ class SubgoalPlanner:
         return 0 if self.abilities.is_open else self.abilities.landmark_rooms[self.own.target]
 
     def _plan(
-        self,
-        state: SymbolicState,
-        willing: tuple[int, ...],
-        targets: frozenset[int],
-        goal: Target,
+        self, state: SymbolicState, willing: tuple[int, ...], targets: frozenset[int], goal: Target
     ) -> list[Step] | None:
         done = [False] * len(state.rooms)
         if self.own.predicate is Predicate.ON:
             done[self.own.subject] = state.own_done
         start = start_node(state, tuple(done), targets)
-        heading = None
-        moves = self.own.predicate is not Predicate.TOUCH and self.own.positive
-        if moves and self.own.subject in targets:
-            heading = self.own.subject, self._goal_room()
-        return self._plans.find(start, willing, targets, goal, heading)
+        moves = not self._touches and self.own.positive and self.own.subject in targets
+        heading = (self.own.subject, self._goal_room()) if moves else None
+        return self._find_plan(start, willing, targets, goal, heading)
 
 
 @functools.lru_cache(maxsize=64)
@@ -440,7 +397,7 @@ def subgoal_planners(
 
     Many goals call for the same plans: planners share these too.
     """
-    plans = functools.cache(Plans)
+    plans = functools.cache(plans_of)
 
     @functools.cache
     def planner(own: Literal, towards: Stance, settles: bool) -> SubgoalPlanner:

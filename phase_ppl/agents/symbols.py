@@ -73,12 +73,7 @@ def _done(bodies: FloatArray, goal: IntArray, params: Params, layout: Layout) ->
 
 @bare_kernel
 def _cost_to_go(
-    bodies: FloatArray,
-    held: IntArray,
-    agent: int,
-    goal: IntArray,
-    params: Params,
-    layout: Layout,
+    bodies: FloatArray, held: IntArray, agent: int, goal: IntArray, params: Params, layout: Layout
 ) -> float:
     if goal[3] < 0:
         return 0.0

@@ -12,7 +12,7 @@ from phase_ppl.agents.world_model import Layout
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.geometry import TOUCH_ENLARGEMENT
+from phase_ppl.world.geometry import TOUCH_ENLARGEMENT as _GROWN
 
 MAX_OUTLINE_CELLS: Final = 128
 RIM_POINTS: Final = 16
@@ -35,10 +35,8 @@ def corner(
     bodies: FloatArray, agent: int, k: int, scale: float, params: Params
 ) -> tuple[float, float]:
     """Return corner ``k`` of an agent, its shape enlarged by ``scale`` about the centre of mass."""
-    c = math.cos(bodies[agent, 2])
-    s = math.sin(bodies[agent, 2])
-    lx = params.vertices[agent, k, 0] * scale
-    ly = params.vertices[agent, k, 1] * scale
+    c, s = math.cos(bodies[agent, 2]), math.sin(bodies[agent, 2])
+    lx, ly = params.vertices[agent, k, 0] * scale, params.vertices[agent, k, 1] * scale
     return bodies[agent, 0] + lx * c - ly * s, bodies[agent, 1] + lx * s + ly * c
 
 
@@ -50,15 +48,14 @@ def outline_cells(
 
     Agents: the grid line between the cells of neighbouring corners; items: 16 points on the rim.
     """
-    n = 0
     if entity >= params.force.shape[0]:
         for i in range(RIM_POINTS):
             angle = 2.0 * math.pi * i / RIM_POINTS
             x = bodies[entity, 0] + params.radius[entity] * math.cos(angle)
             y = bodies[entity, 1] + params.radius[entity] * math.sin(angle)
-            cells[n] = cell_of(x, y, layout)
-            n += 1
-        return n
+            cells[i] = cell_of(x, y, layout)
+        return RIM_POINTS
+    n = 0
     for k in range(4):
         x1, y1 = corner(bodies, entity, k, 1.0, params)
         x2, y2 = corner(bodies, entity, (k + 1) % 4, 1.0, params)
@@ -107,15 +104,13 @@ def _agent_meets_disc(
     bodies: FloatArray, agent: int, scale: float, item: int, reach: float, params: Params
 ) -> bool:
     px, py = bodies[item, 0], bodies[item, 1]
-    inside = True
-    nearest = 1e300
+    inside, nearest = True, 1e300
     for k in range(4):
         x1, y1 = corner(bodies, agent, k, scale, params)
         x2, y2 = corner(bodies, agent, (k + 1) % 4, scale, params)
         ex, ey = x2 - x1, y2 - y1
         cx, cy = px - x1, py - y1
-        t = (cx * ex + cy * ey) / (ex * ex + ey * ey)
-        t = min(1.0, max(0.0, t))
+        t = min(1.0, max(0.0, (cx * ex + cy * ey) / (ex * ex + ey * ey)))
         dx, dy = cx - t * ex, cy - t * ey
         nearest = min(nearest, dx * dx + dy * dy)
         # the signed side tells inside from outside whichever way the corners run
@@ -138,8 +133,7 @@ def shapes_meet(
     dy = bodies[first, 1] - bodies[second, 1]
     far_1 = params.radius[first] * scale_1 * (1.75 if first < n_agents else 1.0)
     far_2 = params.radius[second] * scale_2 * (1.75 if second < n_agents else 1.0)
-    distance_2 = dx * dx + dy * dy
-    if distance_2 > (far_1 + far_2) ** 2:
+    if dx * dx + dy * dy > (far_1 + far_2) ** 2:
         return False
     if first >= n_agents:
         return True
@@ -189,16 +183,8 @@ def visible_cells(
                 continue
             free = True
             for w in range(layout.walls.shape[0]):
-                if _segments_cross(
-                    ex,
-                    ey,
-                    x,
-                    y,
-                    layout.walls[w, 0],
-                    layout.walls[w, 1],
-                    layout.walls[w, 2],
-                    layout.walls[w, 3],
-                ):
+                wall = layout.walls[w]
+                if _segments_cross(ex, ey, x, y, wall[0], wall[1], wall[2], wall[3]):
                     free = False
                     break
             if not free:
@@ -254,9 +240,7 @@ def observe(
             if cells[i] != OUTSIDE and visible[cells[i]]:
                 observed[entity] = True
                 break
-        if held[agent] == entity or shapes_meet(
-            bodies, agent, entity, 1.0, TOUCH_ENLARGEMENT, params
-        ):
+        if held[agent] == entity or shapes_meet(bodies, agent, entity, 1.0, _GROWN, params):
             observed[entity] = True
     for other in range(n_agents):
         if held[agent] >= 0 and held[agent] == held[other]:
@@ -274,11 +258,8 @@ def observe(
                 holds = (witness < n_agents and held[witness] == entity) or (
                     entity < n_agents and held[entity] == witness
                 )
-                if holds or shapes_meet(
-                    bodies, witness, entity, TOUCH_ENLARGEMENT, TOUCH_ENLARGEMENT, params
-                ):
-                    observed[entity] = True
-                    changed = True
+                if holds or shapes_meet(bodies, witness, entity, _GROWN, _GROWN, params):
+                    observed[entity] = changed = True
                     break
         if not changed:
             break

@@ -161,10 +161,11 @@ class Abilities:
             landmark_rooms.index(room) if room in landmark_rooms else NOTHING
             for room in range(len(rooms))
         )
-        middle = [
-            scene.landmark_centres[landmark] if landmark != NOTHING else point
-            for landmark, point in zip(landmark_in, rooms.points(ROOM_POINT_INSET), strict=True)
-        ]
+        middle = rooms.points(ROOM_POINT_INSET)
+        for room, landmark in enumerate(landmark_in):
+            if landmark != NOTHING:
+                middle[room] = scene.landmark_centres[landmark]
+        apart = [[float(rooms.path_distance(a, b)) for b in middle] for a in middle]
         return cls(
             passes=tuple(tuple(bool(w < gap) for gap in rooms.door_width) for w in width),
             fills=tuple(
@@ -180,13 +181,7 @@ class Abilities:
                 if sum(strengths[agent] for agent in pulling) > (holders + 1) * FLOOR_FRICTION
             ),
             room_distance=tuple(
-                tuple(
-                    float(rooms.path_distance(middle[a], middle[b]))
-                    if rooms.route(a, b) is not None
-                    else np.inf
-                    for b in range(len(rooms))
-                )
-                for a in range(len(rooms))
+                tuple(np.inf if d == UNREACHABLE else d for d in row) for row in apart
             ),
             neighbours=tuple(tuple(rooms.exits(room)) for room in range(len(rooms))),
             landmark_rooms=landmark_rooms,

@@ -247,13 +247,13 @@ class HiddenState:
         found = np.empty((len(beam), len(self._log_prior)))
         strengths = self.combinations[beam.combination]
         bounds = np.linspace(0, len(beam), len(self._spaces) + 1).astype(int)
+        scatter = inverse.Scatter(scale, tracking.angle_scale, tracking.tail)
 
         def try_part(part: int) -> None:
             rows = slice(bounds[part], bounds[part + 1])
+            state = beam.bodies[rows], beam.held[rows], beam.weld[rows]
             inverse.try_all(
-                *(beam.bodies[rows], beam.held[rows], beam.weld[rows], strengths[rows]),
-                *(observed, scale, tracking.angle_scale, tracking.tail),
-                *(*self._spaces[part], found[rows]),
+                *state, strengths[rows], observed, scatter, *self._spaces[part], found[rows]
             )
 
         for _ in share(try_part, range(len(self._spaces))):

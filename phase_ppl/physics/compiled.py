@@ -45,7 +45,6 @@ __all__ = [
     "from_state",
     "make_params",
     "make_scratch",
-    "stay_apart",
     "step",
     "step_mean",
     "to_state",
@@ -321,15 +320,7 @@ def _advance(
     if n_bodies == _USUAL_BODIES and n_agents == _USUAL_AGENTS:
         # the same, with loops whose length the compiler knows
         _advance_all(
-            bodies,
-            held,
-            weld,
-            actions,
-            _USUAL_BODIES,
-            _USUAL_AGENTS,
-            params,
-            scratch,
-            with_mean,
+            bodies, held, weld, actions, _USUAL_BODIES, _USUAL_AGENTS, params, scratch, with_mean
         )
         return
     _advance_all(bodies, held, weld, actions, n_bodies, n_agents, params, scratch, with_mean)

@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from phase_ppl.physics.constants import AGENT_SKIN, COLLISION_SLOP, WALL_RADIUS
-from phase_ppl.physics.flat import BIAS_SPIN, BIAS_VX, BIAS_VY, SPIN, VX, VY, Params, Scratch, X, Y
+from phase_ppl.physics.flat import BIAS_VX, SPIN, VX, VY, Params, Scratch, X, Y
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
 from phase_ppl.physics.welds import prepare_weld, pull
 from phase_ppl.world.arrays import FloatArray, IntArray
@@ -18,6 +18,7 @@ from phase_ppl.world.arrays import FloatArray, IntArray
 Edge = tuple[float, float, float, float]  # start x, y and end x, y
 WALL: Final = -1  # stands for the second body of a contact with a wall
 FAR: Final = 1e300
+_BIAS_IMPULSE, _IMPULSE = 6, 7  # columns of contacts
 _TINY = 1e-300
 
 
@@ -51,14 +52,10 @@ def add_contact(
     scratch.contact_bodies[n, 0] = first
     scratch.contact_bodies[n, 1] = second
     contact = scratch.contacts[n]
-    contact[0] = nx
-    contact[1] = ny
-    contact[2] = lever_1
-    contact[3] = lever_2
+    contact[0], contact[1], contact[2], contact[3] = nx, ny, lever_1, lever_2
     contact[4] = 1.0 / inverse
     contact[5] = max(0.0, -gap - COLLISION_SLOP)
-    contact[6] = 0.0
-    contact[7] = 0.0
+    contact[_BIAS_IMPULSE] = contact[_IMPULSE] = 0.0
     return n + 1
 
 
@@ -409,6 +406,37 @@ def rub(bodies: FloatArray, body: int, params: Params, scratch: Scratch) -> floa
 
 
 @inlined_kernel
+def _meet(
+    bodies: FloatArray, k: int, vx: int, impulse: int, aim: float, params: Params, scratch: Scratch
+) -> float:
+    """Keep two bodies from approaching at a contact; return the squared change of its impulse.
+
+    Changes velocities (``vx`` = VX) or bias velocities (``vx`` = BIAS_VX), until the bodies part
+    with the velocity ``aim``; the impulse is kept in that column of the contact.
+    """
+    a, b = scratch.contact_bodies[k, 0], scratch.contact_bodies[k, 1]
+    contact = scratch.contacts[k]
+    nx, ny, lever_a, lever_b = contact[0], contact[1], contact[2], contact[3]
+    approach = bodies[a, vx] * nx + bodies[a, vx + 1] * ny + bodies[a, vx + 2] * lever_a
+    if b >= 0:
+        approach -= bodies[b, vx] * nx + bodies[b, vx + 1] * ny + bodies[b, vx + 2] * lever_b
+    total = max(0.0, contact[impulse] + (aim + approach) * contact[4])
+    j = total - contact[impulse]
+    contact[impulse] = total
+    if j != 0.0:
+        per_mass = params.inverse_mass[a] * j
+        bodies[a, vx] -= nx * per_mass
+        bodies[a, vx + 1] -= ny * per_mass
+        bodies[a, vx + 2] -= params.inverse_inertia[a] * lever_a * j
+        if b >= 0:
+            per_mass = params.inverse_mass[b] * j
+            bodies[b, vx] += nx * per_mass
+            bodies[b, vx + 1] += ny * per_mass
+            bodies[b, vx + 2] += params.inverse_inertia[b] * lever_b * j
+    return j * j
+
+
+@inlined_kernel
 def _separate(
     bodies: FloatArray, n_contacts: int, rate: float, params: Params, scratch: Scratch
 ) -> None:
@@ -416,62 +444,10 @@ def _separate(
     for _ in range(params.iterations):
         change = 0.0
         for k in range(n_contacts):
-            a, b = scratch.contact_bodies[k, 0], scratch.contact_bodies[k, 1]
-            contact = scratch.contacts[k]
-            nx, ny, lever_a, lever_b = contact[0], contact[1], contact[2], contact[3]
-            approach = (
-                bodies[a, BIAS_VX] * nx + bodies[a, BIAS_VY] * ny + bodies[a, BIAS_SPIN] * lever_a
-            )
-            if b >= 0:
-                approach -= (
-                    bodies[b, BIAS_VX] * nx
-                    + bodies[b, BIAS_VY] * ny
-                    + bodies[b, BIAS_SPIN] * lever_b
-                )
-            total = max(0.0, contact[6] + (rate * contact[5] + approach) * contact[4])
-            j = total - contact[6]
-            contact[6] = total
-            if j != 0.0:
-                change += j * j
-                per_mass = params.inverse_mass[a] * j
-                bodies[a, BIAS_VX] -= nx * per_mass
-                bodies[a, BIAS_VY] -= ny * per_mass
-                bodies[a, BIAS_SPIN] -= params.inverse_inertia[a] * lever_a * j
-                if b >= 0:
-                    per_mass = params.inverse_mass[b] * j
-                    bodies[b, BIAS_VX] += nx * per_mass
-                    bodies[b, BIAS_VY] += ny * per_mass
-                    bodies[b, BIAS_SPIN] += params.inverse_inertia[b] * lever_b * j
+            aim = rate * scratch.contacts[k, 5]
+            change += _meet(bodies, k, BIAS_VX, _BIAS_IMPULSE, aim, params, scratch)
         if change < SETTLED:
             break
-
-
-@inlined_kernel
-def _press(bodies: FloatArray, n_contacts: int, params: Params, scratch: Scratch) -> float:
-    """Stop bodies from approaching at their contacts; return the squared change of impulses."""
-    change = 0.0
-    for k in range(n_contacts):
-        a, b = scratch.contact_bodies[k, 0], scratch.contact_bodies[k, 1]
-        contact = scratch.contacts[k]
-        nx, ny, lever_a, lever_b = contact[0], contact[1], contact[2], contact[3]
-        approach = bodies[a, VX] * nx + bodies[a, VY] * ny + bodies[a, SPIN] * lever_a
-        if b >= 0:
-            approach -= bodies[b, VX] * nx + bodies[b, VY] * ny + bodies[b, SPIN] * lever_b
-        total = max(0.0, contact[7] + approach * contact[4])
-        j = total - contact[7]
-        contact[7] = total
-        if j != 0.0:
-            change += j * j
-            per_mass = params.inverse_mass[a] * j
-            bodies[a, VX] -= nx * per_mass
-            bodies[a, VY] -= ny * per_mass
-            bodies[a, SPIN] -= params.inverse_inertia[a] * lever_a * j
-            if b >= 0:
-                per_mass = params.inverse_mass[b] * j
-                bodies[b, VX] += nx * per_mass
-                bodies[b, VY] += ny * per_mass
-                bodies[b, SPIN] += params.inverse_inertia[b] * lever_b * j
-    return change
 
 
 @bare_kernel
@@ -503,7 +479,9 @@ def solve(
             _separate(bodies, n_contacts, params.contact_rates[parts], params, scratch)
             break
     for _ in range(params.iterations):
-        change = _press(bodies, n_contacts, params, scratch)
+        change = 0.0
+        for k in range(n_contacts):
+            change += _meet(bodies, k, VX, _IMPULSE, 0.0, params, scratch)
         if with_friction:
             for body in range(bodies.shape[0]):
                 if scratch.touched[body]:

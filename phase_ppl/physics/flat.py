@@ -7,7 +7,6 @@ contain.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -16,7 +15,7 @@ import numpy as np
 from phase_ppl.physics import constants
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.event import State
-from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID
+from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID, heading
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.scene import Scene
 
@@ -122,22 +121,12 @@ _UNIT_EXTENT = float(np.linalg.norm(_UNIT_CORNERS, axis=1).max())
 
 
 def _walls(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    ends = scene.walls.reshape(-1, 4)
-    # a wall of no length is no wall, and has no normal
-    ends = ends[np.abs(ends[:, 2:] - ends[:, :2]).sum(axis=1) > 0]
-    dx, dy = (ends[:, 2:] - ends[:, :2]).T
+    ends, thickness = scene.walls, constants.WALL_RADIUS
+    dx, dy = (ends[:, 1] - ends[:, 0]).T
     length = np.hypot(dx, dy)
-    x, y = ends[:, 0::2], ends[:, 1::2]
-    thickness = constants.WALL_RADIUS
-    boxes = np.column_stack(
-        [
-            x.min(axis=1) - thickness,
-            x.max(axis=1) + thickness,
-            y.min(axis=1) - thickness,
-            y.max(axis=1) + thickness,
-        ]
-    )
-    return np.column_stack([ends, -dy / length, dx / length]), boxes
+    low, high = ends.min(axis=1) - thickness, ends.max(axis=1) + thickness
+    boxes = np.stack([low, high], axis=-1).reshape(-1, 4)
+    return np.column_stack([ends.reshape(-1, 4), -dy / length, dx / length]), boxes
 
 
 def make_params(
@@ -205,10 +194,7 @@ def from_state(state: State, radius: FloatArray) -> tuple[FloatArray, IntArray, 
     bodies = np.zeros((len(state.pose), BIAS_SPIN + 1))
     bodies[:, : ANGLE + 1] = state.pose
     for agent in range(len(state.held)):
-        offset = CENTRE_OF_MASS_Y * radius[agent]
-        angle = float(state.pose[agent, 2])
-        bodies[agent, X] -= math.sin(angle) * offset
-        bodies[agent, Y] += math.cos(angle) * offset
+        bodies[agent, : Y + 1] += CENTRE_OF_MASS_Y * radius[agent] * heading(bodies[agent, ANGLE])
     bodies[:, VX : VY + 1] = state.velocity
     bodies[:, SPIN] = state.spin
     return bodies, np.array(state.held, np.int64), np.array(state.weld, np.float64)
@@ -218,10 +204,7 @@ def to_state(bodies: FloatArray, held: IntArray, weld: FloatArray, radius: Float
     """Return the state in the arrays; pending bias velocities are left out."""
     pose = bodies[:, : ANGLE + 1].copy()
     for agent in range(len(held)):
-        offset = CENTRE_OF_MASS_Y * radius[agent]
-        angle = float(pose[agent, 2])
-        pose[agent, 0] += math.sin(angle) * offset
-        pose[agent, 1] -= math.cos(angle) * offset
+        pose[agent, :2] -= CENTRE_OF_MASS_Y * radius[agent] * heading(pose[agent, 2])
     return State(
         pose=pose,
         velocity=bodies[:, VX : VY + 1].copy(),

@@ -35,6 +35,14 @@ _SWEEPS = 2  # over the agents of a group, to find what they do best together
 _ALONE = -1  # group of an item that no agent can meet
 
 
+class Scatter(NamedTuple):
+    """How observed frames lie about predicted ones: by Student's t, at random for each body."""
+
+    scale: float  # of positions, units
+    angle_scale: float  # of agents' angles, rad
+    tail: float  # degrees of freedom
+
+
 class Trial(NamedTuple):
     """A state on which an action can be tried without losing the original."""
 
@@ -93,27 +101,16 @@ def attempt(
     """Carry out ``trial.actions`` from a state; what follows is in the rest of ``trial``."""
     _copy(bodies, held, weld, trial)
     compiled.step_mean(
-        trial.bodies,
-        trial.held,
-        trial.weld,
-        trial.actions,
-        params,
-        scratch,
-        trial.frame,
+        trial.bodies, trial.held, trial.weld, trial.actions, params, scratch, trial.frame
     )
 
 
 @bare_kernel
 def _entity_log_density(
-    frame: FloatArray,
-    observed: FloatArray,
-    entity: int,
-    is_agent: bool,
-    scale: float,
-    angle_scale: float,
-    tail: float,
+    frame: FloatArray, observed: FloatArray, entity: int, is_agent: bool, scatter: Scatter
 ) -> float:
     """Return the log density of one entity's observed pose around the predicted one."""
+    scale, angle_scale, tail = scatter.scale, scatter.angle_scale, scatter.tail
     dx = (observed[entity, 0] - frame[entity, 0]) / scale
     dy = (observed[entity, 1] - frame[entity, 1]) / scale
     total = -math.log(2.0 * math.pi) - 2.0 * math.log(scale)
@@ -197,27 +194,13 @@ def _first_alike(held: IntArray, trial: Trial) -> int:
 
 
 @bare_kernel
-def _group_log_density(
-    group: int,
-    observed: FloatArray,
-    scale: float,
-    angle_scale: float,
-    tail: float,
-    trial: Trial,
-) -> float:
+def _group_log_density(group: int, observed: FloatArray, scatter: Scatter, trial: Trial) -> float:
     """Return the log density of what was observed of a group after the last trial."""
     total = 0.0
     for entity in range(trial.group.shape[0]):
         if trial.group[entity] == group:
-            total += _entity_log_density(
-                trial.frame,
-                observed,
-                entity,
-                entity < trial.held.shape[0],
-                scale,
-                angle_scale,
-                tail,
-            )
+            is_agent = entity < trial.held.shape[0]
+            total += _entity_log_density(trial.frame, observed, entity, is_agent, scatter)
     return total
 
 
@@ -236,9 +219,7 @@ def _try_pairs(
     held: IntArray,
     weld: FloatArray,
     observed: FloatArray,
-    scale: float,
-    angle_scale: float,
-    tail: float,
+    scatter: Scatter,
     params: Params,
     scratch: Scratch,
     trial: Trial,
@@ -256,7 +237,7 @@ def _try_pairs(
                 for action in range(N_ACTIONS):
                     actions[agent] = action
                     attempt(bodies, held, weld, params, scratch, trial)
-                    found = _group_log_density(group, observed, scale, angle_scale, tail, trial)
+                    found = _group_log_density(group, observed, scatter, trial)
                     if found > highest:
                         highest, best[agent] = found, action
                 actions[agent] = best[agent]
@@ -268,7 +249,7 @@ def _try_pairs(
                         actions[one], actions[other] = first, second
                         attempt(bodies, held, weld, params, scratch, trial)
                         trial.pairs[one, other, first, second] = _group_log_density(
-                            group, observed, scale, angle_scale, tail, trial
+                            group, observed, scatter, trial
                         )
                 actions[one], actions[other] = best[one], best[other]
                 for action in range(N_ACTIONS):
@@ -315,9 +296,7 @@ def try_all(
     weld: FloatArray,
     strengths: FloatArray,
     observed: FloatArray,
-    scale: float,
-    angle_scale: float,
-    tail: float,
+    scatter: Scatter,
     params: Params,
     scratch: Scratch,
     trial: Trial,
@@ -325,16 +304,14 @@ def try_all(
 ) -> None:
     """Write the log density of the observed frame after every joint action, for every state.
 
-    The density is Student's t with ``tail`` degrees of freedom: in two dimensions for the
-    position of each entity, in one for the angle of each agent. Angles of items are not looked
-    at.
+    The density is Student's t: in two dimensions for the position of each entity, in one for the
+    angle of each agent. Angles of items are not looked at.
 
     Args:
         bodies, held, weld: (B, ...) states.
         strengths: (B, agent) newtons, which replace those of ``params``.
         observed: (entity, 3) x, y [units], angle [rad].
-        scale: of positions, units; angle_scale: of angles, rad.
-        tail: degrees of freedom.
+        scatter: of what is observed.
         params, scratch, trial: work space; the forces of ``params`` are overwritten.
         found: (B, N_ACTIONS ** agents) output.
     """
@@ -349,7 +326,7 @@ def try_all(
             size = _size(group, trial)
             if size > 2:
                 _try_pairs(
-                    state, holds, welds, observed, scale, angle_scale, tail,
+                    state, holds, welds, observed, scatter,
                     params, scratch, trial, group,
                 )  # fmt: skip
             elif size == 2:
@@ -372,10 +349,8 @@ def try_all(
             for group in range(n_agents):
                 size = _size(group, trial)
                 if 0 < size <= 2 and joint < N_ACTIONS**size:
-                    trial.parts[group, joint] = _group_log_density(
-                        group, observed, scale, angle_scale, tail, trial
-                    )
-        rest = _group_log_density(_ALONE, observed, scale, angle_scale, tail, trial)
+                    trial.parts[group, joint] = _group_log_density(group, observed, scatter, trial)
+        rest = _group_log_density(_ALONE, observed, scatter, trial)
         _combine(rest, trial, found[b])
 
 

@@ -52,14 +52,6 @@ then hold it outside; out of a thick one a body is always pushed back in."""
 _NUDGE: Final = 1e-6  # how far a body that starts on an agent's origin is moved off it, units
 
 
-def mean_pose(poses: Sequence[FloatArray]) -> FloatArray:
-    """Return the frame of a planner step, given the (body, 3) poses after its substeps."""
-    frame = np.zeros(poses[0].shape)
-    for pose in poses:
-        frame += pose
-    return frame / len(poses)
-
-
 AWAY: Final = -1000.0  # x and y of what was removed, units
 
 
@@ -125,8 +117,7 @@ class PymunkWorld:
         lines += [(tuple(a), tuple(b), constants.WALL_RADIUS) for a, b in scene.walls.tolist()]
         for start, end, thickness in lines:
             wall = pymunk.Segment(self._space.static_body, start, end, thickness)
-            wall.friction = 0.0
-            wall.elasticity = 0.0
+            wall.friction = wall.elasticity = 0.0
             self._space.add(wall)
 
     def _add_body(self, entity: int, state: State) -> pymunk.Body:
@@ -138,8 +129,7 @@ class PymunkWorld:
             shape = pymunk.Poly(body, outline.tolist(), radius=constants.AGENT_SKIN)
         else:
             shape = pymunk.Circle(body, radius)
-        shape.friction = 0.0
-        shape.elasticity = 0.0
+        shape.friction = shape.elasticity = 0.0
         self._place(body, entity, state)
         x, y, _ = state.pose[entity].tolist()
         # Floor friction: a joint that never pulls the body back (max_bias 0), only brakes its
@@ -237,30 +227,13 @@ class PymunkWorld:
         Returns:
             (body, 3) mean pose over the five substeps; angles are not wrapped.
         """
-        return mean_pose(list(self.substeps(actions)))
+        return np.asarray(np.mean([self._poses() for _ in self.substeps(actions)], axis=0))
 
-    def substeps(self, actions: Sequence[int]) -> Iterator[FloatArray]:
-        """Do one planner step; yield the (body, 3) poses after each of its five substeps.
+    def substeps(self, actions: Sequence[int]) -> Iterator[None]:
+        """Do one planner step, as :meth:`step`; yield after each of its five substeps.
 
-        The step is done when the iterator is exhausted. :func:`mean_pose` makes its frame.
-
-        Args:
-            actions: of each agent, values of ``Action`` or ``NO_ACTION``.
+        The step is done when the iterator is exhausted.
         """
-        for _ in self._substeps(actions):
-            yield self._poses()
-
-    def advance(self, actions: Sequence[int]) -> None:
-        """Advance by one planner step, as :meth:`step`, without the work of a frame.
-
-        Args:
-            actions: of each agent, values of ``Action`` or ``NO_ACTION``.
-        """
-        for _ in self._substeps(actions):
-            pass
-
-    def _substeps(self, actions: Sequence[int]) -> Iterator[None]:
-        """Do one planner step; yield after each substep."""
         for agent, action in enumerate(actions):
             if action == Action.ATTACH:
                 self._attach(agent)

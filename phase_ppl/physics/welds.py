@@ -199,12 +199,7 @@ def pull(bodies: FloatArray, agent: int, item: int, params: Params, row: FloatAr
 
 @inlined_kernel
 def mend(
-    bodies: FloatArray,
-    agent: int,
-    item: int,
-    weld: FloatArray,
-    params: Params,
-    scratch: Scratch,
+    bodies: FloatArray, agent: int, item: int, weld: FloatArray, params: Params, scratch: Scratch
 ) -> None:
     """Move and turn holder and item towards the weld's pose, by their masses and inertias.
 

@@ -23,7 +23,7 @@ from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.constants import SUBSTEPS
-from phase_ppl.physics.pymunk_world import PymunkWorld, mean_pose
+from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.render.frames import field_of_view
 from phase_ppl.study.settings import PlaySettings
 from phase_ppl.study.store import trajectory_sha256
@@ -249,7 +249,7 @@ class Room:
     def _advance(self, actions: tuple[Action, Action]) -> list[Picture]:
         """Do one step; return its moments."""
         pictures = [self._picture() for _ in self.world.substeps(actions)]
-        self.frames.append(mean_pose([picture.poses for picture in pictures]))
+        self.frames.append(np.mean([picture.poses for picture in pictures], axis=0))
         reached = [is_true(literal, self.frames[-1], self.scene) for literal in self._literals]
         self._true_for = self._true_for + 1 if all(reached) else 0
         return pictures

@@ -7,7 +7,6 @@ an agent's centre of mass lies at local (0, -R / 6).
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import Any, Final
 
@@ -64,27 +63,13 @@ def agent_outline(pose: FloatArray, radius: float, enlarge: float = 1.0) -> Floa
     return np.asarray(pose[:2], float) + local @ rotation(float(pose[2])).T
 
 
-def _polygons_meet(first: FloatArray, second: FloatArray) -> bool:
-    for polygon in (first, second):
-        edges = np.roll(polygon, -1, axis=0) - polygon
-        for axis in np.column_stack([-edges[:, 1], edges[:, 0]]):
-            a, b = first @ axis, second @ axis
-            if a.max() < b.min() or b.max() < a.min():
-                return False
-    return True
-
-
-def _polygon_meets_disc(polygon: FloatArray, centre: FloatArray, radius: float) -> bool:
-    following = np.roll(polygon, -1, axis=0)
-    edge = following - polygon
-    to_centre = centre - polygon
-    # corners run clockwise, so the inside is to the right of every edge
-    inside = np.all(edge[:, 0] * to_centre[:, 1] - edge[:, 1] * to_centre[:, 0] <= 0)
-    if inside:
-        return True
-    along = np.clip((to_centre * edge).sum(axis=1) / (edge**2).sum(axis=1), 0, 1)
-    nearest = polygon + along[:, None] * edge
-    return bool(np.min(np.linalg.norm(nearest - centre, axis=1)) <= radius)
+def _shape(
+    entity: int, poses: FloatArray, radii: FloatArray, n_agents: int, enlarge: float = 1.0
+) -> tuple[FloatArray, float]:
+    """Return corners and rounding: of an agent its outline, of an item its centre and radius."""
+    if is_agent(entity, n_agents):
+        return agent_outline(poses[entity], radii[entity], enlarge), 0.0
+    return poses[None, entity, :2], float(radii[entity]) * enlarge
 
 
 def shapes_meet(
@@ -100,16 +85,9 @@ def shapes_meet(
 
     Of all entities ``poses`` are (entity, 3) x, y, angle and ``radii`` (entity,) sizes R.
     """
-    if not is_agent(first, n_agents) and is_agent(second, n_agents):
-        first, second = second, first
-        enlarge_first, enlarge_second = enlarge_second, enlarge_first
-    if not is_agent(first, n_agents):
-        reach = radii[first] * enlarge_first + radii[second] * enlarge_second
-        return bool(np.linalg.norm(poses[first, :2] - poses[second, :2]) <= reach)
-    outline = agent_outline(poses[first], radii[first], enlarge_first)
-    if is_agent(second, n_agents):
-        return _polygons_meet(outline, agent_outline(poses[second], radii[second], enlarge_second))
-    return _polygon_meets_disc(outline, poses[second, :2], radii[second] * enlarge_second)
+    one, rounding = _shape(first, poses, radii, n_agents, enlarge_first)
+    other, more = _shape(second, poses, radii, n_agents, enlarge_second)
+    return penetration(one, other, rounding + more) > 0
 
 
 def touches(
@@ -150,11 +128,8 @@ def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) ->
 def deepest_overlap(scene: Any) -> tuple[str, float]:
     """Return in words what overlaps most at a scene's start, and by how many units; "" and 0."""
     n_agents, radii, arena = len(scene.world.agents), scene.radius, scene.arena
-    shapes = [
-        agent_outline(pose, r) if is_agent(e, n_agents) else pose[None, :2]
-        for e, (pose, r) in enumerate(zip(scene.start, radii, strict=True))
-    ]
-    rounding = [0.0 if is_agent(e, n_agents) else float(r) for e, r in enumerate(radii)]
+    parts = (_shape(e, scene.start, radii, n_agents) for e in range(len(radii)))
+    shapes, rounding = zip(*parts, strict=True)
     things = [*shapes, *scene.walls]
     low = np.array([corners.min(axis=0) for corners in things])
     high = np.array([corners.max(axis=0) for corners in things])
@@ -184,14 +159,10 @@ def overlaps(
     The shapes start at (entity, coord) x, y [units], angle [rad], and have sizes (entity,) [units];
     walls (n, 2, 2) are along the axes. The first entities are agents.
     """
-    entities = range(len(start))
-    pairs = itertools.combinations(entities, 2)
-    if any(shapes_meet(first, second, start, radius, n_agents=n_agents) for first, second in pairs):
-        return True
-    discs = ((start[entity, None, :2], float(radius[entity])) for entity in entities[n_agents:])
-    agents = ((agent_outline(start[e], float(radius[e])), 0.0) for e in entities[:n_agents])
+    shapes = [_shape(entity, start, radius, n_agents) for entity in range(len(start))]
+    things = [*shapes, *((wall, 0.0) for wall in walls)]
     return any(
-        penetration(outline, wall, rounding) > 0
-        for outline, rounding in (*agents, *discs)
-        for wall in walls
+        penetration(one, other, rounding + more) > 0
+        for place, (one, rounding) in enumerate(shapes, 1)
+        for other, more in things[place:]
     )

@@ -251,6 +251,8 @@ class Hypothesis:
 STANCES: Final = {"help": 1, "hinder": -1}
 """What an agent may do with another's goal, and the sign of alpha."""
 
+_WORD_OF_SIGN: Final = {sign: word for word, sign in STANCES.items()}
+
 SOCIAL: Final = 1 - 1 / 3
 """Probability that some agent helps or hinders another (paper, Appendix 4B)."""
 
@@ -342,11 +344,20 @@ class Roles:
             other = towards[agent]
             if other is None and stated[agent] is None:
                 raise InvalidSettingError(f"the {name} has no goal, and helps or hinders nobody")
-            if other is not None and (stated[other[0]] is None or towards[other[0]] is not None):
+            if other is None:
+                continue
+            owner, own = agents[other[0]], stated[other[0]]
+            if own is None or towards[other[0]] is not None:
                 raise InvalidSettingError(
-                    f"the {name} cannot help or hinder the {agents[other[0]]}, who pursues no "
-                    "goal of its own"
+                    f"the {name} cannot help or hinder the {owner}, who pursues no goal of its own"
                 )
+            try:
+                effective_goal([own] * len(agents), agent, other, world)
+            except UnknownNameError:
+                raise InvalidSettingError(
+                    f"the {name} cannot {_WORD_OF_SIGN[other[1]]} the {owner} with "
+                    f"{world.goals[own]!r}: what it would then want is no goal of {world.name!r}"
+                ) from None
         forces = (
             dict(strength) if isinstance(strength, Mapping) else dict.fromkeys(agents, strength)
         )
@@ -356,33 +367,20 @@ class Roles:
             checked_strength(f"strength of the {name}", forces.get(name, STRENGTH))
             for name in agents
         )
-        roles = cls(world, tuple(stated), tuple(towards), strengths)
-        for (helper, owner), word in roles.relation.items():
-            if not roles._can_act(world.agent(helper)):
-                own = world.goals[stated[world.agent(owner)] or 0]
-                raise InvalidSettingError(
-                    f"the {helper} cannot {word} the {owner} with {own!r}: what it would "
-                    f"then want is no goal of {world.name!r}"
-                )
-        return roles
+        return cls(world, tuple(stated), tuple(towards), strengths)
 
     @property
     def effective_goals(self) -> tuple[int, ...]:
         """(agent,) what each acts on, an index into ``world.goals``."""
-        return tuple(map(self._acts_on, range(len(self.towards))))
+        stated = [0 if goal is None else goal for goal in self.stated]
+        ways = enumerate(self.towards)
+        return tuple(effective_goal(stated, agent, way, self.world) for agent, way in ways)
 
     @property
     def is_possible(self) -> bool:
         """Whether what each would act on is a goal of the world."""
-        return all(map(self._can_act, range(len(self.towards))))
-
-    def _acts_on(self, agent: int) -> int:
-        stated = [0 if goal is None else goal for goal in self.stated]
-        return effective_goal(stated, agent, self.towards[agent], self.world)
-
-    def _can_act(self, agent: int) -> bool:
         try:
-            return self._acts_on(agent) >= 0
+            return bool(self.effective_goals)
         except UnknownNameError:
             return False
 
@@ -400,9 +398,9 @@ class Roles:
     @property
     def relation(self) -> dict[tuple[str, str], str]:
         """(who, whom) -> "help" or "hinder", of those who do."""
-        agents, words = self.world.agents, {sign: word for word, sign in STANCES.items()}
+        agents = self.world.agents
         return {
-            (agents[who], agents[towards[0]]): words[towards[1]]
+            (agents[who], agents[towards[0]]): _WORD_OF_SIGN[towards[1]]
             for who, towards in enumerate(self.towards)
             if towards is not None
         }

@@ -18,7 +18,7 @@ import numpy as np
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.checks import check_fields, instance_of, number_or_nan, positive_number
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
-from phase_ppl.world.rooms import UNREACHABLE, Rooms
+from phase_ppl.world.rooms import in_words
 
 _MARGIN: Final = 0.5
 _MARGIN_SHARE: Final = 0.2
@@ -77,13 +77,13 @@ class Predicate:
             )
         if isinstance(self.room, str):
             return
-        point = self.room if isinstance(self.room, Sequence) else ()
-        x, y = (number_or_nan(v) for v in point) if len(point) == 2 else (np.nan, np.nan)
-        if not np.isfinite([x, y]).all():
+        room = self.room if isinstance(self.room, Sequence) else ()
+        point = tuple(map(number_or_nan, room))
+        if len(point) != 2 or not np.isfinite(point).all():
             raise InvalidSettingError(
                 f"{what}: room={shown(self.room)}, expected a point (x, y) or a landmark's name"
             )
-        set_field("room", (x, y))
+        set_field("room", point)
 
     @property
     def brings_near(self) -> bool:
@@ -121,10 +121,8 @@ class Predicate:
         else:
             x, y = self.room
             if not (x0 <= x <= x1 and y0 <= y <= y1):
-                raise InvalidSettingError(
-                    f"{what}: room=({x:g}, {y:g}) lies outside the arena x {x0:g}..{x1:g}, "
-                    f"y {y0:g}..{y1:g}"
-                )
+                where = f"({x:g}, {y:g}) lies outside {in_words(world.arena)}"
+                raise InvalidSettingError(f"{what}: room={where}")
 
     def check_scene(self, scene: Any) -> None:
         """Raise InvalidSettingError if it is true, or false, wherever bodies are in a scene."""
@@ -147,15 +145,15 @@ class Predicate:
             poses: (..., entity, coord) x, y [units] and whatever else.
             scene: a scene of a world that has this predicate.
         """
-        world, rooms = scene.world, scene.rooms
-        start = np.asarray(poses, float)[..., world.entity(self.subject), :2]
+        world, places = scene.world, np.asarray(poses, float)[..., :2]
+        start = places[..., world.entity(self.subject), :]
         if self.room is not None:
-            return _ways(start, None, np.asarray(self.room_in(scene)), rooms)
+            return scene.rooms.distance_into(self.room_in(scene), start)  # type: ignore[no-any-return]
         if self.target in world.landmark_names:
             end = scene.landmark_centres[world.landmark_names.index(self.target)]
         else:
-            end = np.asarray(poses, float)[..., world.entity(self.target), :2]
-        return _ways(start, end, rooms.room_of(end), rooms)
+            end = places[..., world.entity(self.target), :]
+        return scene.rooms.path_distance(start, end)  # type: ignore[no-any-return]
 
     def holds(self, poses: FloatArray, scene: Any) -> BoolArray:
         """Return (...) whether it is true. Arguments as of :meth:`apart`."""
@@ -185,16 +183,14 @@ class Predicate:
 
     def room_in(self, scene: Any) -> int:
         """Return the number of its room in a scene."""
-        if isinstance(self.room, str):
-            where = scene.landmark_centres[scene.world.landmark_names.index(self.room)]
-        else:
-            where = np.array(self.room)
+        where = self.room
+        if isinstance(where, str):
+            where = scene.landmark_centres[scene.world.landmark_names.index(where)]
         return int(scene.rooms.room_of(where))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain form, which :meth:`from_dict` reads: the fields that are given."""
-        fields = ((one.name, getattr(self, one.name)) for one in dataclasses.fields(self))
-        found = {name: value for name, value in fields if value is not None}
+        found = {name: value for name, value in vars(self).items() if value is not None}
         if isinstance(self.room, tuple):
             found["room"] = list(self.room)
         return found
@@ -209,33 +205,5 @@ class Predicate:
         """
         if not isinstance(record, Mapping):
             raise InvalidSettingError(f"a predicate is {shown(record)}, expected a mapping")
-        check_fields(record, cls, "a predicate")
-        for name in ("name", "subject"):
-            if name not in record:
-                raise InvalidSettingError(f"a predicate needs a {name}")
+        check_fields(record, cls, "a predicate", ("name", "subject"))
         return cls(**record)
-
-
-def _ways(start: FloatArray, end: FloatArray | None, ends: Any, rooms: Rooms) -> FloatArray:
-    """Return (...) lengths of ways through doors, units.
-
-    They lead from ``start`` to ``end``, (..., 2) points in the rooms ``ends`` (...), or, where
-    there is None, to the last door.
-    """
-    starts, ends = np.broadcast_arrays(rooms.room_of(start), ends)
-    if rooms.is_open and end is not None:
-        return np.asarray(np.linalg.norm(end - start, axis=-1))
-    place = np.broadcast_to(start, (*starts.shape, 2))
-    goal = None if end is None else np.broadcast_to(end, (*starts.shape, 2))
-    found = np.full(starts.shape, float(UNREACHABLE))
-    for one, other in {*zip(starts.ravel().tolist(), ends.ravel().tolist(), strict=True)}:
-        doors = rooms.route(one, other)
-        if doors is None:
-            continue
-        there = (starts == one) & (ends == other)
-        length, at = np.zeros(int(there.sum())), place[there]
-        stops = [*rooms.door_position[list(doors)], *([] if goal is None else [goal[there]])]
-        for stop in stops:
-            length, at = length + np.linalg.norm(stop - at, axis=-1), stop
-        found[there] = length
-    return found

@@ -17,9 +17,10 @@ import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
@@ -166,26 +167,25 @@ class Rooms:
         row = np.searchsorted(self.rows[1:-1], position[..., 1], side="left")
         return np.asarray(self.ids[row, column])
 
-    def route(self, start: int, end: int, width: float = 0.0) -> tuple[int, ...] | None:
+    def route(self, start: int, end: int) -> tuple[int, ...] | None:
         """Return the doors on the way from room to room, or None where there is no way.
 
-        The way through the fewest doors wider than ``width``, units; among those, the shortest
-        from first to last door. The way back is the same way.
+        The way through the fewest doors; among those, the shortest from first to last door. The
+        way back is the same way.
         """
-        key = (start, end, width)
-        if key not in self._routes:
-            self._routes[key] = self._find_route(start, end, width)
-        return self._routes[key]
+        if (start, end) not in self._routes:
+            self._routes[start, end] = self._find_route(start, end)
+        return self._routes[start, end]
 
     @functools.cached_property
-    def _routes(self) -> dict[tuple[int, int, float], tuple[int, ...] | None]:
+    def _routes(self) -> dict[tuple[int, int], tuple[int, ...] | None]:
         return {}
 
-    def _find_route(self, start: int, end: int, width: float) -> tuple[int, ...] | None:
+    def _find_route(self, start: int, end: int) -> tuple[int, ...] | None:
         away, frontier = {end: 0}, [end]  # doors from each room to the end
         for room in frontier:
-            for door, following in self.exits(room):
-                if following not in away and self.doors[door].width > width:
+            for _, following in self.exits(room):
+                if following not in away:
                     away[following] = away[room] + 1
                     frontier.append(following)
 
@@ -193,11 +193,15 @@ class Rooms:
             if room == end:
                 yield ()
             for door, following in self.exits(room):
-                nearer = away.get(following, len(away)) == away[room] - 1
-                if nearer and self.doors[door].width > width:
+                if away[following] == away[room] - 1:
                     yield from ((door, *rest) for rest in ways(following))
 
-        return min(ways(start), key=self._way_order) if start in away else None
+        def order(doors: tuple[int, ...]) -> tuple[float, tuple[int, ...]]:
+            legs = np.diff(self.door_position[list(doors)], axis=0)
+            # equally long ways are told apart alike in both directions
+            return float(np.linalg.norm(legs, axis=1).sum()), min(doors, doors[::-1])
+
+        return min(ways(start), key=order) if start in away else None
 
     def closed_off(self, places: Sequence[FloatArray] | FloatArray) -> list[int]:
         """Return the rooms from which no way leads to any of ``places``, (n, 2) points."""
@@ -206,33 +210,43 @@ class Rooms:
             room for room in range(len(self)) if all(self.route(room, end) is None for end in ends)
         ]
 
-    def _way_order(self, doors: tuple[int, ...]) -> tuple[float, tuple[int, ...]]:
-        """Sort key of a way; equally long ways are told apart alike in both directions."""
-        points = self.door_position[list(doors)]
-        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        return length, min(doors, doors[::-1])
-
     def narrowest(self, start: int, end: int) -> float:
         """Return the width of the narrowest door on the way; inf in one room, 0 without a way."""
         doors = self.route(start, end)
-        if doors is None:
-            return 0.0
-        return float(min((self.door_width[d] for d in doors), default=np.inf))
+        return 0.0 if doors is None else min((self.doors[d].width for d in doors), default=math.inf)
 
-    def path_distance(self, start: FloatArray, end: FloatArray, width: float = 0.0) -> float:
-        """Return the length of the way between two points through door middles, units.
+    def path_distance(self, start: ArrayLike, end: ArrayLike) -> Any:
+        """Return (...) lengths of the ways between (..., 2) points through door middles, units.
 
-        Straight within a room and in an arena without inner walls;
-        :data:`UNREACHABLE` where no route of wide enough doors exists.
+        Straight within a room and in an arena without inner walls; :data:`UNREACHABLE` where no
+        route exists.
         """
         start, end = np.asarray(start, float), np.asarray(end, float)
         if self.is_open:
-            return float(np.linalg.norm(end - start))
-        doors = self.route(int(self.room_of(start)), int(self.room_of(end)), width)
-        if doors is None:
-            return UNREACHABLE
-        points = np.vstack([start, self.door_position[list(doors)].reshape(-1, 2), end])
-        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+            # of one pair NumPy rounds otherwise than of many
+            axis = None if start.ndim == end.ndim == 1 else -1
+            return np.linalg.norm(end - start, axis=axis)
+        return self._ways(start, self.room_of(end), end)
+
+    def distance_into(self, room: int, start: ArrayLike) -> Any:
+        """Return (...) lengths of the ways from (..., 2) points to the last door before a room."""
+        return self._ways(np.asarray(start, float), np.asarray(room), None)
+
+    def _ways(self, start: FloatArray, ends: IntArray, end: FloatArray | None) -> Any:
+        starts, ends = np.broadcast_arrays(self.room_of(start), ends)
+        start = np.broadcast_to(start, (*starts.shape, 2))
+        end = None if end is None else np.broadcast_to(end, (*starts.shape, 2))
+        found = np.full(starts.shape, UNREACHABLE)
+        for one, other in {*zip(starts.ravel().tolist(), ends.ravel().tolist(), strict=True)}:
+            doors = self.route(one, other)
+            if doors is not None:
+                there = (starts == one) & (ends == other)
+                length, at = np.zeros(int(there.sum())), start[there]
+                stops = self.door_position[list(doors)]
+                for stop in (*stops, *([] if end is None else [end[there]])):
+                    length, at = length + np.linalg.norm(stop - at, axis=-1), stop
+                found[there] = length
+        return found[()]  # a number, of one pair
 
     @functools.cached_property
     def route_table(self) -> IntArray:
@@ -268,11 +282,13 @@ def _check_wall(
     if max(dx, dy) < _TOLERANCE:
         raise InvalidEventError(f"wall {wall.tolist()} has no length")
     x0, x1, y0, y1 = arena
-    beyond = np.maximum([x0, y0] - wall, wall - [x1, y1])
-    if (beyond > _TOLERANCE).any():
-        raise InvalidEventError(
-            f"wall {wall.tolist()} leaves the arena x {x0:g}..{x1:g}, y {y0:g}..{y1:g}"
-        )
+    if (np.maximum([x0, y0] - wall, wall - [x1, y1]) > _TOLERANCE).any():
+        raise InvalidEventError(f"wall {wall.tolist()} leaves {in_words(arena)}")
+
+
+def in_words(arena: Sequence[float]) -> str:
+    """Return an arena as messages name it."""
+    return "the arena x {:g}..{:g}, y {:g}..{:g}".format(*arena)
 
 
 def _lines(low: float, high: float, between: FloatArray) -> FloatArray:

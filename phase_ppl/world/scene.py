@@ -39,7 +39,7 @@ from phase_ppl.world.picture import (
     floor_colour,
 )
 from phase_ppl.world.predicates import Predicate as OwnPredicate
-from phase_ppl.world.rooms import Rooms
+from phase_ppl.world.rooms import Rooms, in_words
 
 Turning = Literal["both", "ccw", "cw"]
 TURNINGS: Final = ("both", "ccw", "cw")
@@ -70,18 +70,23 @@ _READ_AS: Final = (" to ", " away from ")
 """What stands between the two names of a goal, and so in no name."""
 
 
-def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
+def finite_array(
+    name: str,
+    value: object,
+    shape: tuple[int | None, ...],
+    error: type[Exception] = InvalidEventError,
+) -> FloatArray:
     """Return ``value`` as a read-only float array of ``shape`` (None: any length)."""
     if np.ma.is_masked(value):
-        raise InvalidEventError(f"{name} is masked in places, expected numbers everywhere")
+        raise error(f"{name} is masked in places, expected numbers everywhere")
     try:
         given = np.asarray(value)
     except ValueError:
-        raise InvalidEventError(f"{name} is ragged: its rows differ in length") from None
+        raise error(f"{name} is ragged: its rows differ in length") from None
     if given.dtype.kind not in "iuf":
         values = np.array(value, dtype=object).ravel().tolist()
         odd = next((v for v in values if not math.isfinite(number_or_nan(v))), value)
-        raise InvalidEventError(f"{name} holds {shown(odd)}, expected numbers")
+        raise error(f"{name} holds {shown(odd)}, expected numbers")
     array = np.array(given, dtype=np.float64)
     if array.size == 0 and None in shape:
         array = array.reshape([0 if n is None else n for n in shape])
@@ -90,10 +95,10 @@ def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> Flo
     )
     if not fits:
         wanted = tuple("n" if n is None else n for n in shape)
-        raise InvalidEventError(f"{name} has shape {array.shape}, expected {wanted}")
+        raise error(f"{name} has shape {array.shape}, expected {wanted}")
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidEventError(f"{name}{list(where)} is {array[where]}, expected a finite number")
+        raise error(f"{name}{list(where)} is {array[where]}, expected a finite number")
     array.setflags(write=False)
     return array
 
@@ -154,7 +159,7 @@ class World:
         set_field("items", _names("items", self.items, 0, MOST_ITEMS))
         instance_of("name", self.name, str, "a text")
         instance_of("quadrants", self.quadrants, bool, "True or False")
-        arena = tuple(_numbers("arena", self.arena, (4,)))
+        arena = tuple(finite_array("arena", self.arena, (4,), InvalidSettingError).tolist())
         set_field("arena", arena)
         sides = arena[1] - arena[0], arena[3] - arena[2]
         if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
@@ -162,7 +167,13 @@ class World:
                 f"arena={arena}, expected x_min, x_max, y_min, y_max with sides of "
                 f"{SIDES[0]:g} to {SIDES[1]:g} units"
             )
-        given, places = self._given_colours(), self.landmarks
+        try:
+            given = dict(self.colours or {})
+        except (TypeError, ValueError):
+            raise InvalidSettingError(
+                f"colours={shown(self.colours)}, expected a mapping of names to (red, green, blue)"
+            ) from None
+        places = self.landmarks
         if not isinstance(places, Mapping):  # those of another world
             if not isinstance(places, (list, tuple)) or not all(
                 isinstance(p, Landmark) for p in places
@@ -176,23 +187,20 @@ class World:
         places = {name: self._place(name, place) for name, place in places.items()}
         names = _names("landmarks", list(places), 1, MOST_LANDMARKS)
         everybody = [name.lower() for name in (*self.agents, *self.items, *names)]
-        twice = next((name for name in everybody if everybody.count(name) > 1), None)
-        if twice is not None:
-            raise InvalidSettingError(f"two of agents, items and landmarks are called {twice!r}")
         keys = [*self.keys, *("_".join(pair) for pair in itertools.permutations(self.keys, 2))]
-        alike = next((key for key in keys if keys.count(key) > 1), None)
-        if alike is not None:
-            raise InvalidSettingError(
-                f"agents={list(self.agents)}: {alike!r} could mean two of them in questions; "
-                "expected names without that"
-            )
+        for name in everybody:
+            if everybody.count(name) > 1:
+                raise InvalidSettingError(f"two of agents, items and landmarks are called {name!r}")
+        for key in keys:
+            if keys.count(key) > 1:
+                raise InvalidSettingError(
+                    f"agents={list(self.agents)}: {key!r} could mean two of them in questions; "
+                    "expected names without that"
+                )
         colours = self._colours(given, names)
         set_field("colours", tuple((name, colours[name]) for name in self.entities))
-        found = ((name, places[name]) for name in names)
-        set_field(
-            "landmarks",
-            tuple(Landmark(name, x, y, half, colours[name]) for name, (x, y, half) in found),
-        )
+        found = ((name, *places[name], colours[name]) for name in names)
+        set_field("landmarks", tuple(map(Landmark._make, found)))
         touchable = self.entities if self.touchable is None else tuple(self.touchable)
         for name in touchable:
             self.entity(name)
@@ -206,9 +214,10 @@ class World:
 
     def _own_predicates(self) -> tuple[OwnPredicate, ...]:
         """Return the predicates, checked."""
-        instance_of("predicates", self.predicates, (list, tuple), "a list of ppl.Predicate")
+        expected = "a list of ppl.Predicate"
+        instance_of("predicates", self.predicates, (list, tuple), expected)
         for one in self.predicates:
-            instance_of("predicates", one, OwnPredicate, "a list of ppl.Predicate")
+            instance_of("predicates", one, OwnPredicate, expected)
         _names("predicates", [one.name for one in self.predicates], 0, MOST_PREDICATES)
         taken = {_plain(goal) for goal in self._goals_of_cast()}
         for one in self.predicates:
@@ -222,15 +231,6 @@ class World:
             one.check(self)
         return tuple(self.predicates)
 
-    def _given_colours(self) -> dict[str, Any]:
-        """Return the colours that were said, by name."""
-        try:
-            return dict(self.colours or {})
-        except (TypeError, ValueError):
-            raise InvalidSettingError(
-                f"colours={shown(self.colours)}, expected a mapping of names to (red, green, blue)"
-            ) from None
-
     def _place(self, name: str, place: object) -> tuple[float, float, float]:
         """Return x, y and half-width of a landmark."""
         n = len(place) if isinstance(place, (Sequence, np.ndarray)) else 0
@@ -238,16 +238,13 @@ class World:
             raise InvalidSettingError(
                 f"landmark {name!r} is {shown(place)}, expected (x, y) or (x, y, half the side)"
             )
-        x, y, *half = _numbers(f"landmark {name!r}", place, (n,))
+        given = finite_array(f"landmark {name!r}", place, (n,), InvalidSettingError).tolist()
+        x, y, said = (*given, self.half_width)[:3]
         x0, x1, y0, y1 = self.arena
         if not (x0 <= x <= x1 and y0 <= y <= y1):
-            raise InvalidSettingError(
-                f"landmark {name!r} is at ({x:g}, {y:g}), outside the arena x {x0:g}..{x1:g}, "
-                f"y {y0:g}..{y1:g}"
-            )
-        said = half[0] if half else self.half_width
-        half_width = number_or_nan(said)
-        most = min(x1 - x0, y1 - y0) / 4
+            where = f"({x:g}, {y:g}), outside {in_words(self.arena)}"
+            raise InvalidSettingError(f"landmark {name!r} is at {where}")
+        half_width, most = number_or_nan(said), min(x1 - x0, y1 - y0) / 4
         if not 0 < half_width <= most:
             text = shown(said) if math.isnan(half_width) else f"{half_width:g}"
             raise InvalidSettingError(
@@ -413,19 +410,16 @@ class World:
         sizes = dict(size) if isinstance(size, Mapping) else dict.fromkeys(self.entities, size)
         for name in (*start, *sizes):
             self.entity(name)
-        missing = [name for name in self.entities if name not in start]
-        if missing:
-            raise InvalidEventError(f"start has no place for the {missing[0]}")
         rows = []
         for name in self.entities:
+            if name not in start:
+                raise InvalidEventError(f"start has no place for the {name}")
             place = start[name]
             n = len(place) if isinstance(place, (Sequence, np.ndarray)) else 0
             row = finite_array(f"start of the {name}", place, (3 if n == 3 else 2,))
             rows.append([*row.tolist(), 0.0][:3])
-        radius: Any = [sizes.get(name, 1.0) for name in self.entities]
-        return Scene(
-            np.array(rows), radius, self.walls if walls is None else walls, turning, world=self
-        )
+        radius = [sizes.get(name, 1.0) for name in self.entities]
+        return Scene(rows, radius, walls, turning, world=self)
 
     def random_scene(
         self,
@@ -519,7 +513,7 @@ class World:
             check_name("landmark", given, self.landmark_names)
             _, x, y, *_ = self.landmarks[self.landmark_names.index(given)]
         elif isinstance(given, (Sequence, np.ndarray)):
-            x, y = _numbers("room", given, (2,))
+            x, y = finite_array("room", given, (2,), InvalidSettingError).tolist()
             x0, x1, y0, y1 = self.arena
             if not (x0 <= x <= x1 and y0 <= y <= y1):
                 raise InvalidSettingError(f"room of ({x:g}, {y:g}), which lies outside the arena")
@@ -596,14 +590,6 @@ def _names(what: str, names: object, least: int, most: int) -> tuple[str, ...]:
                 f"{what} has the name {shown(name)}, expected words without 'to' and 'away from'"
             )
     return tuple(names)
-
-
-def _numbers(name: str, value: object, shape: tuple[int, ...]) -> list[float]:
-    """Return finite numbers. InvalidSettingError: they are none, or more or fewer."""
-    try:
-        return finite_array(name, value, shape).tolist()  # type: ignore[no-any-return]
-    except InvalidEventError as error:
-        raise InvalidSettingError(str(error)) from None
 
 
 def _plain(goal: str) -> str:
@@ -693,7 +679,7 @@ class Scene:
         for name, shape in shapes.items():
             set_field(name, finite_array(f"scene.{name}", getattr(self, name), shape))
         arena = finite_array("scene.arena", self.arena, (4,))
-        set_field("arena", tuple(float(v) for v in arena))
+        set_field("arena", tuple(arena.tolist()))
         check_name("turning", self.turning, TURNINGS)
         if not isinstance(self.resets_velocity, bool):
             raise InvalidEventError(
@@ -782,8 +768,7 @@ def check_inside(trajectory: FloatArray, scene: Scene, name: str) -> None:
         frame, entity = (int(i) for i in np.argwhere(outside)[0])
         raise InvalidEventError(
             f"{name}: the {scene.world.entities[entity]} is at ({x[frame, entity]:g}, "
-            f"{y[frame, entity]:g}) in frame {frame}, outside the arena "
-            f"x {x0:g}..{x1:g}, y {y0:g}..{y1:g}"
+            f"{y[frame, entity]:g}) in frame {frame}, outside {in_words(scene.arena)}"
         )
 
 

@@ -9,7 +9,6 @@ codes and effective goals from here.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 import itertools
 from collections.abc import Mapping
@@ -28,7 +27,6 @@ from phase_ppl.world.hypothesis import (
     RELATIONS,
     Hypothesis,
     Roles,
-    Towards,
     all_ways,
     scenario,
 )
@@ -39,49 +37,43 @@ ALPHA_SITE: Final = "alpha"
 """Sites of the way in which agents stand to each other, elsewhere and in PHASE."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
 class HypothesisSpace:
     """The hypotheses of a world; :func:`space_of` makes it.
 
     Attributes:
         world: whose agents and goals.
-        company_site: name of the site of the ways.
+        is_phase: whether it is the paper's.
         ways: in which agents can stand to each other, by code.
+        company_site: name of the site of the ways.
+        goal_sites: names of the sites of stated goals; in files and posteriors, of effective ones.
+        stated_sites: names of stated goals in files and posteriors.
+        strength_sites: names of the sites of strengths, newtons.
+        sites: names of all sites of a hypothesis.
+        kept_columns: columns of ``sites`` as files name them: stated goals, way, strengths.
+        columns: those of files: effective goals, which follow, and ``kept_columns``.
+        limits: site -> number of its codes; of goals and the company.
     """
 
-    world: World
-    company_site: str
-    ways: tuple[Towards, ...]
-
-    @functools.cached_property
-    def goal_sites(self) -> tuple[str, ...]:
-        """Names of the sites of stated goals; in files and posteriors, of effective ones."""
-        return tuple(f"goal_{key}" for key in self.world.keys)
-
-    @functools.cached_property
-    def stated_sites(self) -> tuple[str, ...]:
-        """Names of stated goals in files and posteriors."""
-        return tuple(f"stated_{name}" for name in self.goal_sites)
-
-    @functools.cached_property
-    def strength_sites(self) -> tuple[str, ...]:
-        """Names of the sites of strengths, newtons."""
-        return tuple(f"strength_{key}" for key in self.world.keys)
-
-    @functools.cached_property
-    def sites(self) -> tuple[str, ...]:
-        """Names of all sites of a hypothesis."""
-        return (*self.goal_sites, self.company_site, *self.strength_sites)
-
-    @functools.cached_property
-    def kept_columns(self) -> tuple[str, ...]:
-        """Columns of ``sites`` as files name them: stated goals, way, strengths."""
-        return (*self.stated_sites, self.company_site, *self.strength_sites)
-
-    @functools.cached_property
-    def columns(self) -> tuple[str, ...]:
-        """The columns of files: effective goals, which follow, and ``kept_columns``."""
-        return (*self.goal_sites, *self.kept_columns)
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.is_phase = world == PHASE
+        self.n_agents, self.n_goals = len(world.agents), len(world.goals)
+        self.ways = all_ways(self.n_agents)
+        self.company_site = COMPANY_SITE
+        if self.is_phase:
+            self.ways = tuple(
+                tuple((1 - agent, sign) if sign else None for agent, sign in enumerate(alpha))
+                for alpha in ALPHAS
+            )
+            self.company_site = ALPHA_SITE
+        self.goal_sites = tuple(f"goal_{key}" for key in world.keys)
+        self.stated_sites = tuple(f"stated_{name}" for name in self.goal_sites)
+        self.strength_sites = tuple(f"strength_{key}" for key in world.keys)
+        self.sites = (*self.goal_sites, self.company_site, *self.strength_sites)
+        self.kept_columns = (*self.stated_sites, self.company_site, *self.strength_sites)
+        self.columns = (*self.goal_sites, *self.kept_columns)
+        self.limits = dict.fromkeys(self.goal_sites, self.n_goals)
+        self.limits[self.company_site] = len(self.ways)
 
     @functools.cached_property
     def reserved(self) -> frozenset[str]:
@@ -90,22 +82,6 @@ class HypothesisSpace:
         pairs = itertools.permutations(self.world.keys, 2)
         of_pairs = (f"{name}_{one}_{other}" for one, other in pairs for name in follow)
         return frozenset((*of_pairs, *self.columns))
-
-    @property
-    def n_agents(self) -> int:
-        return len(self.world.agents)
-
-    @property
-    def n_goals(self) -> int:
-        return len(self.world.goals)
-
-    @functools.cached_property
-    def limits(self) -> dict[str, int]:
-        """Site -> number of its codes; of goals and the company."""
-        return {
-            **dict.fromkeys(self.goal_sites, self.n_goals),
-            self.company_site: len(self.ways),
-        }
 
     @functools.cached_property
     def impossible(self) -> NDArray[np.bool_]:
@@ -209,10 +185,6 @@ class HypothesisSpace:
             found[f"alpha_{self.world.keys[who]}_{self.world.keys[whom]}"] = signs[way] + 1
         return found
 
-    @property
-    def is_phase(self) -> bool:
-        return self.world == PHASE
-
     def log_prior_of_effective(
         self, log_goals: FloatArray, log_company: FloatArray, goals: NDArray[Any]
     ) -> FloatArray:
@@ -249,10 +221,4 @@ class HypothesisSpace:
 @functools.lru_cache(16)
 def space_of(world: World) -> HypothesisSpace:
     """Return the hypotheses of a world."""
-    if world == PHASE:
-        ways = tuple(
-            tuple((1 - agent, sign) if sign else None for agent, sign in enumerate(alpha))
-            for alpha in ALPHAS
-        )
-        return HypothesisSpace(PHASE, ALPHA_SITE, ways)
-    return HypothesisSpace(world, COMPANY_SITE, all_ways(len(world.agents)))
+    return HypothesisSpace(world)

@@ -23,12 +23,7 @@ SOLO: Final = World(
 TRIO: Final = World(
     ["red agent", "green agent", "purple agent"],
     ["blue ball", "pink ball"],
-    {
-        "home": (4.0, 4.0),
-        "field": (32.0, 20.0),
-        "barn": (4.0, 20.0),
-        "pond": (32.0, 4.0, 2.0),
-    },
+    {"home": (4.0, 4.0), "field": (32.0, 20.0), "barn": (4.0, 20.0), "pond": (32.0, 4.0, 2.0)},
     arena=(0.0, 36.0, 0.0, 24.0),
     walls=[
         *[((12, 0), (12, 3)), ((12, 8), (12, 16)), ((12, 21), (12, 24))],

@@ -21,7 +21,6 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import IntArray
-from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import State
 from phase_ppl.world.names import Literal
 
@@ -42,13 +41,7 @@ class Node:
 class SlowSearch:
     """PUCT over an agent's own actions with random rollouts (see ``pomcp.run``).
 
-    Args:
-        model: layout and bodies.
-        strengths: maximum forces of red and green, newtons.
-        search: settings; an early stop is not made, as it changes no action.
-        inner_steps: solver steps per physics substep of the imagined world.
-        iterations: of the solver.
-        generator: source of randomness.
+    An early stop is not made, as it changes no action.
     """
 
     def __init__(
@@ -58,17 +51,16 @@ class SlowSearch:
         search: Search,
         inner_steps: int,
         generator: np.random.Generator,
-        iterations: int = 10,
     ) -> None:
         self.model, self.search, self.generator = model, search, generator
         start = State.at_start(model.scene)
-        self.world = PymunkWorld(model.scene, strengths, inner_steps, start, iterations)
+        self.world = PymunkWorld(model.scene, strengths, inner_steps, start, iterations=10)
 
     def run(self, particles: list[State], agent: int, subgoal: Literal, actions: IntArray) -> Node:
         """Return the root after ``n_simulations`` from particles drawn uniformly."""
         code = pomcp.subgoal_code(subgoal)
         root = Node([None] * len(actions))
-        for _ in range(self.search.n_simulations):
+        for _ in range(self.search.simulations):
             self.world.restore(particles[int(self.generator.integers(len(particles)))])
             self._simulate(root, agent, code, actions)
         return root
@@ -112,17 +104,13 @@ class SlowSearch:
 
     def _step(self, agent: int, own: int, other: int, code: IntArray) -> float:
         """Move the imagined world on and return the reward of the agent's action."""
-        self.world.advance((own, other) if agent == 0 else (other, own))
+        self.world.step((own, other) if agent == 0 else (other, own))
         bodies, held, _ = compiled.from_state(self.world.state, self.model.scene.radius)
         return pomcp.reward(bodies, held, code, own, self.model.params, self.model.layout)
 
 
 class OracleAgent(Agent):
-    """An agent that searches with :class:`SlowSearch`; all else is as in :class:`Agent`.
-
-    Raises:
-        InvalidSettingError: the planner imagines swivelling holds, or pairs simulations.
-    """
+    """An agent that searches with :class:`SlowSearch`; all else is as in :class:`Agent`."""
 
     def __init__(
         self,
@@ -133,8 +121,8 @@ class OracleAgent(Agent):
         generator: np.random.Generator,
         strengths: tuple[float, float],
     ) -> None:
-        if config.swivel or config.paired:
-            raise InvalidSettingError("the oracle's search has no swivel and no paired")
+        assert not config.swivel, "the search imagines none"
+        assert not config.paired, "the search pairs nothing"
         super().__init__(agent, goals, model, config, generator)
         self.slow_search = SlowSearch(
             model, strengths, Search.of(config), config.inner_steps, generator.spawn(1)[0]

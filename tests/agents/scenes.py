@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents import vision
+from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import State
 from phase_ppl.world.scene import Scene
 
@@ -34,6 +36,22 @@ def scene(
     return Scene(start=[red, green, (*blue, 0.0), (*pink, 0.0)], radius=radius, **changes)
 
 
+def state_of(where: Scene) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Return the start of a scene as agents and the compiled physics take it."""
+    return compiled.from_state(State.at_start(where), where.radius)
+
+
+def model_of(where: Scene, config: PlannerConfig | None = None) -> WorldModel:
+    """Return what agents of 450 N know of a scene."""
+    strengths = [450.0] * len(where.world.agents)
+    return WorldModel.of(where, strengths, PlannerConfig() if config is None else config)
+
+
+def agent_in(where: Scene, goals: tuple[int, ...], config: PlannerConfig, seed: int = 0) -> Agent:
+    """Return the first agent of a scene, which has not looked yet."""
+    return Agent(0, goals, model_of(where, config), config, np.random.default_rng(seed))
+
+
 class Sight(NamedTuple):
     """What an agent sees: cells (size, size), row 0 at the top, and entities (4,)."""
 
@@ -45,20 +63,11 @@ def look(
     where: Scene, agent: int = 0, held: tuple[int, int] = (-1, -1), full_view: bool = False
 ) -> Sight:
     """Return what ``agent`` observes at the start of a scene."""
-    model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
-    bodies, _, _ = compiled.from_state(State.at_start(where), where.radius)
+    model, (bodies, _, _) = model_of(where), state_of(where)
     shape = model.layout.rows, model.layout.columns
-    visible = np.zeros(math.prod(shape), bool)
-    observed = np.zeros(4, bool)
+    visible, observed = np.zeros(math.prod(shape), bool), np.zeros(4, bool)
     vision.observe(
-        bodies,
-        np.array(held),
-        agent,
-        full_view,
-        model.params,
-        model.layout,
-        visible,
-        np.zeros(128, np.int64),
-        observed,
+        *(bodies, np.array(held), agent, full_view, model.params, model.layout),
+        *(visible, np.zeros(vision.MAX_OUTLINE_CELLS, np.int64), observed),
     )
     return Sight(visible.reshape(shape), observed.tolist())

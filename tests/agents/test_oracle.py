@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,7 +12,6 @@ from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.names import Literal
@@ -34,15 +31,9 @@ SCENES = {
 }
 
 
-def make(
-    where: Scene, oracle: bool, seed: int, config: PlannerConfig = CONFIG
-) -> tuple[Agent, PymunkWorld]:
-    model, generator = WorldModel.of(where, STRENGTHS, config), np.random.default_rng(seed)
-    agent = (
-        OracleAgent(0, GOALS, model, config, generator, STRENGTHS)
-        if oracle
-        else Agent(0, GOALS, model, config, generator)
-    )
+def make(where: Scene, oracle: bool, seed: int) -> tuple[Agent, PymunkWorld]:
+    given = 0, GOALS, WorldModel.of(where, STRENGTHS, CONFIG), CONFIG, np.random.default_rng(seed)
+    agent = OracleAgent(*given, STRENGTHS) if oracle else Agent(*given)
     return agent, PymunkWorld(where, STRENGTHS, initial=State.at_start(where))
 
 
@@ -90,9 +81,3 @@ def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds
     fast, again = histogram(where, False, range(40)), histogram(where, False, range(40, 80))
     # of 40 draws each, spread over two or three actions, as many as a quarter may differ
     assert distance(slow, fast) <= max(0.25, distance(fast, again))
-
-
-@pytest.mark.parametrize("change", [{"swivel": True}, {"paired": True}])
-def test_the_oracle_refuses_what_it_does_not_imagine(change: dict[str, bool]) -> None:
-    with pytest.raises(InvalidSettingError, match="swivel"):
-        make(SCENES["ahead"], True, 0, dataclasses.replace(CONFIG, **change))  # type: ignore[arg-type]

@@ -9,32 +9,28 @@ import numpy as np
 import pytest
 
 from phase_ppl.agents import pomcp
-from phase_ppl.agents.agent import Agent, Intent, RootStatistics
+from phase_ppl.agents.agent import Intent, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.pomcp import below, make_rng, uniform
-from phase_ppl.agents.world_model import WorldModel
-from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.scene import Scene
-from tests.agents.scenes import scene
+from tests.agents.scenes import agent_in, model_of, scene, state_of
 
 CONFIG = PlannerConfig(simulations=400, full_observation=True)
 GOALS = (goal_index("Get red agent to red lm"), goal_index("Get green agent to green lm"))
+ABOVE = scene(red=(23.5, 14.0, math.pi))  # the red agent heads for the red landmark
+TO_LANDMARK, TOUCH = Literal(Predicate.ON, 0, 2), Literal(Predicate.TOUCH, 0, 2)
 
 
-def agent_in(where: Scene, config: PlannerConfig = CONFIG, seed: int = 0) -> Agent:
-    model = WorldModel.of(where, (450.0, 450.0), config)
-    agent = Agent(0, GOALS, model, config, np.random.default_rng(seed))
-    agent.observe(*compiled.from_state(State.at_start(where), where.radius))
-    return agent
-
-
-def search(agent: Agent, subgoal: Literal) -> RootStatistics:
+def search(
+    where: Scene, subgoal: Literal, config: PlannerConfig = CONFIG, seed: int = 0
+) -> RootStatistics:
     """Return what an agent finds for a subgoal that all its particles agree with."""
+    agent = agent_in(where, GOALS, config, seed)
+    agent.observe(*state_of(where))
     (found,) = agent.root_statistics([Intent(subgoal, tuple(range(50)), contested=False)])
     return found
 
@@ -42,99 +38,97 @@ def search(agent: Agent, subgoal: Literal) -> RootStatistics:
 @pytest.mark.parametrize(
     ("where", "subgoal", "best"),
     [
-        (scene(red=(23.5, 14.0, math.pi)), Literal(Predicate.ON, 0, 2), Action.UP),
-        (scene(red=(23.5, 9.5, -math.pi / 2), green=(8, 20, 0), blue=(10, 20)),
-         Literal(Predicate.ON, 0, 2), Action.TURN_RIGHT),
+        (ABOVE, TO_LANDMARK, Action.UP),
+        (scene(red=(23.5, 9.5, -math.pi / 2), green=(8, 20, 0), blue=(10, 20)), TO_LANDMARK,
+         Action.TURN_RIGHT),
         (scene(red=(12.0, 9.0, 0.0), blue=(12.0, 11.0)), Literal(Predicate.ATTACH, 0, 2),
          Action.ATTACH),
     ],
     ids=["drives straight ahead", "turns to what is behind it", "grabs what is in reach"],
 )  # fmt: skip
 def test_an_agent_does_what_leads_to_its_goal(where: Scene, subgoal: Literal, best: Action) -> None:
-    assert search(agent_in(where), subgoal).best is best
+    assert search(where, subgoal).best is best
 
 
 @pytest.mark.parametrize("paired", [False, True])
 def test_early_stop_saves_simulations_and_never_changes_the_action(paired: bool) -> None:
     saved = 0
+    whole, early = (
+        dataclasses.replace(CONFIG, early_stop=stop, paired=paired) for stop in (False, True)
+    )
     for seed in range(6):
         where = scene(red=(12.0, 9.0, float(seed)), blue=(14.0, 6.0))
-        for subgoal in (Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ON, 2, 2)):
-            chosen, run = [], []
-            for early_stop in (False, True):
-                config = dataclasses.replace(CONFIG, early_stop=early_stop, paired=paired)
-                found = search(agent_in(where, config, seed), subgoal)
-                chosen.append(found.best)
-                run.append(int(found.visits.sum()))
-            assert chosen[0] == chosen[1]
-            assert run[1] <= run[0] == CONFIG.simulations
-            saved += run[0] - run[1]
+        for subgoal in (TOUCH, Literal(Predicate.ON, 2, 2)):
+            one, other = (search(where, subgoal, config, seed) for config in (whole, early))
+            assert one.best == other.best
+            assert other.visits.sum() <= one.visits.sum() == CONFIG.simulations
+            saved += int(one.visits.sum() - other.visits.sum())
     assert saved > 0
 
 
 def test_paired_actions_of_the_same_effect_are_worth_exactly_the_same() -> None:
     def gaps_of(paired: bool) -> list[float]:
         """Differences in value of stopping and doing nothing, the same for an agent at rest."""
+        config = dataclasses.replace(CONFIG, simulations=100, paired=paired, early_stop=False)
         gaps = []
         for seed in range(8):
-            config = dataclasses.replace(CONFIG, simulations=100, paired=paired, early_stop=False)
-            agent = agent_in(scene(red=(23.5, 14.0, math.pi)), config, seed)
-            found = search(agent, Literal(Predicate.ON, 0, 2))
-            actions = found.actions.tolist()
-            pair = [actions.index(Action.STOP), actions.index(Action.NO_FORCE)]
+            found = search(ABOVE, TO_LANDMARK, config, seed)
+            pair = [found.actions.tolist().index(a) for a in (Action.STOP, Action.NO_FORCE)]
             if len(set(found.visits[pair])) == 1:
                 gaps.append(abs(float(np.diff(found.values[pair])[0])))
         return gaps
 
-    assert gaps_of(paired=True)
     assert max(gaps_of(paired=True)) < 1e-12
     assert min(gaps_of(paired=False), default=1.0) > 1e-6
 
 
-def test_stop_and_letting_go_need_no_search() -> None:
-    agent = agent_in(scene())
-    letting_go = Literal(Predicate.ATTACH, 0, 2, positive=False)
-    for subgoal, action in ((STOP, Action.STOP), (letting_go, Action.DETACH)):
-        found = search(agent, subgoal)
-        assert found.best is action
-        assert (found.actions.tolist(), found.visits.tolist()) == ([action], [1])
+@pytest.mark.parametrize(
+    ("subgoal", "action"),
+    [(STOP, Action.STOP), (Literal(Predicate.ATTACH, 0, 2, positive=False), Action.DETACH)],
+)
+def test_stop_and_letting_go_need_no_search(subgoal: Literal, action: Action) -> None:
+    found = search(scene(), subgoal)
+    assert found.best is action
+    assert (found.actions.tolist(), found.visits.tolist()) == ([action], [1])
 
 
 def test_the_same_seed_gives_the_same_decision() -> None:
     where = scene(red=(12.0, 9.0, 1.0), blue=(14.0, 6.0))
-    subgoal = Literal(Predicate.TOUCH, 0, 2)
-    first, again = (search(agent_in(where, seed=3), subgoal) for _ in range(2))
+    first, again = (search(where, TOUCH, seed=3) for _ in range(2))
     np.testing.assert_array_equal(first.visits, again.visits)
     np.testing.assert_array_equal(first.values, again.values)
 
 
-def test_navigation_uses_five_actions_and_carrying_more() -> None:
-    count = {
-        Literal(Predicate.TOUCH, 0, 2): 5,
-        Literal(Predicate.CLOSE, 0, 1): 5,
-        Literal(Predicate.ON, 0, 1): 5,
-        Literal(Predicate.ON, 2, 1): 13,
-        Literal(Predicate.ATTACH, 0, 2): 13,
-        Literal(Predicate.ON, 1, 1, positive=False): 12,
-    }
-    for subgoal, expected in count.items():
-        assert len(pomcp.actions_for(subgoal, 0, -1)) == expected
-    assert len(pomcp.actions_for(Literal(Predicate.CLOSE, 2, 1), 0, 2)) == 12
-
-
-def test_an_agent_that_is_kept_from_its_landmark_also_moves_sideways() -> None:
-    own = Literal(Predicate.ON, 0, 1)
-    assert len(pomcp.actions_for(own, 0, -1, contested=True)) == 12
-    assert len(pomcp.actions_for(Literal(Predicate.CLOSE, 0, 1), 0, -1, contested=True)) == 5
+@pytest.mark.parametrize(
+    ("subgoal", "held", "contested", "number"),
+    [
+        (TOUCH, -1, False, 5),
+        (Literal(Predicate.CLOSE, 0, 1), -1, False, 5),
+        (Literal(Predicate.ON, 0, 1), -1, False, 5),
+        (Literal(Predicate.ON, 2, 1), -1, False, 13),
+        (Literal(Predicate.ATTACH, 0, 2), -1, False, 13),
+        (Literal(Predicate.ON, 1, 1, positive=False), -1, False, 12),
+        (Literal(Predicate.CLOSE, 2, 1), 2, False, 12),
+        # one that is kept from its landmark also moves sideways
+        (Literal(Predicate.ON, 0, 1), -1, True, 12),
+        (Literal(Predicate.CLOSE, 0, 1), -1, True, 5),
+    ],
+)
+def test_navigation_uses_five_actions_and_carrying_more(
+    subgoal: Literal, held: int, contested: bool, number: int
+) -> None:
+    assert len(pomcp.actions_for(subgoal, 0, held, contested)) == number
 
 
 def test_reward_falls_with_path_distance_and_sideways_steps_cost() -> None:
-    agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
-    bodies, held, _ = compiled.from_state(State.at_start(agent.model.scene), [0.8] * 4)
-    code = pomcp.subgoal_code(Literal(Predicate.ON, 0, 2))
-    model = agent.model
-    ahead = pomcp.reward(bodies, held, code, int(Action.UP), model.params, model.layout)
-    sideways = pomcp.reward(bodies, held, code, int(Action.LEFT), model.params, model.layout)
+    model, (bodies, held, _) = model_of(ABOVE), state_of(ABOVE)
+    ahead, sideways = (
+        pomcp.reward(
+            *(bodies, held, pomcp.subgoal_code(TO_LANDMARK), int(action)),
+            *(model.params, model.layout),
+        )
+        for action in (Action.UP, Action.LEFT)
+    )
     assert ahead == pytest.approx(-9.5 / math.hypot(20, 20), abs=1e-6)
     assert ahead - sideways == pytest.approx(0.02)
 
@@ -164,8 +158,5 @@ def test_settings_of_an_older_version_are_read_where_they_mean_the_same() -> Non
         PlannerConfig.from_dict({**config.to_dict(), "tree_reuse": True})
     with pytest.raises(UnknownNameError, match="did you mean 'paired'"):
         PlannerConfig.from_dict({**config.to_dict(), "pairs": True})
-
-
-def test_an_unknown_planner_is_refused_by_name() -> None:
     with pytest.raises(UnknownNameError, match="'fast'"):
         PlannerConfig.named("quick")

@@ -8,17 +8,18 @@ one of two collaborators. Goals about touching an item are not among the 36.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from typing import Any
 
 import pytest
 
-from phase_ppl.agents.operators import Plans, Target, plan, start_node
+from phase_ppl.agents.operators import Target, plan, plans_of, start_node
 from phase_ppl.agents.standpoints import stance
 from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planners
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
-from phase_ppl.world.goals import N_GOALS, goal_index, goal_literal, is_self_referring
+from phase_ppl.world.goals import goal_index, goal_literal, possible_goals
 from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.rooms import N_ROOMS
 from tests.agents.scenes import (
@@ -77,28 +78,12 @@ def state(rooms: tuple[int, ...] = (TL, BR, TL, TR), **changes: Any) -> Symbolic
     return facts._replace(**changes)
 
 
-def on(subject: int, landmark: int, positive: bool = True) -> Literal:
-    return Literal(Predicate.ON, subject, landmark, positive)
-
-
-def off(subject: int, landmark: int) -> Literal:
-    return on(subject, landmark, positive=False)
-
-
-def touch(subject: int, target: int, positive: bool = True) -> Literal:
-    return Literal(Predicate.TOUCH, subject, target, positive)
-
-
-def attach(agent: int, item: int) -> Literal:
-    return Literal(Predicate.ATTACH, agent, item)
-
-
-def let_go(agent: int, item: int) -> Literal:
-    return Literal(Predicate.ATTACH, agent, item, False)
-
-
-def close(subject: int, room: int) -> Literal:
-    return Literal(Predicate.CLOSE, subject, room)
+on = functools.partial(Literal, Predicate.ON)
+off = functools.partial(Literal, Predicate.ON, positive=False)
+touch = functools.partial(Literal, Predicate.TOUCH)
+attach = functools.partial(Literal, Predicate.ATTACH)
+let_go = functools.partial(Literal, Predicate.ATTACH, positive=False)
+close = functools.partial(Literal, Predicate.CLOSE)
 
 
 def door(entity: int, ray: int) -> Literal:
@@ -480,27 +465,17 @@ def test_abilities_follow_door_widths_and_strengths() -> None:
 
 def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goals() -> None:
     states = [
-        state(),
-        holding((TL, TL, TL, TR)),
-        holding((TR, TL, TR, BL)),
-        both((BL,) * 3 + (TR,)),
-        both((BR,) * 3 + (TR,)),
-        state(own_done=True, other_done=True),
+        *(state(), holding(TOGETHER), holding((TR, TL, TR, BL))),
+        *(both((BL, BL, BL, TR)), both((BR, BR, BR, TR)), state(own_done=True, other_done=True)),
     ]
     abilities = Abilities.of(scene(walls=NARROW_DOWN, radius=[0.8, 1.2, 0.8, 1.6]), (450.0, 450.0))
-    pairs = 0
-    for red in range(N_GOALS):
-        for green in range(N_GOALS):
-            if is_self_referring(red, RED) or is_self_referring(green, GREEN):
-                continue
-            own, other = goal_literal(red, RED), goal_literal(green, GREEN)
-            plan = SubgoalPlanner(RED, own, stance(RED, [own, other]), abilities)
-            for facts in states:
-                found = plan.subgoal(facts, UNSEEN)
-                assert isinstance(found, Literal)
-                assert own.positive or found != own.negated(), (own, other, facts)
-            pairs += 1
-    assert pairs == 34**2
+    for red, green in itertools.product(possible_goals(RED), possible_goals(GREEN)):
+        own, other = goal_literal(red, RED), goal_literal(green, GREEN)
+        plan = SubgoalPlanner(RED, own, stance(RED, [own, other]), abilities)
+        for facts in states:
+            found = plan.subgoal(facts, UNSEEN)
+            assert isinstance(found, Literal)
+            assert own.positive or found != own.negated(), (own, other, facts)
 
 
 @pytest.mark.parametrize("walls", [[], NARROW_DOWN])
@@ -520,13 +495,13 @@ def test_plans_are_those_of_a_search_from_each_state_alone() -> None:
     abilities = Abilities.of(
         scene(walls=NARROW_DOWN, radius=[WIDE, SMALL, WIDE, SMALL]), (300, 300)
     )
-    plans, found, none = Plans(abilities), 0, 0
+    find, found, none = plans_of(abilities), 0, 0
     for rooms in itertools.product(range(N_ROOMS), repeat=3):
         start = start_node(state((*rooms, TR)), (False,) * 4, frozenset({BLUE}))
         for willing, room in (((RED,), BL), ((RED, GREEN), TL)):
             goal = Target("rooms", BLUE, frozenset({room}))
             alone = plan(start, willing, frozenset({BLUE}), goal.reached, lambda _: 0.0, abilities)
-            assert plans.find(start, willing, frozenset({BLUE}), goal, None) == alone
+            assert find(start, willing, frozenset({BLUE}), goal, None) == alone
             found, none = found + (alone is not None), none + (alone is None)
     assert found > 10
     assert none > 10

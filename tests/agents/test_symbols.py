@@ -12,13 +12,10 @@ from phase_ppl.agents import pomcp, symbols
 from phase_ppl.agents.agent import best_subgoal
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.symbols import SymbolicState
-from phase_ppl.agents.world_model import WorldModel
-from phase_ppl.physics import compiled
-from phase_ppl.world.event import State
 from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.scene import Scene
-from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
+from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, model_of, scene, state_of
 
 RED, GREEN, BLUE, PINK = range(4)
 DOWN = 2
@@ -32,16 +29,15 @@ def described(
     held: tuple[int, int] = (-1, -1),
 ) -> tuple[SymbolicState, float]:
     """Return the facts of red at the start of a scene, and its cost."""
-    model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
-    bodies, holds, _ = compiled.from_state(State.at_start(where), where.radius)
-    holds[:] = held
+    model, (bodies, _, _) = model_of(where), state_of(where)
     row = symbols.Facts(4, 2)
     facts = np.zeros((1, row.size), np.int8)
     done, costs = np.zeros((2, 1), np.bool_), np.zeros((2, 1))
     goals = goal_literal(goal_index(goal), RED), goal_literal(goal_index(other), GREEN)
     codes = np.array([pomcp.subgoal_code(literal) for literal in goals])
     symbols.describe(
-        bodies[None], holds[None], RED, codes, model.params, model.layout, facts, done, costs
+        *(bodies[None], np.array([held]), RED, codes, model.params, model.layout),
+        *(facts, done, costs),
     )
     own_done, other_done = done[:, 0].tolist()
     return row.unpack(facts[0].tobytes(), own_done, other_done), float(costs[0, 0])
@@ -106,7 +102,7 @@ class TestValue:
         self, agreeing: dict[Literal, list[int]], done: float = 0.0, **changes: object
     ) -> Literal:
         config = dataclasses.replace(self.CONFIG, **changes)  # type: ignore[arg-type]
-        return best_subgoal(agreeing, self.COSTS, done, RED, config)
+        return best_subgoal(agreeing, self.COSTS, done, config)
 
     def test_the_cost_weight_decides_for_the_less_probable_but_nearer(self) -> None:
         # 0.4 - 0.05 x 1 against 0.6 - 0.05 x 20; they are equal at 0.2 / 19
@@ -138,5 +134,4 @@ class TestValue:
 
 @pytest.mark.parametrize("swivel", [False, True])
 def test_held_items_are_imagined_as_the_settings_say(swivel: bool) -> None:
-    model = WorldModel.of(scene(), (450.0, 450.0), PlannerConfig(swivel=swivel))
-    assert model.params.swivel is swivel
+    assert model_of(scene(), PlannerConfig(swivel=swivel)).params.swivel is swivel

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.event import State
 from phase_ppl.world.scene import Scene
 
+CORNERS = [[8.0, 20.0], [24.0, 20.0], [8.0, 4.0], [24.0, 4.0]]
+Placed = Mapping[int, Sequence[float]]
+
 
 class CompiledWorld:
     """The compiled model with the interface of ``PymunkWorld``."""
@@ -22,7 +26,7 @@ class CompiledWorld:
     def __init__(
         self,
         scene: Scene,
-        strengths: tuple[float, float],
+        strengths: Sequence[float],
         inner_steps: int = constants.IMAGINATION_INNER_STEPS,
         initial: State | None = None,
         iterations: int = constants.IMAGINATION_ITERATIONS,
@@ -36,10 +40,8 @@ class CompiledWorld:
 
     def _step(self, actions: Sequence[int], params: compiled.Params) -> NDArray[np.float64]:
         frame = np.empty((4, 3))
-        red, green = (int(action) for action in actions)
-        compiled.step_mean(
-            self.bodies, self.held, self.weld, np.array([red, green]), params, self.scratch, frame
-        )
+        state = self.bodies, self.held, self.weld
+        compiled.step_mean(*state, np.array(actions, np.int64), params, self.scratch, frame)
         return frame
 
     def step(self, actions: Sequence[int]) -> NDArray[np.float64]:
@@ -53,6 +55,44 @@ class CompiledWorld:
         return compiled.to_state(self.bodies, self.held, self.weld, self.params.radius)
 
 
+def make_scene(
+    placed: Placed, sizes: Mapping[int, float] | None = None, walls: Any = (), **changes: Any
+) -> Scene:
+    """Return a scene with some bodies placed, the others out of the way in the corners."""
+    poses = np.array([[*corner, 0.0] for corner in CORNERS])
+    for entity, pose in placed.items():
+        poses[entity, : len(pose)] = pose
+    radius = [(sizes or {}).get(entity, 0.8) for entity in range(4)]
+    return Scene(poses, radius, np.reshape(np.array(walls, float), (-1, 2, 2)), **changes)
+
+
+def start_in(
+    world: Any,
+    placed: Placed,
+    sizes: Mapping[int, float] | None = None,
+    walls: Any = (),
+    strengths: Sequence[float] = (450.0, 450.0),
+    moving: tuple[int, Sequence[float]] | None = None,
+    resets: bool = False,
+    **options: Any,
+) -> Any:
+    """Return an engine at the start of a scene, one body perhaps in motion."""
+    scene = make_scene(placed, sizes, walls, resets_velocity=resets)
+    if moving is not None:
+        options["initial"] = State.at_start(scene)
+        options["initial"].velocity[moving[0]] = moving[1]
+    return world(scene, strengths, **options)
+
+
+def after(engine: Any, *pairs: Sequence[int], times: int = 1) -> State:
+    """Return the state after steps by these actions of both agents, each so many times."""
+    for pair in pairs:
+        for _ in range(times):
+            engine.step(pair)
+    state: State = engine.state
+    return state
+
+
 @pytest.fixture(params=[PymunkWorld, CompiledWorld], ids=["pymunk", "compiled"])
 def world(request: pytest.FixtureRequest) -> Any:
     """Each engine's class, as it is used: pymunk with 4 inner steps, the compiled model with 1."""
@@ -60,41 +100,6 @@ def world(request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.fixture
-def compiled_world() -> type[CompiledWorld]:
-    return CompiledWorld
-
-
-MakeScene = Callable[..., Scene]
-CORNERS = [[8.0, 20.0], [24.0, 20.0], [8.0, 4.0], [24.0, 4.0]]
-
-
-@pytest.fixture
-def make_scene() -> MakeScene:
-    """A scene with some bodies placed and the others out of the way in the corners."""
-
-    def make(
-        placed: dict[int, Sequence[float]],
-        radius: dict[int, float] | None = None,
-        walls: Sequence[Any] = (),
-    ) -> Scene:
-        start = np.array([[*corner, 0.0] for corner in CORNERS])
-        for entity, pose in placed.items():
-            start[entity, : len(pose)] = pose
-        sizes = np.full(4, 0.8)
-        for entity, size in (radius or {}).items():
-            sizes[entity] = size
-        return Scene(start, sizes, np.array(walls, np.float64).reshape(-1, 2, 2))
-
-    return make
-
-
-@pytest.fixture
-def moving() -> Callable[[Scene, int, Sequence[float]], State]:
-    """The start state of a scene with one body in motion."""
-
-    def make(scene: Scene, entity: int, velocity: Sequence[float]) -> State:
-        state = State.at_start(scene)
-        state.velocity[entity] = velocity
-        return state
-
-    return make
+def start(world: Any) -> Callable[..., Any]:
+    """Start each engine; arguments as of ``start_in``."""
+    return functools.partial(start_in, world)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import json
 import math
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, N_ACTIONS, Action
@@ -21,62 +19,61 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import State
 from phase_ppl.world.geometry import UNIT_TRAPEZOID
 from phase_ppl.world.scene import Scene
+from tests.physics.conftest import CompiledWorld, after, make_scene, start_in
 
 REPLAYS = Path(__file__).parents[3] / "shared" / "phase-test" / "dev_replays.json"
-WALLS = [[[16, 12], [16, 22]], [[16, 12], [11, 12]], [[16, 12], [16, 7]], [[16, 12], [21, 12]]]
+WALLS = [[[16, 12], end] for end in ([16, 22], [11, 12], [16, 7], [21, 12])]
+STRENGTHS = (450.0, 300.0)
 
 TURN_LEFT, UP, WAIT, ATTACH = Action.TURN_LEFT, Action.UP, Action.NO_FORCE, Action.ATTACH
 
+Case = tuple[tuple[Any, ...], list[list[int]]]
+"""Arguments of a scene, and the actions of both agents in each step."""
 
-def random_steps(rng: np.random.Generator, steps: int) -> NDArray[np.int64]:
-    return rng.integers(0, N_ACTIONS, (steps, 2))
+
+def random_steps(rng: np.random.Generator, below: int = N_ACTIONS) -> list[list[int]]:
+    return (rng.integers(0, N_ACTIONS, (10, 2)) % below).tolist()
 
 
-def free(rng: np.random.Generator, make_scene: Any) -> tuple[Scene, NDArray[np.int64]]:
+def free(rng: np.random.Generator) -> Case:
     places = {0: (12, 16, rng.uniform(-4, 4)), 1: (20, 8, rng.uniform(-4, 4))}
-    actions = random_steps(rng, 10) % Action.ATTACH
-    return make_scene(places, {0: rng.choice([0.8, 1.2])}), actions
+    actions = random_steps(rng, Action.ATTACH)
+    return (places, {0: rng.choice([0.8, 1.2])}), actions
 
 
-def push_into_wall(rng: np.random.Generator, make_scene: Any) -> tuple[Scene, NDArray[np.int64]]:
+def push_into_wall(rng: np.random.Generator) -> Case:
     x = rng.uniform(10, 14)
-    scene = make_scene({0: (x, 16, rng.uniform(-0.3, 0.3)), 2: (x + rng.uniform(-0.5, 0.5), 18.0)})
-    return scene, np.tile([UP, WAIT], (10, 1))
+    places = {0: (x, 16, rng.uniform(-0.3, 0.3)), 2: (x + rng.uniform(-0.5, 0.5), 18.0)}
+    return (places,), [[UP, WAIT]] * 10
 
 
-def drive_into_wall(rng: np.random.Generator, make_scene: Any) -> tuple[Scene, NDArray[np.int64]]:
+def drive_into_wall(rng: np.random.Generator) -> Case:
     places = {0: (13, 16, rng.uniform(-4, 4)), 1: (19, 8, rng.uniform(-4, 4))}
-    return make_scene(places, {1: 1.2}, WALLS), np.tile([UP, UP], (10, 1))
+    return (places, {1: 1.2}, WALLS), [[UP, UP]] * 10
 
 
-def carry(rng: np.random.Generator, make_scene: Any) -> tuple[Scene, NDArray[np.int64]]:
+def carry(rng: np.random.Generator) -> Case:
     angle = rng.uniform(-4, 4)
     side = angle + rng.choice([0, math.pi / 2, math.pi, -math.pi / 2]) + rng.uniform(-0.2, 0.2)
     item = 16 - 1.8 * math.sin(side), 12 + 1.8 * math.cos(side)
-    actions = random_steps(rng, 10) % Action.ATTACH
-    actions[0] = ATTACH, WAIT
-    return make_scene({0: (16, 12, angle), 2: item}), actions
+    actions = [[ATTACH, WAIT], *random_steps(rng, Action.ATTACH)[1:]]
+    return ({0: (16, 12, angle), 2: item},), actions
 
 
-def crowded(rng: np.random.Generator, make_scene: Any) -> tuple[Scene, NDArray[np.int64]]:
+def crowded(rng: np.random.Generator) -> Case:
     spots = rng.permutation(np.array([[13, 13], [13, 16], [10, 14.5], [13, 19], [10, 18]]))[:4]
     poses = np.column_stack([spots + rng.uniform(-0.3, 0.3, (4, 2)), rng.uniform(-4, 4, 4)])
-    return make_scene(dict(enumerate(poses.tolist())), {}, WALLS), random_steps(rng, 10)
+    return (dict(enumerate(poses.tolist())), {}, WALLS), random_steps(rng)
 
 
-@pytest.mark.parametrize("resets_velocity", [False, True])
+@pytest.mark.parametrize("resets", [False, True])
 @pytest.mark.parametrize("case", [free, push_into_wall, drive_into_wall, carry, crowded])
-def test_compiled_model_follows_the_pymunk_world_at_equal_recipe(
-    case: Any, resets_velocity: bool, compiled_world: Any, make_scene: Any
-) -> None:
+def test_compiled_model_follows_the_pymunk_world_at_equal_recipe(case: Any, resets: bool) -> None:
     drifts = []
     for seed in range(40):
-        scene, actions = case(np.random.default_rng(seed), make_scene)
-        scene = dataclasses.replace(scene, resets_velocity=resets_velocity)
-        engines = [
-            engine(scene, (450.0, 300.0), inner_steps=4, iterations=20)
-            for engine in (PymunkWorld, compiled_world)
-        ]
+        where, actions = case(np.random.default_rng(seed))
+        options = {"strengths": STRENGTHS, "resets": resets, "inner_steps": 4, "iterations": 20}
+        engines = [start_in(engine, *where, **options) for engine in (PymunkWorld, CompiledWorld)]
         for pair in actions:
             first, second = (engine.step(pair) for engine in engines)
         assert engines[0].state.held.tolist() == engines[1].state.held.tolist()
@@ -85,49 +82,39 @@ def test_compiled_model_follows_the_pymunk_world_at_equal_recipe(
     assert np.quantile(drifts, 0.9) < 0.02
 
 
-def test_same_actions_give_the_same_bits(world: Any, make_scene: Any) -> None:
-    scene, actions = crowded(np.random.default_rng(2), make_scene)
-    runs = [[engine.step(pair) for pair in actions] for engine in
-            (world(scene, (450.0, 300.0)), world(scene, (450.0, 300.0)))]  # fmt: skip
-    assert np.array_equal(runs[0], runs[1])
+def test_same_actions_give_the_same_bits(start: Any) -> None:
+    where, actions = crowded(np.random.default_rng(2))
+    engines = [start(*where, strengths=STRENGTHS) for _ in range(2)]
+    one, other = ([engine.step(pair) for pair in actions] for engine in engines)
+    assert np.array_equal(one, other)
 
 
-def test_step_and_step_mean_do_the_same(compiled_world: Any, make_scene: Any) -> None:
-    scene, actions = crowded(np.random.default_rng(7), make_scene)
-    reference = compiled_world(scene, (450.0, 300.0))
-    bodies, held, weld = (a.copy() for a in (reference.bodies, reference.held, reference.weld))
-    for red, green in actions.tolist():
-        reference.step((red, green))
-        compiled.step(
-            bodies, held, weld, np.array([red, green]), reference.params, reference.scratch
-        )
-    assert np.array_equal(bodies, reference.bodies)
-    assert np.array_equal(held, reference.held)
-    assert np.array_equal(weld, reference.weld)
+def test_step_and_step_mean_do_the_same() -> None:
+    where, actions = crowded(np.random.default_rng(7))
+    means = start_in(CompiledWorld, *where, strengths=STRENGTHS)
+    state = [part.copy() for part in (means.bodies, means.held, means.weld)]
+    for pair in actions:
+        means.step(pair)
+        compiled.step(*state, np.array(pair), means.params, means.scratch)
+    for part, other in zip(state, (means.bodies, means.held, means.weld), strict=True):
+        assert np.array_equal(part, other)
 
 
-def test_compiled_model_has_no_state_outside_its_arrays(
-    compiled_world: Any, make_scene: Any
-) -> None:
-    scene, actions = crowded(np.random.default_rng(9), make_scene)
-    first = compiled_world(scene, (450.0, 300.0))
-    for pair in actions[:5]:
-        first.step(pair)
-    second = compiled_world(scene, (450.0, 300.0))
+def test_compiled_model_has_no_state_outside_its_arrays() -> None:
+    where, actions = crowded(np.random.default_rng(9))
+    first, second = (start_in(CompiledWorld, *where, strengths=STRENGTHS) for _ in range(2))
+    after(first, *actions[:5])
     second.bodies[:], second.held[:], second.weld[:] = first.bodies, first.held, first.weld
     for pair in actions[5:]:
         assert np.array_equal(first.step(pair), second.step(pair))
 
 
-def test_threads_with_their_own_scratch_do_not_disturb_each_other(
-    compiled_world: Any, make_scene: Any
-) -> None:
-    cases = [crowded(np.random.default_rng(seed), make_scene) for seed in range(8)]
+def test_threads_with_their_own_scratch_do_not_disturb_each_other() -> None:
+    cases = [crowded(np.random.default_rng(seed)) for seed in range(8)]
 
-    def run(case: tuple[Scene, NDArray[np.int64]]) -> FloatArray:
-        scene, actions = case
-        running = compiled_world(scene, (450.0, 300.0))
-        return np.array([running.step(pair) for _ in range(20) for pair in actions])
+    def run(case: Case) -> FloatArray:
+        running = start_in(CompiledWorld, *case[0], strengths=STRENGTHS)
+        return np.array([running.step(pair) for _ in range(20) for pair in case[1]])
 
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(run, cases))
@@ -135,7 +122,7 @@ def test_threads_with_their_own_scratch_do_not_disturb_each_other(
         assert np.array_equal(run(case), result)
 
 
-def test_states_survive_the_way_through_flat_arrays(make_scene: Any) -> None:
+def test_states_survive_the_way_through_flat_arrays() -> None:
     rng = np.random.default_rng(0)
     state = State(
         pose=rng.uniform(8, 20, (4, 3)),
@@ -208,10 +195,9 @@ class Box2DWorld:
             body.ApplyForce(body.GetWorldVector(force), point, True)
 
 
-def test_free_motion_is_that_of_the_original_engine(world: Any, make_scene: Any) -> None:
+def test_free_motion_is_that_of_the_original_engine(world: Any) -> None:
     scene = make_scene({0: (16, 9, 0.4), 1: (16, 16, 2.0)}, {0: 1.2, 1: 1.6})
-    oracle = Box2DWorld(scene, (300.0, 150.0))
-    engine = world(scene, (300.0, 150.0))
+    oracle, engine = (one(scene, (300.0, 150.0)) for one in (Box2DWorld, world))
     actions = [Action.UP_LEFT, TURN_LEFT, TURN_LEFT, WAIT, Action.STOP, Action.RIGHT, Action.DOWN]
     for action in actions:
         expected, frame = oracle.step((action, action)), engine.step((action, action))
@@ -219,20 +205,14 @@ def test_free_motion_is_that_of_the_original_engine(world: Any, make_scene: Any)
         assert frame == pytest.approx(expected, abs=2e-4)
 
 
-def test_crowded_motion_stays_close_to_that_of_the_original_engine(
-    world: Any, make_scene: Any
-) -> None:
+def test_crowded_motion_stays_close_to_that_of_the_original_engine(world: Any) -> None:
     errors = []
     for seed in range(60):
-        scene, actions = crowded(np.random.default_rng(seed), make_scene)
-        actions = actions[:5] % Action.ATTACH
-        oracle = Box2DWorld(scene, (450.0, 300.0))
-        engine = world(scene, (450.0, 300.0))
-        error = []
-        for pair in actions.tolist():
-            difference = (engine.step(pair) - oracle.step(pair))[:2, :2]
-            error.append(np.linalg.norm(difference, axis=1).max())
-        errors.append(error)
+        where, actions = crowded(np.random.default_rng(seed))
+        oracle, engine = (one(make_scene(*where), STRENGTHS) for one in (Box2DWorld, world))
+        pairs = [[action % Action.ATTACH for action in pair] for pair in actions[:5]]
+        apart = [(engine.step(pair) - oracle.step(pair))[:2, :2] for pair in pairs]
+        errors.append(np.linalg.norm(apart, axis=-1).max(axis=-1))
     medians = np.median(errors, axis=0)
     assert medians[0] < 1e-3
     assert medians[4] < 0.03
@@ -270,31 +250,29 @@ def replay_errors(engine: Any, inner_steps: int) -> list[FloatArray]:
 @pytest.mark.parametrize(
     ("engine", "inner_steps", "limits"),
     [
-        ("pymunk", 4, (0.02, 0.12, 1.6)),
-        ("compiled", 4, (0.02, 0.12, 1.6)),
-        ("compiled", 2, (0.02, 0.15, 1.6)),
-        ("compiled", 1, (0.02, 0.25, 2.6)),
+        (PymunkWorld, 4, (0.02, 0.12, 1.6)),
+        (CompiledWorld, 4, (0.02, 0.12, 1.6)),
+        (CompiledWorld, 2, (0.02, 0.15, 1.6)),
+        (CompiledWorld, 1, (0.02, 0.25, 2.6)),
     ],
 )
 def test_recorded_events_are_followed_open_loop_until_contacts_turn_chaotic(
-    engine: str, inner_steps: int, limits: tuple[float, ...], compiled_world: Any
+    engine: Any, inner_steps: int, limits: tuple[float, ...]
 ) -> None:
-    world = {"pymunk": PymunkWorld, "compiled": compiled_world}[engine]
-    errors = replay_errors(world, inner_steps)
+    errors = replay_errors(engine, inner_steps)
     medians = [
         np.median([error[row - 1] for error in errors if len(error) >= row]) for row in (5, 10, 20)
     ]
     assert (np.array(medians) < limits).all(), medians
 
 
-def test_a_restored_world_goes_on_as_a_new_one(make_scene: Any) -> None:
-    scene = make_scene({0: (16, 12, 0.0), 2: (16, 13.6)})
-    source, used = (PymunkWorld(scene, (450.0, 300.0)) for _ in range(2))
-    source.step((ATTACH, WAIT))
-    assert source.state.held[0] == 2
-    for pair in free(np.random.default_rng(3), make_scene)[1].tolist():
-        used.step(pair)
-    used.restore(source.state)
-    fresh = PymunkWorld(scene, (450.0, 300.0), initial=source.state)
+def test_a_restored_world_goes_on_as_a_new_one() -> None:
+    placed: Any = {0: (16, 12, 0.0), 2: (16, 13.6)}
+    source, used = (start_in(PymunkWorld, placed, strengths=STRENGTHS) for _ in range(2))
+    state = after(source, (ATTACH, WAIT))
+    assert state.held[0] == 2
+    after(used, *free(np.random.default_rng(3))[1])
+    used.restore(state)
+    fresh = start_in(PymunkWorld, placed, strengths=STRENGTHS, initial=state)
     for action in (UP, TURN_LEFT, Action.DETACH, UP):
         np.testing.assert_allclose(used.step((action, UP)), fresh.step((action, UP)), atol=1e-9)

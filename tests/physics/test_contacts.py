@@ -11,26 +11,14 @@ import pytest
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.geometry import agent_outline, rotation
+from tests.physics.conftest import CompiledWorld, after, start_in
 
 WAIT, UP = Action.NO_FORCE, Action.UP
+REST = (WAIT, WAIT)
 DOOR = [[[16, 12], [16, 19.5]]]
 """A wall of length 7.5 leaves a door of width 2.5 in the middle of which y = 20.75."""
 
-FULL_ROOMS = [
-    [[16, 12], [16, 22]],
-    [[16, 12], [8.5, 12]],
-    [[16, 12], [16, 4.5]],
-    [[16, 12], [21, 12]],
-]
-
-
-def drive_through_door(engine: Any, steps: int = 40) -> float:
-    """Keep the red agent going right, straight ahead; return the largest x it reaches."""
-    x = -math.inf
-    for _ in range(steps):
-        engine.step((UP, WAIT))
-        x = max(x, engine.state.pose[0, 0])
-    return x
+FULL_ROOMS = [[[16, 12], end] for end in ([16, 22], [8.5, 12], [16, 4.5], [21, 12])]
 
 
 @pytest.mark.parametrize(
@@ -38,12 +26,13 @@ def drive_through_door(engine: Any, steps: int = 40) -> float:
 )
 @pytest.mark.parametrize("strength", [300.0, 600.0])
 def test_only_the_smallest_agent_drives_straight_through_the_narrow_door(
-    world: Any, make_scene: Any, size: float, passes: bool, strength: float
+    start: Any, size: float, passes: bool, strength: float
 ) -> None:
     y = min(20.75, 21.97 - 1.5 * size)
     for x in (9.0, 10.5, 12.0):
-        scene = make_scene({0: (x, y, -math.pi / 2), 1: (8, 14)}, {0: size}, DOOR)
-        farthest = drive_through_door(world(scene, (strength, 150.0)))
+        placed = {0: (x, y, -math.pi / 2), 1: (8, 14)}
+        engine = start(placed, {0: size}, DOOR, strengths=(strength, 150.0))
+        farthest = max(after(engine, (UP, WAIT)).pose[0, 0] for _ in range(40))
         # one that is stuck has its front in the door and its base before it
         assert farthest > 19.0 if passes else farthest < 17.0
 
@@ -51,108 +40,80 @@ def test_only_the_smallest_agent_drives_straight_through_the_narrow_door(
 @pytest.mark.parametrize("entity", [0, 2])
 @pytest.mark.parametrize("size", [0.8, 1.01, 1.2, 1.6])
 def test_sideways_and_round_all_but_the_largest_pass_the_narrow_door(
-    world: Any, make_scene: Any, moving: Any, entity: int, size: float
+    start: Any, entity: int, size: float
 ) -> None:
-    y = 20.75 if size < 1.25 else 20.3
-    out_of_the_way = {1: (8, 14)} if entity == 0 else {0: (8, 14)}
-    scene = make_scene({entity: (11, y, 0.0), **out_of_the_way}, {entity: size}, DOOR)
-    engine = world(scene, (600.0, 150.0), initial=moving(scene, entity, (30.0, 0.0)))
-    x = max(engine.step((WAIT, WAIT))[entity, 0] for _ in range(30))
+    placed = {1 - entity // 2: (8, 14), entity: (11, 20.75 if size < 1.25 else 20.3, 0.0)}
+    engine = start(placed, {entity: size}, DOOR, (600, 150), moving=(entity, (30.0, 0.0)))
+    x = max(engine.step(REST)[entity, 0] for _ in range(30))
     assert (x > 16.5) == (size < 1.6)
 
 
-def test_contacts_neither_bounce_nor_rub(world: Any, make_scene: Any, moving: Any) -> None:
-    scene = make_scene({2: (10, 21.0)})
-    engine = world(scene, (150.0, 150.0), initial=moving(scene, 2, (15.0, 20.0)))
-    free_scene = make_scene({2: (10, 12)})
-    free = world(free_scene, (150.0, 150.0), initial=moving(free_scene, 2, (15.0, 0.0)))
-    for _ in range(2):
-        engine.step((WAIT, WAIT))
-        free.step((WAIT, WAIT))
-    state = engine.state
+def test_contacts_neither_bounce_nor_rub(start: Any) -> None:
+    state = after(start({2: (10, 21.0)}, moving=(2, (15.0, 20.0))), REST, times=2)
+    free = after(start({2: (10, 12)}, moving=(2, (15.0, 0.0))), REST, times=2)
     assert state.velocity[2, 1] == pytest.approx(0.0, abs=1e-6)
     # along the wall only the floor brakes, a little less while part of its force goes sideways
-    assert state.velocity[2, 0] == pytest.approx(free.state.velocity[2, 0], abs=1.0)
+    assert state.velocity[2, 0] == pytest.approx(free.velocity[2, 0], abs=1.0)
     assert state.spin[2] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_agent_pushes_an_item_ahead(world: Any, make_scene: Any) -> None:
-    engine = world(make_scene({0: (16, 5), 2: (16, 7)}), (450.0, 150.0))
-    for _ in range(6):
-        engine.step((UP, WAIT))
-    state = engine.state
-    gap = state.pose[2, 1] - state.pose[0, 1] - 1.6
+def test_agent_pushes_an_item_ahead(start: Any) -> None:
+    state = after(start({0: (16, 5), 2: (16, 7)}, strengths=(450, 150)), (UP, WAIT), times=6)
     assert state.pose[2, 1] > 9.0
-    assert abs(gap) < 0.05
+    assert abs(state.pose[2, 1] - state.pose[0, 1] - 1.6) < 0.05
     # 450 N less the friction of both drive both masses
     assert state.velocity[2, 1] == pytest.approx(state.velocity[0, 1], rel=0.02)
 
 
-def test_agents_stand_against_each_other_with_equal_force(world: Any, make_scene: Any) -> None:
-    scene = make_scene({0: (16, 10), 1: (16, 11.62, math.pi)})
-    engine = world(scene, (450.0, 450.0))
-    for _ in range(10):
-        engine.step((UP, UP))
-    assert engine.state.pose[:2] == pytest.approx(scene.start[:2], abs=0.05)
+def test_agents_stand_against_each_other_with_equal_force(start: Any) -> None:
+    state = after(start({0: (16, 10), 1: (16, 11.62, math.pi)}), (UP, UP), times=10)
+    assert state.pose[:2] == pytest.approx(np.array([[16, 10, 0], [16, 11.62, math.pi]]), abs=0.05)
 
 
-def test_item_that_starts_on_an_agent_leaves_it_to_the_right(world: Any, make_scene: Any) -> None:
-    for angle in (0.0, 0.7, -2.5):
-        scene = make_scene({1: (16, 12, angle), 3: (16, 12)})
-        engine = world(scene, (150.0, 150.0))
-        for _ in range(3):
-            engine.step((WAIT, WAIT))
-        offset = (engine.state.pose[3, :2] - engine.state.pose[1, :2]) @ rotation(angle)
-        assert offset[0] > 1.0
+@pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
+def test_item_that_starts_on_an_agent_leaves_it_to_the_right(start: Any, angle: float) -> None:
+    pose = after(start({1: (16, 12, angle), 3: (16, 12)}), REST, times=3).pose
+    assert ((pose[3, :2] - pose[1, :2]) @ rotation(angle))[0] > 1.0
 
 
 @pytest.mark.parametrize("pair", [(0, 1), (0, 2), (1, 3), (2, 3)])
 @pytest.mark.parametrize("turned", [0.0, 0.4, math.pi])
 def test_bodies_that_start_on_the_same_spot_are_pushed_apart(
-    world: Any, make_scene: Any, pair: tuple[int, int], turned: float
+    start: Any, pair: tuple[int, int], turned: float
 ) -> None:
     a, b = pair
-    engine = world(make_scene({a: (16, 12), b: (16, 12, turned)}), (150.0, 150.0))
-    for _ in range(4):
-        engine.step((WAIT, WAIT))
-    state = engine.state
-    assert np.isfinite(state.pose).all()
-    assert np.linalg.norm(state.pose[a, :2] - state.pose[b, :2]) > 1.3
+    pose = after(start({a: (16, 12), b: (16, 12, turned)}), REST, times=4).pose
+    assert np.isfinite(pose).all()
+    assert np.linalg.norm(pose[a, :2] - pose[b, :2]) > 1.3
 
 
 @pytest.mark.parametrize(
-    ("engine", "inner_steps", "runs"),
-    [("pymunk", 4, 6), ("pymunk", 1, 6), ("compiled", 4, 150), ("compiled", 1, 150)],
+    ("world", "inner_steps", "runs"),
+    [(PymunkWorld, 4, 6), (PymunkWorld, 1, 6), (CompiledWorld, 4, 150), (CompiledWorld, 1, 150)],
 )
-def test_nothing_leaves_the_arena_in_random_runs(
-    engine: str, inner_steps: int, runs: int, compiled_world: Any, make_scene: Any
-) -> None:
+def test_nothing_leaves_the_arena_in_random_runs(world: Any, inner_steps: int, runs: int) -> None:
     rng = np.random.default_rng(3)
-    world = {"pymunk": PymunkWorld, "compiled": compiled_world}[engine]
     for _ in range(runs):
         poses = np.column_stack([rng.uniform((8, 4), (24, 20), (4, 2)), rng.uniform(-4, 4, 4)])
         sizes = dict(enumerate(rng.choice([0.8, 1.01, 1.2, 1.6], 4)))
-        scene = make_scene(dict(enumerate(poses.tolist())), sizes, FULL_ROOMS)
-        running = world(scene, (600.0, 600.0), inner_steps)
+        placed = dict(enumerate(poses.tolist()))
+        running = start_in(world, placed, sizes, FULL_ROOMS, (600, 600), inner_steps=inner_steps)
         # actions that last build up the highest speeds
-        actions = np.repeat(rng.integers(0, N_ACTIONS, (12, 2)), 5, axis=0)
-        for red, green in actions:
-            running.step((red, green))
-            pose = running.state.pose
+        for pair in np.repeat(rng.integers(0, N_ACTIONS, (12, 2)), 5, axis=0):
+            pose = after(running, pair.tolist()).pose
             assert (pose[:, :2] > (6.0, 2.0)).all()
             assert (pose[:, :2] < (26.0, 22.0)).all()
             # a corner can get into the border as far as a fast body moves in an inner step
             for agent in range(2):
-                outline = agent_outline(pose[agent], scene.radius[agent])
+                outline = agent_outline(pose[agent], sizes[agent])
                 assert (outline > (4.5, 0.5)).all()
                 assert (outline < (27.5, 23.5)).all()
 
 
-def test_compiled_model_survives_impossible_states(compiled_world: Any, make_scene: Any) -> None:
+def test_compiled_model_survives_impossible_states() -> None:
     rng = np.random.default_rng(4)
-    scene = make_scene({}, {0: 1.6, 2: 1.6}, FULL_ROOMS)
     for _ in range(200):
-        running = compiled_world(scene, (600.0, 600.0))
+        running = start_in(CompiledWorld, {}, {0: 1.6, 2: 1.6}, FULL_ROOMS, (600, 600))
         running.bodies[:, :2] = rng.uniform((0, -4), (32, 28), (4, 2))
         if rng.random() < 0.3:
             running.bodies[:, :2] = running.bodies[0, :2]
@@ -160,6 +121,5 @@ def test_compiled_model_survives_impossible_states(compiled_world: Any, make_sce
         running.held[:] = rng.integers(-1, 2, 2) * 2 + (rng.random(2) < 0.5)
         running.held[running.held < 2] = -1
         running.weld[:] = rng.normal(0, 2, (2, 3))
-        for red, green in rng.integers(-1, N_ACTIONS, (20, 2)):
-            running.step((red, green))
+        after(running, *rng.integers(-1, N_ACTIONS, (20, 2)).tolist())
         assert np.isfinite(running.bodies).all()

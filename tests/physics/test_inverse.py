@@ -31,8 +31,8 @@ def tried(where: Scene) -> tuple[np.ndarray, np.ndarray, compiled.Params]:
     found = np.empty((1, N_ACTIONS**2))
     states = [part[None] for part in state]
     strengths = np.array([[450.0, 300.0]])
-    inverse.try_all(*states, strengths, observed, SCALE, ANGLE_SCALE, TAIL, params, scratch, trial,
-                    found)  # fmt: skip
+    scatter = inverse.Scatter(SCALE, ANGLE_SCALE, TAIL)
+    inverse.try_all(*states, strengths, observed, scatter, params, scratch, trial, found)
     return found[0].reshape(N_ACTIONS, N_ACTIONS), observed, params
 
 

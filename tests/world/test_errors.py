@@ -1,14 +1,17 @@
-"""Errors in words that help, and files that are never half written."""
+"""Errors in words that help, checks of numbers, and files that are never half written."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import (
     InvalidEventError,
+    InvalidSettingError,
     OutputError,
     PhasePPLError,
     SimulationError,
@@ -129,3 +132,21 @@ def test_a_value_is_shown_in_one_line_whatever_it_is() -> None:
     assert shown(10**5000) == "<int>"
     assert shown(Unshowable()) == "<Unshowable>"
     assert "\n" not in shown(np.zeros((4, 3)))
+
+
+def test_numbers_of_all_kinds_become_floats() -> None:
+    for value in (2, 2.0, np.float32(2), np.int64(2)):
+        for check in (positive_number, nonnegative_number):
+            found = check("x", value)
+            assert type(found) is float
+            assert found == 2.0
+    assert nonnegative_number("x", 0) == 0.0
+
+
+@pytest.mark.parametrize("value", [-1, math.nan, math.inf, 10**400, "2", True, None])
+def test_what_is_no_such_number_is_refused_by_name(value: object) -> None:
+    with pytest.raises(InvalidSettingError, match=r"^x=.* expected a number >= 0"):
+        nonnegative_number("x", value)
+    for bad in (value, 0):
+        with pytest.raises(InvalidSettingError, match=r"^x=.* expected a positive number"):
+            positive_number("x", bad)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.geometry import (
     TOUCH_ENLARGEMENT,
     agent_outline,
@@ -33,13 +32,8 @@ pairs = st.sampled_from(
 )
 
 
-class Pair(NamedTuple):
-    """Two entities, the others far away."""
-
-    first: int
-    second: int
-    poses: NDArray[np.float64]
-    radii: NDArray[np.float64]
+Pair = tuple[int, int, FloatArray, FloatArray]
+"""Two entities, poses and radii of all, the others far away."""
 
 
 @st.composite
@@ -48,7 +42,7 @@ def placed_pairs(draw: st.DrawFn) -> Pair:
     poses, radii = np.array(FAR), np.ones(4)
     poses[[first, second]] = draw(pose), draw(pose)
     radii[[first, second]] = draw(size), draw(size)
-    return Pair(first, second, poses, radii)
+    return first, second, poses, radii
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.0, 9.0])
@@ -77,57 +71,36 @@ def test_centre_of_mass_is_the_centroid_of_the_outline(radius: float) -> None:
     ]
     assert abs(area) == pytest.approx(4 * radius**2)
     assert centre_of_mass(np.array([5.0, 5.0]), 0.9, radius, RED) == pytest.approx(centroid)
-
-
-def test_an_item_is_centred_on_its_position() -> None:
-    assert centre_of_mass(np.array([1.0, 2.0]), 0.9, 1.6, BLUE_ITEM).tolist() == [1.0, 2.0]
+    assert centre_of_mass(np.array([1.0, 2.0]), 0.9, radius, BLUE_ITEM).tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize(
-    ("entity", "other", "radii", "direction", "angle", "reach"),
+    ("entity", "other", "radii", "place", "reach"),
     [
         # one enlarged reaches the other
-        (BLUE_ITEM, PINK_ITEM, [1, 1, 0.8, 1.6], (1, 0), 0, 0.8 + TOUCH_ENLARGEMENT * 1.6),
+        (BLUE_ITEM, PINK_ITEM, [1, 1, 0.8, 1.6], (1, 0, 0), 0.8 + TOUCH_ENLARGEMENT * 1.6),
         # the agent's front lies at R, the item enlarged reaches 1.2 r
-        (RED, BLUE_ITEM, [1, 1, 0.8, 0.8], (0, 1), 0, 1.0 + 1.2 * 0.8),
+        (RED, BLUE_ITEM, [1, 1, 0.8, 0.8], (0, 1, 0), 1.0 + 1.2 * 0.8),
         # the front enlarged about the centre of mass: -1/6 + 1.2 (1 + 1/6) = 37/30
-        (RED, BLUE_ITEM, [1, 1, 0.8, 0.8], (0, 1), 0, None),
+        (BLUE_ITEM, RED, [1, 1, 0.8, 0.8], (0, -1, 0), -1 / 6 + 1.2 * 7 / 6 + 0.8),
         # backs: own at -1; the other's, enlarged, 1/6 + 1.2 * 5/6 = 7/6 behind its centre
-        (RED, GREEN, [1] * 4, (0, -1), math.pi, 1.0 + (-1 / 6 + 1.2 * 5 / 6 + 1 / 3)),
+        (RED, GREEN, [1] * 4, (0, -1, math.pi), 1.0 + (-1 / 6 + 1.2 * 5 / 6 + 1 / 3)),
     ],
     ids=["items", "agent with item", "item with agent", "agents back to back"],
 )
 def test_two_touch_up_to_where_the_enlarged_one_reaches(
-    entity: int,
-    other: int,
-    radii: list[float],
-    direction: tuple[int, int],
-    angle: float,
-    reach: float | None,
+    entity: int, other: int, radii: list[float], place: tuple[float, float, float], reach: float
 ) -> None:
-    swapped = reach is None
-    reach = -1 / 6 + 1.2 * 7 / 6 + 0.8 if reach is None else reach
     for distance, touching in ((reach - 1e-9, True), (reach + 1e-6, False)):
         poses = np.array(FAR)
         poses[entity] = 0.0
-        poses[other] = distance * direction[0], distance * direction[1], angle
-        pair = (other, entity) if swapped else (entity, other)
-        assert touches(*pair, poses, np.array(radii)) is touching
-
-
-def test_an_item_inside_an_agent_touches_it() -> None:
-    poses = np.array(FAR)
-    poses[RED], poses[BLUE_ITEM] = 0.0, (0.1, -0.2, 0.0)
-    assert touches(RED, BLUE_ITEM, poses, np.array([1.6, 1.0, 0.1, 0.8]))
+        poses[other] = distance * place[0], distance * place[1], place[2]
+        assert touches(entity, other, poses, np.array(radii)) is touching
 
 
 def contains(
-    entity: int,
-    pose: NDArray[np.float64],
-    radius: float,
-    enlarge: float,
-    points: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+    entity: int, pose: FloatArray, radius: float, enlarge: float, points: FloatArray
+) -> BoolArray:
     """Whether each point lies in the enlarged shape, by the definition of the shape."""
     if entity >= 2:
         return np.hypot(*(points - pose[:2]).T) <= radius * enlarge
@@ -139,7 +112,7 @@ def contains(
 
 
 def found_in_both(
-    first: int, second: int, poses: NDArray[np.float64], radii: NDArray[np.float64], grown: float
+    first: int, second: int, poses: FloatArray, radii: FloatArray, grown: float
 ) -> bool:
     """Whether any point of a fine grid lies in ``first`` and in ``second`` enlarged 1.2 times."""
     reach = 2.2 * radii[first] * grown
@@ -164,11 +137,11 @@ def test_touch_agrees_with_sampled_points(pair: Pair) -> None:
 def test_touch_does_not_depend_on_where_the_pair_is(
     pair: Pair, motion: tuple[float, float, float]
 ) -> None:
-    moved = pair.poses.copy()
-    moved[:, :2] = pair.poses[:, :2] @ rotation(motion[2]).T + motion[:2]
-    moved[:, 2] += motion[2]
+    first, second, poses, radii = pair
+    moved = poses + np.array([0.0, 0.0, motion[2]])
+    moved[:, :2] = poses[:, :2] @ rotation(motion[2]).T + motion[:2]
     # a hair larger and smaller, so that rounding cannot decide
-    if touches(*pair._replace(poses=moved)):
+    if touches(first, second, moved, radii):
         assert shapes_meet(*pair, 1.0001, 1.2001)
     else:
         assert not shapes_meet(*pair, 0.9999, 1.1999)
@@ -177,8 +150,8 @@ def test_touch_does_not_depend_on_where_the_pair_is(
 @settings(max_examples=100, deadline=None)
 @given(placed_pairs())
 def test_shapes_meet_whichever_is_named_first(pair: Pair) -> None:
-    turned = pair._replace(first=pair.second, second=pair.first)
-    assert shapes_meet(*pair, 1.0, 1.3) == shapes_meet(*turned, 1.3, 1.0)
+    first, second, *placed = pair
+    assert shapes_meet(*pair, 1.0, 1.3) == shapes_meet(second, first, *placed, 1.3, 1.0)
 
 
 def test_on_a_landmark_means_centre_inside_its_square() -> None:

@@ -119,22 +119,6 @@ def test_effective_goals_of_all_pairs(alpha: tuple[int, int]) -> None:
         assert [GOALS[g] for g in effective_goals(red, green, alpha)] == expected
 
 
-@pytest.mark.parametrize(
-    ("red", "green", "alpha", "effective"),
-    [
-        ("Get red agent to red lm", "get to red agent", (1, 0), "get to red agent"),
-        ("get to green agent", "Get pink item to red lm", (0, -1), "get away from red agent"),
-        ("get to green agent", "get away from red agent", (-1, 0), "get away from red agent"),
-    ],
-    ids=["a helper comes to meet", "who hinders a pursuer flees", "who hinders a fugitive pursues"],
-)
-def test_of_goals_about_each_other_the_view_is_turned_round(
-    red: str, green: str, alpha: tuple[int, int], effective: str
-) -> None:
-    found = effective_goals(red, green, alpha)
-    assert [GOALS[goal] for goal in found] == ["get to green agent", effective]
-
-
 def test_neighbouring_goals_differ_in_one_thing() -> None:
     names = {GOALS[g] for g in neighbouring_goals("Get red agent to red lm")}
     assert names == {

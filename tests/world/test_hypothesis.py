@@ -1,17 +1,31 @@
-"""Hypotheses: what is allowed, and their plain form."""
+"""Hypotheses: what is allowed, their plain form, and their relation (paper, Table 1)."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections import Counter
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from phase_ppl.dataset.load import load_events
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import GOALS, is_self_referring
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis
+from phase_ppl.world.hypothesis import (
+    ALPHAS,
+    RELATION_TABLE,
+    RELATIONS,
+    SCENARIO_TABLE,
+    SCENARIOS,
+    STRENGTH_RANGE,
+    Hypothesis,
+    relation,
+    scenario,
+)
 from phase_ppl.world.names import GREEN, RED
+from tests.world.examples import DEV, needs_dev
 
 
 def goals_of(holder: int) -> st.SearchStrategy[int]:
@@ -104,3 +118,66 @@ def test_a_strength_must_be_a_positive_force(strength: object) -> None:
 def test_incomplete_or_unknown_plain_forms_are_refused(record: dict, message: str) -> None:
     with pytest.raises(PhasePPLError, match=message):
         Hypothesis.from_dict(record)
+
+
+RELATION_OF = {
+    "collaborative": "friendly",
+    "independent": "neutral",
+    "competing": "adversarial",
+    "opposing": "adversarial",
+}
+CHASES = {
+    ("get to green agent", "get away from red agent"),
+    ("get away from green agent", "get to red agent"),
+}
+
+
+def item_and_landmark(goal: str) -> list[str] | None:
+    """The item that is to get to a landmark, and the landmark, if that is what ``goal`` says."""
+    if " item to " not in goal:
+        return None
+    return goal.removeprefix("Get ").split(" to ")
+
+
+def expected_scenario(red: str, green: str) -> str:
+    """The definition, on the strings alone."""
+    if red == green or (red, green) == ("get to green agent", "get to red agent"):
+        return "collaborative"
+    about_landmarks = red.startswith("Get") and green.startswith("Get")
+    if about_landmarks and red.replace(" away from ", " to ") == green.replace(
+        " away from ", " to "
+    ):
+        return "opposing"
+    if (red, green) in CHASES:
+        return "opposing"
+    first, second = item_and_landmark(red), item_and_landmark(green)
+    if first and second and first[0] == second[0]:
+        return "competing"
+    return "independent"
+
+
+def test_scenario_and_relation_of_all_pairs() -> None:
+    assert SCENARIO_TABLE.shape == RELATION_TABLE.shape == (len(GOALS), len(GOALS))
+    counts: Counter[str] = Counter()
+    for (i, red), (j, green) in itertools.product(enumerate(GOALS), repeat=2):
+        expected = expected_scenario(red, green)
+        assert scenario(red, green) == SCENARIOS[SCENARIO_TABLE[i, j]] == expected, (red, green)
+        found = relation(red, green)
+        assert found == RELATIONS[RELATION_TABLE[i, j]] == RELATION_OF[expected], (red, green)
+        counts[expected] += 1
+    assert counts["collaborative"] == 36 + 1  # equal goals, and both to each other
+    assert counts["opposing"] == 32 + 2  # every goal about a landmark negated, and two chases
+    assert counts["competing"] == 2 * 4 * 3  # per item, ordered pairs of different landmarks
+
+
+@needs_dev
+def test_true_scenarios_and_relations_of_the_published_videos_follow_from_the_goals() -> None:
+    events = load_events(DEV)
+    counts: Counter[str] = Counter()
+    for event in events:
+        truth = event.truth
+        assert truth is not None
+        assert truth.scenario == scenario(truth.goal_red, truth.goal_green), event.id
+        assert truth.relation == relation(truth.goal_red, truth.goal_green), event.id
+        counts[truth.scenario] += 1
+    assert counts == {"collaborative": 19, "independent": 14, "competing": 5, "opposing": 12}

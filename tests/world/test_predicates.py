@@ -158,7 +158,7 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
      "1.7 units are too few for bodies that touch at 1.6; expected 2 or more"),
     "code in a file": (lambda: _read(name="x", subject="ball", holds="__import__('os').abort()"),
      "unknown field of a predicate 'holds'"),
-    "no subject in a file": (lambda: _read(name="x"), "a predicate needs a subject"),
+    "no subject in a file": (lambda: _read(name="x"), "a predicate needs subject"),
     "no mapping in a file": (lambda: World.from_dict({**nursery().to_dict(), "predicates": ["x"]}),
      "a predicate is 'x', expected a mapping"),
 }  # fmt: skip

@@ -98,8 +98,9 @@ def test_a_scene_cannot_be_changed_by_accident() -> None:
 
 def test_an_event_can_be_sent_to_another_process() -> None:
     event = make_event()
-    event.scene.rooms.route(0, 2)
+    route = event.scene.rooms.route(0, 2)
     copy = pickle.loads(pickle.dumps(event))
+    assert copy.scene.rooms.route(0, 2) == route
     assert np.array_equal(copy.observation.trajectory, event.observation.trajectory)
     assert np.array_equal(copy.scene.walls, event.scene.walls)
     assert (copy.id, copy.truth, copy.judgments) == (event.id, event.truth, event.judgments)
