@@ -99,10 +99,8 @@ class Standpoints:
         if self._table is None:
             return np.asarray(goals[..., 0] * self._n_goals + goals[..., 1])
         code = np.zeros(own.shape, np.int64)
-        for place, other in enumerate(self._others):
-            kind = _SAME * (goals[..., other] == self._same[place][own])
-            kind += _OPPOSITE * (goals[..., other] == self._opposite[place][own])
-            code += kind * _KINDS**place
+        for kind, (place, other) in itertools.product((_SAME, _OPPOSITE), enumerate(self._others)):
+            code += kind * _KINDS**place * (goals[..., other] == self._wanted[kind, place, own])
         whose = self._whose[own]
         theirs = np.take_along_axis(goals, whose[..., None], axis=-1)[..., 0]
         return np.asarray(self._table[own, code, theirs])
@@ -121,41 +119,35 @@ class Standpoints:
             {goal: goal_literal(goal, holder, world) for goal in possible_goals(holder, world)}
             for holder in range(len(world.agents))
         ]
-        # (goal) of each other the one that is the same, or the opposite
-        self._same = np.full((len(others), n_goals), -1)
-        self._opposite = np.full((len(others), n_goals), -1)
+        # (kind, other, goal) the other's goal that is the same, or the opposite; -1: none
+        self._wanted = np.full((_KINDS, len(others), n_goals), -1)
         for place, other in enumerate(others):
             for own, literal in literals[agent].items():
                 for goal, theirs in literals[other].items():
                     if wants(literal, agent, theirs, other):
-                        self._same[place, own] = goal
+                        self._wanted[_SAME, place, own] = goal
                     elif wants(literal.negated(), agent, theirs, other):
-                        self._opposite[place, own] = goal
+                        self._wanted[_OPPOSITE, place, own] = goal
         self._whose = np.full(n_goals, agent)
         self._table = np.full((n_goals, _KINDS ** len(others), n_goals), -1)
         self.n = 0
         for own, literal in literals[agent].items():
             known: dict[Stance, Alike] = {}
             for kinds in itertools.product(range(_KINDS), repeat=len(others)):
-                goals = {
-                    other: (None, int(self._same[place, own]), int(self._opposite[place, own]))[
-                        kind
-                    ]
-                    for place, (other, kind) in enumerate(zip(others, kinds, strict=True))
-                }
-                if -1 in goals.values():  # nobody can want that
-                    continue
+                goals = [int(self._wanted[kind, place, own]) for place, kind in enumerate(kinds)]
+                if any(kind and goal < 0 for kind, goal in zip(kinds, goals, strict=True)):
+                    continue  # nobody can want that
                 everyone: list[Literal] = [STOP] * len(literals)
                 everyone[agent] = literal
-                for other, its in goals.items():
-                    everyone[other] = STOP if its is None else literals[other][its]
+                for other, goal in zip(others, goals, strict=True):
+                    everyone[other] = literals[other].get(goal, STOP)
                 towards = stance(agent, everyone)
                 code = sum(kind * _KINDS**place for place, kind in enumerate(kinds))
                 one = known.setdefault(towards, Alike(own, literal, towards, [], []))
                 if towards.helps_along:
                     self._whose[own] = towards.other
-                    helped = goals[towards.other]
-                    for goal in literals[towards.other] if helped is None else [helped]:
+                    helped = goals[others.index(towards.other)]
+                    for goal in literals[towards.other] if helped < 0 else [helped]:
                         self._table[own, code, goal] = self._place(one, goal)
                 else:
                     self._table[own, code] = self._place(one, own)
