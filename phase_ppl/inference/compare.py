@@ -15,10 +15,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import math
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -72,7 +70,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
-from phase_ppl.world.identity import versions, versions_so_far
+from phase_ppl.world.identity import stable, versions, versions_so_far
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import is_shown
 from phase_ppl.world.scene import PHASE, check_is_phase
@@ -88,8 +86,7 @@ class Enumeration(NamedTuple):
     """Posterior of the effective goals."""
 
     probability: FloatArray  # (goal_red, goal_green), sum 1
-    # (split, 2, goal_red, goal_green) the same from either half of the simulations of each pair,
-    # parted in ``SPLITS`` ways
+    # (split, 2, goal_red, goal_green) the same from either half of the simulations of each pair
     halves: FloatArray
     simulations: int  # how many were made
 
@@ -109,8 +106,7 @@ def plan_enumeration(model: Model, seed: int = 0) -> Plan:
     drawn = jax.jit(jax.vmap(program.draw_prior))(keys)
     strengths = np.stack([np.asarray(drawn[name], float) for name in STRENGTH_SITES], axis=1)
     possible = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
-    repeated = {name: np.tile(strengths[:, i], len(possible))
-                for i, name in enumerate(STRENGTH_SITES)}  # fmt: skip
+    repeated = dict(zip(STRENGTH_SITES, np.tile(strengths.T, len(possible)), strict=True))
     log_joint = log_prior_of_effective(model.prior, np.repeat(possible, _POOL, axis=0), repeated)
     log_joint = log_joint.reshape(len(possible), _POOL)
     log_prior = log_joint - np.logaddexp.reduce(log_joint, axis=0)
@@ -141,18 +137,16 @@ def enumerate_goals(
         for draw in draws
     ]
     seeds = _seeds(event, model, hypotheses, seed)
-    simulator = model.build_simulator()
-    with Runner(
-        simulator, event.scene, event.observation, workers=workers, executor=executor
-    ) as runner:
+    place = model.build_simulator(), event.scene, event.observation
+    with Runner(*place, workers=workers, executor=executor) as runner:
         results = runner.run(hypotheses, seeds)
     errors = np.array([result.errors for result in results])
     usable = np.array([result.completed for result in results])
     if not usable.any():
         raise SimulationError(f"no simulation was completed; the first: {results[0].failure}")
     by_frame = model.error_likelihood.log_prob(np.where(usable[:, None], errors, 0.0))
-    log_likelihood = np.asarray(by_frame)
-    log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
+    log_likelihood = np.asarray(by_frame).sum(axis=1)
+    log_mass = np.where(usable, log_likelihood, -np.inf).reshape(which.shape)
     log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
     return of_masses(plan.pairs, log_mass)
 
@@ -186,11 +180,11 @@ def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) 
         return [int(value) for value in drawn]
     salt = event_salt(event.scene, event.observation)
     program = EventProgram(model, 0, event.observation.n_frames, salt)
-    sites = {name: jnp.array([h.effective_goals[i] for h in hypotheses])
-             for i, name in enumerate(GOAL_SITES)}  # fmt: skip
+    goals = jnp.array([h.effective_goals for h in hypotheses])
+    strengths = jnp.array([h.strengths for h in hypotheses], jnp.float32)
+    sites = dict(zip(GOAL_SITES, goals.T, strict=True))
+    sites |= dict(zip(STRENGTH_SITES, strengths.T, strict=True))
     sites[ALPHA_SITE] = jnp.zeros(len(hypotheses), jnp.int32)
-    for i, name in enumerate(STRENGTH_SITES):
-        sites[name] = jnp.array([h.strengths[i] for h in hypotheses], jnp.float32)
     seeds = jax.jit(jax.vmap(program.simulator_seed, in_axes=(None, 0)))(random.key(0), sites)
     return [int(value) for value in np.asarray(seeds)]
 
@@ -229,14 +223,11 @@ class Reference:
                     f"the reference is of {reference.event_id}, another event than {event.id}"
                 )
             return cls(reference, False, None, budget, weights)
-        if reference == ENUMERATION or (
-            isinstance(reference, tuple) and reference[:1] == (ENUMERATION,)
-        ):
-            check_is_phase(
-                event.scene.world, 'a reference by enumeration (the kernel "enumerate" is another)'
-            )
-            per_pair = _per_pair(reference) if isinstance(reference, tuple) else PER_PAIR
-            return cls(None, True, None, budget, weights, per_pair)
+        given = reference if isinstance(reference, tuple) else (reference, {"per_pair": PER_PAIR})
+        if given[:1] == (ENUMERATION,):
+            what = 'a reference by enumeration (the kernel "enumerate" is another)'
+            check_is_phase(event.scene.world, what)
+            return cls(None, True, None, budget, weights, _per_pair(given))
         long = dataclasses.replace(budget, amount=LONG * budget.amount)
         spec = LONG_RUN if reference is None else reference
         run = entry_of("reference", spec, chains, settings, own_length=True)
@@ -377,8 +368,6 @@ def error_of(halves: Sequence[Halves]) -> dict[str, float] | None:
 
 BUDGET: Final = simulations(500)
 REPEATS: Final = 8
-
-_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
 _MOST_REPEATS: Final = 10**6
 _MAY_DIFFER: Final = ("kernels", "repeats", "reference", "event", "versions")
@@ -628,5 +617,5 @@ def _in_order(runs: pd.DataFrame, curves: pd.DataFrame, settings: Mapping[str, A
 
 
 def _stable(value: Any) -> Any:
-    """Return ``value`` in JSON's types, without what differs from process to process."""
-    return json.loads(_ADDRESS.sub("", json.dumps(plain(value), default=repr)))
+    """Return ``value`` as a file keeps it; kernels stay in order."""
+    return stable(plain(value), sort_keys=False)

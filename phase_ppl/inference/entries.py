@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
 from typing import Any, Final, TypeAlias
@@ -24,9 +25,6 @@ _TAKEN: Final = (
     *("budget", "iterations", "checkpoint"),
 )
 """Arguments of ``infer`` that are the comparison's to give."""
-
-_OF_COMPARISON: Final = ("planner", "weights", "iterations")
-"""What a preset says that is the same for all kernels."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,10 +53,8 @@ class Entry:
         """Make the kernel and trace a step of it, with nothing simulated."""
         try:
             length = self.length or {"budget": budget}
-            what = Run(
-                *(event, model, self.kernel, self.options, self.settings, self.chains), seed=0
-            )
-            what.check(length.get("iterations"), length.get("budget"))
+            run = Run(event, model, self.kernel, self.options, self.settings, self.chains, seed=0)
+            run.check(length.get("iterations"), length.get("budget"))
         except PhasePPLError as error:
             raise type(error)(f"{self.label}: {error}") from None
         except Exception as error:  # whatever a kernel of somebody's stumbles over
@@ -78,8 +74,7 @@ class Entry:
         executor: Executor | None = None,
     ) -> Posterior:
         """Return the posterior of one run."""
-        length = dict(self.length) or {"budget": budget}
-        post = infer(
+        return infer(
             event,
             model,
             kernel=self.kernel,
@@ -89,19 +84,13 @@ class Entry:
             executor=executor,
             progress=False,
             settings=self.settings,
-            **length,
+            **(self.length or {"budget": budget}),
             **self.options,
         )
-        assert isinstance(post, Posterior), "a kernel is named"
-        return post
 
 
 def entry_of(
-    label: str | None,
-    spec: Spec,
-    chains: int,
-    settings: SimpleSettings,
-    own_length: bool = False,
+    label: str | None, spec: Spec, chains: int, settings: SimpleSettings, own_length: bool = False
 ) -> Entry:
     """Return the kernel that a user names, called ``label`` or by its name.
 
@@ -116,13 +105,13 @@ def entry_of(
     options = dict(given)
     if isinstance(kernel, str) and kernel in PRESETS:
         label = label or kernel
-        usual = {"kernel": "local_mh", **completed(kernel, options)}
-        kernel = str(usual.pop("kernel"))
-        options = {name: value for name, value in usual.items() if name not in _OF_COMPARISON}
+        options = {"kernel": "local_mh", **completed(kernel, options)}
+        kernel = str(options.pop("kernel"))
+        for name in ("planner", "weights", "iterations"):  # the same for all kernels
+            options.pop(name, None)
     info = described(kernel)
-    length = {}
-    if own_length:
-        length = {k: options.pop(k) for k in ("budget", "iterations") if k in options}
+    own_lengths = ("budget", "iterations") if own_length else ()
+    length = {name: options.pop(name) for name in own_lengths if name in options}
     for name in options:
         if name in _TAKEN:
             raise InvalidSettingError(
@@ -138,9 +127,7 @@ def entry_of(
 
 
 def entries(
-    kernels: Iterable[Spec] | Mapping[str, Spec],
-    chains: int,
-    settings: SimpleSettings,
+    kernels: Iterable[Spec] | Mapping[str, Spec], chains: int, settings: SimpleSettings
 ) -> list[Entry]:
     """Return the kernels of a comparison."""
     if isinstance(kernels, str):
@@ -152,10 +139,9 @@ def entries(
     found = [entry_of(label, spec, chains, settings) for label, spec in named]
     if not found:
         raise InvalidSettingError("kernels is empty: name at least one")
-    labels = [one.label for one in found]
-    for label in labels:
-        if labels.count(label) > 1:
-            raise InvalidSettingError(
-                f"two kernels are called {label!r}: give a mapping from labels to kernels"
-            )
+    label, most = Counter(one.label for one in found).most_common(1)[0]
+    if most > 1:
+        raise InvalidSettingError(
+            f"two kernels are called {label!r}: give a mapping from labels to kernels"
+        )
     return found

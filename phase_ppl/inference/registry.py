@@ -85,9 +85,9 @@ class KernelInfo:
         if isinstance(made, HMC):
             raise _needs_gradient(f"{self.name!r}, which makes a {type(made).__name__},")
         if not isinstance(made, MCMCKernel):
+            hint = " (does the function return it?)" if made is None else ""
             raise InvalidSettingError(
-                f"kernel {self.name!r} makes {shown(made)}: expected a NumPyro MCMCKernel"
-                + (" (does the function return it?)" if made is None else "")
+                f"kernel {self.name!r} makes {shown(made)}: expected a NumPyro MCMCKernel{hint}"
             )
         return made
 
@@ -139,19 +139,11 @@ def register_kernel(
         for entry in given:
             if entry not in allowed:
                 raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
+    more = even_chains, keeps, weighted, any_length
     return KERNELS.register(
         name,
         lambda factory, summary: KernelInfo(
-            name,
-            factory,
-            validity,
-            sims_per_step,
-            needs=tuple(needs),
-            summary=summary,
-            even_chains=even_chains,
-            keeps=keeps,
-            weighted=weighted,
-            any_length=any_length,
+            name, factory, validity, sims_per_step, tuple(needs), summary, *more
         ),
     )
 
@@ -177,38 +169,33 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
     """
     if isinstance(kernel, str):
         return kernel_info(kernel)
-    for _, info in KERNELS.items():
-        if info.factory is kernel:
-            return info
-        if info.factory is type(kernel) and hasattr(kernel, "bound_to"):
-            return dataclasses.replace(
-                info, factory=kernel.bound_to, needs=_needs_of(kernel.bound_to)
-            )
     is_made = isinstance(kernel, MCMCKernel)
     if not (is_made or callable(kernel)):
         raise InvalidSettingError(f"kernel={shown(kernel)} is neither a name nor a kernel")
     name = getattr(kernel, "__name__", type(kernel).__name__)
+    factory: Any = getattr(kernel, "bound_to", None) if is_made else kernel
     if issubclass(kernel if isinstance(kernel, type) else type(kernel), HMC):
         raise _needs_gradient(name)
-    factory: Any = getattr(kernel, "bound_to", None) if is_made else kernel
     if factory is None:
         raise InvalidSettingError(
             f"kernel {name}: give the class, or a function that makes the kernel from the "
             "program; an instance already has a program of its own"
         )
+    parameters = inspect.signature(factory).parameters
+    needs = tuple(need for need in NEEDS if need in parameters)
+    for _, info in KERNELS.items():
+        if info.factory is kernel:
+            return info
+        if info.factory is type(kernel):
+            return dataclasses.replace(info, factory=factory, needs=needs)
     return KernelInfo(
         name,
         factory,
         validity="unknown",
         sims_per_step=getattr(kernel, "sims_per_step", 1),
-        needs=_needs_of(factory),
+        needs=needs,
         summary=(inspect.getdoc(kernel) or "").split("\n")[0],
         even_chains=getattr(kernel, "even_chains", False),
         keeps=getattr(kernel, "keeps", "all"),
         weighted=getattr(kernel, "weighted", False),
     )
-
-
-def _needs_of(factory: Factory) -> tuple[str, ...]:
-    parameters = inspect.signature(factory).parameters
-    return tuple(need for need in NEEDS if need in parameters)

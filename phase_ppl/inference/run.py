@@ -251,18 +251,21 @@ def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
     return Hosted(init, _identity(recipe, "init")), Hosted(step, _identity(recipe, "step"))
 
 
-@remembered(_KEPT_PROGRAMS)
 def compiled_given(recipe: Recipe) -> Hosted:
     """Return the compiled function (keys, given sites, log floors, data) -> errors (chain, time).
 
     Each particle simulates a hypothesis of which some sites are given, the others proposed by
     SIMPLE, whatever the kernel.
     """
+    return _compiled_given(recipe._replace(info=KERNELS["local_mh"], options=()))
 
+
+@remembered(_KEPT_PROGRAMS)
+def _compiled_given(recipe: Recipe) -> Hosted:
     def simulate(
         keys: jax.Array, given: dict[str, jax.Array], log_floor: jax.Array, data: Data
     ) -> Any:
-        kernel = make_kernel(recipe._replace(info=KERNELS["local_mh"], options=()), data)
+        kernel = make_kernel(recipe, data)
         assert isinstance(kernel, LocalMH), "it is registered by that name"
         return jax.vmap(kernel.simulate_given)(keys, given, log_floor)
 

@@ -127,9 +127,9 @@ def versions_so_far(
     return [*map(dict, before), *([now] if found or not before else [])]
 
 
-def stable(value: Any) -> Any:
+def stable(value: Any, *, sort_keys: bool = True) -> Any:
     """Return ``value`` in JSON's types, without what differs from process to process."""
-    text = json.dumps(value, default=repr, sort_keys=True)
+    text = json.dumps(value, default=repr, sort_keys=sort_keys)
     return json.loads(_ADDRESS.sub("", text))
 
 

@@ -105,38 +105,21 @@ def test_phase_is_one_space_among_others() -> None:
 
 
 def test_of_what_cannot_be_nothing_is_simulated() -> None:
-    own = TRIO.goals.index("get to green agent")
-    sites = {name: np.zeros(3, int) for name in SPACE_TRIO.goal_sites}
-    sites["company"] = np.array([0, len(SPACE_TRIO.ways), 0])
-    sites |= {name: np.full(3, 300.0) for name in SPACE_TRIO.strength_sites}
-    sites["goal_green"] = np.array([0, 0, own])
-    assert SPACE_TRIO.in_support(sites).tolist() == [True, False, False]
-
-
-SPACE_TRIO = space_of(TRIO)
+    space, own = space_of(TRIO), TRIO.goals.index("get to green agent")
+    sites = {name: np.zeros(3, int) for name in space.goal_sites}
+    sites |= {"company": np.array([0, len(space.ways), 0]), "goal_green": np.array([0, 0, own])}
+    sites |= {name: np.full(3, 300.0) for name in space.strength_sites}
+    assert space.in_support(sites).tolist() == [True, False, False]
 
 
 # --- priors --------------------------------------------------------------------------------------
 
 
-def stated() -> Iterator[tuple[tuple[int, ...], float]]:
-    """Yield all stated goals and ways with their prior mass."""
-    for row in itertools.product(*GOALS, COMPANY):
-        yield row, float(np.prod([m[code] for m, code in zip((*GOALS, COMPANY), row, strict=True)]))
-
-
-def columns_of(rows: list[tuple[int, ...]]) -> dict[str, Any]:
-    return dict(zip(SPACE.sites, np.array(rows).T, strict=False))
-
-
 def test_prior_of_effective_goals_sums_over_what_leads_to_them() -> None:
-    rows, masses = zip(*stated(), strict=True)
-    effective = SPACE.effective(columns_of(list(rows)))
-    distinct, place = np.unique(effective, axis=0, return_inverse=True)
-    prior = Model(prior=few, simulator=never_called).in_world(CAST).prior
+    distinct, place = np.unique(EFFECTIVE, axis=0, return_inverse=True)
     strengths = {name: np.full(len(distinct), 300.0) for name in SPACE.strength_sites}
-    found = np.exp(log_prior_of_effective(prior, distinct.astype(np.int64), strengths))
-    np.testing.assert_allclose(found * 450**3, np.bincount(place.ravel(), masses), rtol=1e-4)
+    found = np.exp(log_prior_of_effective(few_in_cast().prior, distinct, strengths))
+    np.testing.assert_allclose(found * 450**3, np.bincount(place.ravel(), MASSES), rtol=1e-4)
 
 
 def test_who_has_nothing_to_do_where_it_helps_has_no_part_in_it() -> None:
@@ -154,20 +137,25 @@ def test_who_has_nothing_to_do_where_it_helps_has_no_part_in_it() -> None:
 
 
 def test_stated_goals_are_drawn_as_the_prior_has_them() -> None:
-    prior = Model(prior=few, simulator=never_called).in_world(CAST).prior
-    rows, masses = zip(*stated(), strict=True)
-    effective = SPACE.effective(columns_of(list(rows)))
-    alike = (effective == effective[0]).all(axis=1)
-    n = 4000
-    drawn = drawn_stated(
-        prior, np.tile(effective[0].astype(np.int64), (n, 1)), np.full((n, 3), 300.0)
-    )
-    share = [(drawn == row).all(axis=1).mean() for row in rows]
-    expected = np.where(alike, masses, 0) / np.sum(masses, where=alike)
+    alike, n = (EFFECTIVE[0] == EFFECTIVE).all(axis=1), 4000
+    drawn = drawn_stated(few_in_cast().prior, np.tile(EFFECTIVE[0], (n, 1)), np.full((n, 3), 300.0))
+    share = [(drawn == row).all(axis=1).mean() for row in ROWS]
+    expected = np.where(alike, MASSES, 0) / np.sum(MASSES, where=alike)
     np.testing.assert_allclose(share, expected, atol=0.03)
 
 
 # --- kernels -------------------------------------------------------------------------------------
+
+
+ROWS = np.array(list(itertools.product(*GOALS, COMPANY)))
+MASSES = np.prod(list(itertools.product(*[m.values() for m in (*GOALS, COMPANY)])), axis=1)
+EFFECTIVE = SPACE.effective(dict(zip(SPACE.sites, ROWS.T, strict=False))).astype(np.int64)
+"""(row, ...) all stated goals and ways with prior mass, their masses and effective goals."""
+
+
+@functools.cache
+def few_in_cast() -> Model:
+    return Model(prior=few, simulator=never_called).in_world(CAST)
 
 
 @functools.cache
@@ -180,17 +168,14 @@ def table() -> FloatArray:
 @functools.cache
 def exact() -> FloatArray:
     """Return (row,) the posterior of stated goals and ways, by enumeration."""
-    rows, masses = zip(*stated(), strict=True)
-    effective = SPACE.effective(columns_of(list(rows)))
-    likelihood = RadialLikelihood(n_entities=3)
-    by_seed = likelihood.log_prob(table()[tuple(effective.T)]).sum(axis=-1)
-    found = np.array(masses) * np.exp(by_seed - by_seed.max()).mean(axis=-1)
+    by_seed = RadialLikelihood(n_entities=3).log_prob(table()[tuple(EFFECTIVE.T)]).sum(axis=-1)
+    found = MASSES * np.exp(by_seed - by_seed.max()).mean(axis=-1)
     return np.asarray(found / found.sum())
 
 
 def visited(z: dict[str, Any]) -> FloatArray:
     rows = np.stack([np.ravel(z[name]) for name in (*SPACE.goal_sites, "company")], axis=1)
-    return np.array([(rows == row).all(axis=1).mean() for row, _ in stated()])
+    return np.array([(rows == row).all(axis=1).mean() for row in ROWS])
 
 
 @pytest.mark.parametrize(
@@ -202,16 +187,16 @@ def visited(z: dict[str, Any]) -> FloatArray:
     ],
 )
 def test_draws_visit_roles_as_often_as_the_posterior_says(name: str, steps: int) -> None:
-    model = Model(prior=few, simulator=never_called).in_world(CAST)
+    model = few_in_cast()
     bridge = SimulatorBridge(TableRunner(table()), N_FRAMES, SPACE)
-    needs: dict[str, Any] = {}
-    if kernel_info(name).needs:
-        n_windows, rng = window_count(N_FRAMES, SETTINGS.window), np.random.default_rng(1)
-        logits = rng.normal(0.0, 1.0, (n_windows + 1, 3, SPACE.n_goals))
-        nothing = np.full((n_windows + 1, 3), np.nan)
-        tables = BottomUpTables(logits, nothing, nothing)
-        guide = bottom_up_guide(model.prior, model.sites, tables, prior_share=0.1)
-        needs = {"guide": guide, "settings": SETTINGS}
+    n_windows, rng = window_count(N_FRAMES, SETTINGS.window), np.random.default_rng(1)
+    logits, nothing = (
+        rng.normal(0.0, 1.0, (n_windows + 1, 3, 6)),
+        np.full((n_windows + 1, 3), np.nan),
+    )
+    tables = BottomUpTables(logits, nothing, nothing)
+    guide = bottom_up_guide(model.prior, model.sites, tables, prior_share=0.1)
+    needs = {"guide": guide, "settings": SETTINGS} if kernel_info(name).needs else {}
     made = kernel_info(name).make(EventProgram(model, bridge.handle, N_FRAMES), **needs)
     z = run(made, steps, random.split(random.key(0), CHAINS)).z
     assert bridge.failure is None
@@ -278,20 +263,19 @@ def enumerated() -> ppl.Posterior:
 
 def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None:
     event, likelihood = walking(), RadialLikelihood(n_entities=3)
-    mass: dict[tuple[str, float], float] = {}
-    for goal, force in itertools.product(SOLO.goals, LEVELS):
+    mass = np.empty((len(SOLO.goals), len(LEVELS)))
+    for (i, goal), (j, force) in itertools.product(enumerate(SOLO.goals), enumerate(LEVELS)):
         one = Roles.of(SOLO, {"red agent": goal}, strength=force)
         frames = itertools.islice(walkers(event.scene, one, np.random.default_rng(0)), 14)
         apart = (np.array(list(frames)) - event.observation.trajectory)[..., :2]
         error = np.linalg.norm(apart.reshape(14, -1), axis=1)
-        fits = float(np.exp(likelihood.log_prob(error).sum() + 14 * 26))
-        mass[goal, force] = SHARES[LEVELS.index(force)] * fits
-    post, total = enumerated(), sum(mass.values())
-    for goal in SOLO.goals:
-        expected = sum(m for (g, _), m in mass.items() if g == goal) / total
-        assert float(post.probability(goal_red=goal)) == pytest.approx(expected, rel=1e-3)
-    strength = sum(force * m for (_, force), m in mass.items()) / total
-    assert float(post.mean("strength_red")) == pytest.approx(strength, rel=1e-3)
+        mass[i, j] = SHARES[j] * np.exp(likelihood.log_prob(error).sum() + 14 * 26)
+    mass /= mass.sum()
+    post = enumerated()
+    for goal, share in zip(SOLO.goals, mass.sum(axis=1), strict=True):
+        assert float(post.probability(goal_red=goal)) == pytest.approx(share, rel=1e-3)
+    expected = mass.sum(axis=0) @ LEVELS
+    assert float(post.mean("strength_red")) == pytest.approx(expected, rel=1e-3)
     assert post.untried == pytest.approx(0.0, abs=1e-5)
     best = post.map()
     assert isinstance(best, Roles)
@@ -331,8 +315,13 @@ def of_trio() -> Event:
 
 def test_a_posterior_of_three_agents_answers_is_kept_and_tells_of_itself(tmp_path: Path) -> None:
     path = tmp_path / "run.ckpt"
-    post = inferred(of_trio(), "prior_mh", iterations=3, checkpoint=path)
-    assert set(post.goals_of) == set(TRIO.agents)
+    whole = inferred(of_trio(), "prior_mh", iterations=2)
+    inferred(of_trio(), "prior_mh", iterations=1, checkpoint=path)
+    model = ppl.Model(simulator=walkers)
+    post = ppl.resume(path, model=model, iterations=2, workers=1, progress=False)
+    errors = [one.tree["simulations"]["total_error"] for one in (post, whole)]
+    np.testing.assert_array_equal(*errors)
+    assert set(post.goals_of) == set(post.summary()["goals"]) == set(TRIO.agents)
     assert float(post.query("P(goal_purple = get to red agent)")) >= 0
     assert float(post.marginal("relation_red_green").sum()) == pytest.approx(1)
     assert -1 <= float(post.query("E[alpha_green_red]")) <= 1
@@ -342,18 +331,9 @@ def test_a_posterior_of_three_agents_answers_is_kept_and_tells_of_itself(tmp_pat
         word = RELATION_OF_SCENARIO[scenario(red, green, TRIO, (0, 1))]
         assert row["relation_red_green"] == word
     again = ppl.load_posterior(post.save(tmp_path / "post.nc"))
-    assert str(again) == str(post)
-    assert again.map() == post.map()
-    assert "purple agent" in str(post)
-    assert "tempered: beta = 0.05" in str(post)
-    assert set(post.summary()["goals"]) == set(TRIO.agents)
+    assert (str(again), again.map()) == (str(post), post.map())
+    assert all(words in str(post) for words in ("purple agent", "tempered: beta = 0.05"))
     assert set(post.over_time()) >= {"goal_green", "relation_green_purple"}
-    model = ppl.Model(simulator=walkers)
-    longer = ppl.resume(path, model=model, iterations=4, workers=1, progress=False)
-    straight = inferred(of_trio(), "prior_mh", iterations=4)
-    np.testing.assert_array_equal(
-        longer.tree["simulations"]["total_error"], straight.tree["simulations"]["total_error"]
-    )
 
 
 def test_another_prior_weighs_what_was_simulated_anew() -> None:
@@ -408,12 +388,9 @@ def test_what_does_not_know_a_world_says_so(options: dict[str, Any], message: st
     assert "\n" not in str(found.value)
 
 
-def test_a_prior_of_a_world_is_none_of_phase() -> None:
+def test_what_is_of_a_world_is_none_of_phase_and_the_other_way_round() -> None:
     with pytest.raises(PhasePPLError, match="in PHASE one takes none and samples goal_red"):
         ppl.infer(ppl.load_event("collaborate"), ppl.Model(roles.uniform), kernel="prior_mh")
-
-
-def test_scenarios_of_ones_own_are_for_phase() -> None:
     with pytest.raises(InvalidSettingError, match="scenario replaces that of the world PHASE"):
         ppl.Posterior(enumerated().tree, scenario=lambda red, green: "independent")
 
@@ -447,13 +424,10 @@ def test_true_goals_and_relations_of_all_are_looked_up() -> None:
     goals = {"red agent": "Get blue ball to home", "green agent": "Get blue ball to field"}
     truth = Roles.of(TRIO, goals, {("purple agent", "red agent"): "help"})
     space, codes = space_of(TRIO), np.array(truth.effective_goals)
-    sure = {
-        **dict(zip(space.goal_sites, np.eye(space.n_goals)[codes], strict=True)),
-        **{name: np.eye(3)[code] for name, code in space.relation_codes(codes).items()},
-    }
-    assert of_truth(sure, truth) == dict.fromkeys(
-        ("p_goals", "p_relation", "map_goals", "map_relation"), 1.0
-    )
+    sure = dict(zip(space.goal_sites, np.eye(space.n_goals)[codes], strict=True))
+    sure |= {name: np.eye(3)[code] for name, code in space.relation_codes(codes).items()}
+    names = ("p_goals", "p_relation", "map_goals", "map_relation")
+    assert of_truth(sure, truth) == dict.fromkeys(names, 1.0)
     none = {name: np.roll(masses, 1) for name, masses in sure.items()}
     assert set(of_truth(none, truth).values()) == {0.0}
     assert distances(sure, none) == {"tv_goals": 1.0, "tv_relation": 1.0}

@@ -110,12 +110,15 @@ def test_every_kernel_runs_every_repeat_within_the_budget(found: ppl.Comparison)
     assert list(zip(found.runs["kernel"], found.runs["repeat"], strict=True)) == expected
     assert (found.runs["simulations"] == 24).all()
     assert (found.runs["validity"] == "exact").all()
-
-
-def test_repeats_have_seeds_of_their_own_that_the_kernels_share(found: ppl.Comparison) -> None:
+    # repeats have seeds of their own that the kernels share
     seeds = found.runs.pivot(index="repeat", columns="kernel", values="seed")
     assert (seeds["early"] == seeds["whole"]).all()
     assert seeds["early"].nunique() == 2
+    assert "early" in str(found)
+    assert "TV goals" in str(found)
+    assert found.settings["budget"] == "24 simulations"
+    assert found.settings["kernels"]["whole"]["options"] == {"early_reject": False}
+    assert "given posterior" in found.settings["reference"]["description"]
 
 
 def test_kernels_that_make_the_same_draws_measure_the_same(found: ppl.Comparison) -> None:
@@ -152,43 +155,29 @@ def test_curve_ends_where_the_runs_do(found: ppl.Comparison) -> None:
     assert counts.iloc[0] == [8, 12, 16, 20, 24]
 
 
-def test_table_and_settings_name_everything(found: ppl.Comparison) -> None:
-    assert "early" in str(found)
-    assert "TV goals" in str(found)
-    assert found.settings["budget"] == "24 simulations"
-    assert found.settings["kernels"]["whole"]["options"] == {"early_reject": False}
-    assert "given posterior" in found.settings["reference"]["description"]
-
-
-def test_other_weights_can_be_asked_for(reference: ppl.Posterior, found: ppl.Comparison) -> None:
-    other = compare(reference, weights="likelihood", repeats=1, kernels=["prior_mh"])
+def test_weights_and_an_event_without_truth_can_be_asked_for(
+    reference: ppl.Posterior, found: ppl.Comparison, capsys: pytest.CaptureFixture[str]
+) -> None:
+    event = dataclasses.replace(EVENT, truth=None)
+    few = {"reference": reference, "repeats": 1, "kernels": ["prior_mh"], "progress": True}
+    other = ppl.compare(event, MODEL, **{**SETTINGS, **few}, weights="likelihood")
     assert other.settings["weights"] == "likelihood"
     assert other.runs["tv_goals"][0] != found.runs["tv_goals"][0]
-
-
-def test_kernel_may_be_a_reference(found: ppl.Comparison) -> None:
-    spec = ("prior_mh", {"iterations": 7})
-    other = compare(spec, repeats=1, kernels=["prior_mh"])
-    assert "prior_mh, 7" in other.settings["reference"]["description"]
-    assert other.settings["reference"]["simulations"] >= 4 * 8
-    assert 0 < other.settings["reference"]["error"]["tv_goals"] <= 1
-    long = compare("prior_mh", repeats=1, kernels=["prior_mh"])
-    assert long.settings["reference"]["simulations"] == 240
-
-
-def test_event_without_truth_is_compared_with_the_reference_alone(reference: ppl.Posterior) -> None:
-    event = dataclasses.replace(EVENT, truth=None)
-    other = ppl.compare(event, MODEL, **{**SETTINGS, "reference": reference, "repeats": 1})
     assert other.runs["p_goals"].isna().all()
     assert other.runs["tv_goals"].notna().all()
     assert "P(goals)" not in str(other)
-
-
-def test_progress_counts_runs(reference: ppl.Posterior, capsys: pytest.CaptureFixture[str]) -> None:
-    compare(reference, progress=True, repeats=1, kernels=["prior_mh"])
     written = capsys.readouterr()
-    assert "2/2" in written.err
+    assert "2/2" in written.err, "it counts runs"
     assert written.out == ""
+
+
+def test_kernel_may_be_a_reference() -> None:
+    few: dict[str, Any] = {"repeats": 1, "kernels": ["prior_mh"]}
+    said = compare(("prior_mh", {"iterations": 7}), **few).settings["reference"]
+    assert "prior_mh, 7" in said["description"]
+    assert said["simulations"] >= 4 * 8
+    assert 0 < said["error"]["tv_goals"] <= 1
+    assert compare("prior_mh", **few).settings["reference"]["simulations"] == 240
 
 
 # --- checkpoint and Ctrl-C ---------------------------------------------------------------------
@@ -212,34 +201,26 @@ def test_interrupt_keeps_finished_runs_and_a_checkpoint_goes_on_from_them(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reference: ppl.Posterior, found: ppl.Comparison
 ) -> None:
     path = tmp_path / "runs.json"
+    counted(monkeypatch, stop_at=0)
+    with pytest.raises(ppl.ComparisonInterrupted) as caught:
+        compare(reference, checkpoint=path, repeats=1, kernels={"early": "prior_mh"})
+    assert caught.value.comparison is None
     counted(monkeypatch, stop_at=3)
     with pytest.raises(ppl.ComparisonInterrupted) as caught:
-        compare(reference, checkpoint=path)
+        compare(reference, checkpoint=path)  # more repeats and kernels than at first
     kept = caught.value.comparison
     assert kept is not None
     # repeat by repeat, so that what is kept is balanced
-    assert list(zip(kept.runs["kernel"], kept.runs["repeat"], strict=True)) == [
-        ("early", 0), ("early", 1), ("whole", 0)
-    ]  # fmt: skip
+    finished = [("early", 0), ("early", 1), ("whole", 0)]
+    assert list(zip(kept.runs["kernel"], kept.runs["repeat"], strict=True)) == finished
     assert len(ppl.Comparison.load(path).runs) == 3
     calls = counted(monkeypatch)
-    again = compare(reference, checkpoint=path)
-    assert len(calls) == 1
+    for _ in range(2):
+        again = compare(reference, checkpoint=path)
+        assert len(calls) == 1
     assert again.runs.drop(columns="seconds").equals(found.runs.drop(columns="seconds"))
     assert again.curve.equals(found.curve)
     assert ppl.Comparison.load(path).runs.equals(again.runs)
-
-
-def test_checkpoint_takes_more_repeats_and_kernels(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reference: ppl.Posterior
-) -> None:
-    path = tmp_path / "runs.json"
-    compare(reference, checkpoint=path, repeats=1, kernels={"early": "prior_mh"})
-    calls = counted(monkeypatch)
-    compare(reference, checkpoint=path)
-    assert len(calls) == 3
-    compare(reference, checkpoint=path)
-    assert len(calls) == 3
 
 
 @pytest.mark.parametrize(
@@ -251,27 +232,15 @@ def test_checkpoint_takes_more_repeats_and_kernels(
         ({"reference": "prior_mh"}, "another reference"),
     ],
 )
-def test_checkpoint_of_other_settings_is_refused(
+def test_checkpoint_of_other_settings_or_damaged_is_refused(
     change: dict[str, Any], message: str, tmp_path: Path, found: ppl.Comparison, reference: Any
 ) -> None:
     path = found.save(tmp_path / "runs.json")
     with pytest.raises(InvalidSettingError, match=message):
         compare(**{"reference": reference, "checkpoint": path, **change})
-
-
-def test_damaged_checkpoint_is_refused(tmp_path: Path, reference: ppl.Posterior) -> None:
-    (tmp_path / "runs.json").write_text('{"schema": "phase-ppl-comparison-1", "runs"')
+    path.write_text('{"schema": "phase-ppl-comparison-1", "runs"')
     with pytest.raises(InvalidEventError, match="no comparison"):
-        compare(reference, checkpoint=tmp_path / "runs.json")
-
-
-def test_interrupt_before_a_run_is_finished_keeps_nothing(
-    monkeypatch: pytest.MonkeyPatch, reference: ppl.Posterior
-) -> None:
-    counted(monkeypatch, stop_at=0)
-    with pytest.raises(ppl.ComparisonInterrupted) as caught:
-        compare(reference)
-    assert caught.value.comparison is None
+        compare(reference, checkpoint=path)
 
 
 # --- what is refused ---------------------------------------------------------------------------
@@ -290,34 +259,31 @@ def even_only(program: Any) -> Any:
     return EvenOnly(program)
 
 
-WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
-    "unknown": ({"kernels": ["prior_hm"]}, UnknownNameError, "prior_mh"),
-    "none": ({"kernels": []}, InvalidSettingError, "empty"),
-    "twice": ({"kernels": ["prior_mh", "prior_mh"]}, InvalidSettingError, "called 'prior_mh'"),
-    "option": ({"kernels": {"a": "prior_mh", "b": ("prior_mh", {"speed": 3})}}, InvalidSettingError,
-     "b: .*speed"),
-    "odd chains": ({"kernels": {"pairs": even_only}, "chains": 5}, InvalidSettingError,
-     "pairs: .*5 chains.*must be even"),
-    "budget": ({"budget": ppl.simulations(7)}, InvalidSettingError, "early: .*too small"),
-    "no budget": ({"budget": 24}, InvalidSettingError, "budget=24"),
-    "repeats": ({"repeats": 0}, InvalidSettingError, "repeats=0"),
-    "seed": ({"seed": -1}, InvalidSettingError, "seed=-1"),
-    "weights": ({"weights": "counts"}, UnknownNameError, "count"),
-    "seed as an option": ({"kernels": {"a": ("prior_mh", {"seed": 3})}}, InvalidSettingError,
-     "same for all"),
-    "options": ({"kernels": [("prior_mh", 3)]}, InvalidSettingError, "is no kernel"),
-    "reference": ({"reference": "prior"}, UnknownNameError, "prior_mh"),
-    "pairs": ({"reference": ("enumeration", {"per_pair": 5})}, InvalidSettingError,
-     "per_pair=5, expected an even"),
-    "other option": ({"reference": ("enumeration", {"pairs": 6})}, InvalidSettingError, "per_pair"),
-    "reference's options": ({"reference": ("prior_mh", {"speed": 3})}, InvalidSettingError,
-     "reference: .*speed"),
-    "checkpoint": ({"checkpoint": "runs.nc"}, OSError, r"\.json"),
-    "beta": ({"settings": ppl.SimpleSettings(beta=0.1)}, InvalidSettingError, "likelihood"),
-}  # fmt: skip
+REFUSED, UNKNOWN = InvalidSettingError, UnknownNameError
+SPEED = ("prior_mh", {"speed": 3})
+WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
+    ({"kernels": ["prior_hm"]}, UNKNOWN, "prior_mh"),
+    ({"kernels": []}, REFUSED, "empty"),
+    ({"kernels": ["prior_mh", "prior_mh"]}, REFUSED, "called 'prior_mh'"),
+    ({"kernels": {"a": "prior_mh", "b": SPEED}}, REFUSED, "b: .*speed"),
+    ({"kernels": {"pairs": even_only}, "chains": 5}, REFUSED, "pairs: .*5 chains.*must be even"),
+    ({"budget": ppl.simulations(7)}, REFUSED, "early: .*too small"),
+    ({"budget": 24}, REFUSED, "budget=24"),
+    ({"repeats": 0}, REFUSED, "repeats=0"),
+    ({"seed": -1}, REFUSED, "seed=-1"),
+    ({"weights": "counts"}, UNKNOWN, "count"),
+    ({"kernels": {"a": ("prior_mh", {"seed": 3})}}, REFUSED, "same for all"),
+    ({"kernels": [("prior_mh", 3)]}, REFUSED, "is no kernel"),
+    ({"reference": "prior"}, UNKNOWN, "prior_mh"),
+    ({"reference": ("enumeration", {"per_pair": 5})}, REFUSED, "per_pair=5, expected an even"),
+    ({"reference": ("enumeration", {"pairs": 6})}, REFUSED, "per_pair"),
+    ({"reference": SPEED}, REFUSED, "reference: .*speed"),
+    ({"checkpoint": "runs.nc"}, OSError, r"\.json"),
+    ({"settings": ppl.SimpleSettings(beta=0.1)}, REFUSED, "likelihood"),
+]
 
 
-@pytest.mark.parametrize(("wrong", "error", "message"), WRONG.values(), ids=WRONG)
+@pytest.mark.parametrize(("wrong", "error", "message"), WRONG)
 def test_what_cannot_run_is_refused_before_anything_is_simulated(
     wrong: dict[str, Any], error: type[Exception], message: str
 ) -> None:
@@ -326,12 +292,11 @@ def test_what_cannot_run_is_refused_before_anything_is_simulated(
         ppl.compare(EVENT, model, **{**SETTINGS, "reference": "prior_mh", **wrong})
 
 
-def test_reference_of_another_event_is_refused(reference: ppl.Posterior) -> None:
+def test_reference_of_another_event_is_refused_and_chains_may_be_ones_own(
+    reference: ppl.Posterior,
+) -> None:
     with pytest.raises(InvalidEventError, match="another event"):
         ppl.compare(walking_event(9), MODEL, **{**SETTINGS, "reference": reference})
-
-
-def test_chains_of_ones_own_are_an_option() -> None:
     (pairs,) = entries({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
     pairs.check(EVENT, MODEL, ppl.simulations(24))
     assert pairs.record()["chains"] == 6

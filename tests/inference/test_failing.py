@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +67,7 @@ def test_rejected_simulations_have_no_likelihood_and_are_counted(rejecting: ppl.
     assert f"{n} failed" in str(rejecting).replace("\n             ", " ")
 
 
-def test_retried_simulations_are_counted_and_told(retrying: ppl.Posterior) -> None:
+def test_retrying_is_counted_and_told_and_saves_what_only_slipped(retrying: ppl.Posterior) -> None:
     cost, simulations = retrying.cost, retrying.tree["simulations"].dataset
     assert cost["retries"] > 0
     assert cost["simulations"] == len(simulations["seed"]) + cost["retries"]
@@ -77,10 +77,6 @@ def test_retried_simulations_are_counted_and_told(retrying: ppl.Posterior) -> No
     assert retrying.settings["retries"] == 2
     words = str(retrying).replace("\n             ", " ")
     assert f"{cost['failures']} failed, {cost['retries']} run again" in words
-
-
-def test_retrying_saves_what_only_slipped(retrying: ppl.Posterior) -> None:
-    simulations = retrying.tree["simulations"].dataset
     weak = simulations["strength_green"].values < 350
     slips = [random_generator(seed).integers(2) == 1 for seed in simulations["seed"].values]
     assert (weak & slips & simulations["completed"].values).any()
@@ -97,22 +93,31 @@ def test_retries_give_the_same_draws_after_a_rest(retrying: ppl.Posterior, tmp_p
         ppl.resume(path, EVENT, MODEL, on_failure="reject")
 
 
-class FailsOnce:
-    """Walks, but for the n-th simulation, which fails."""
+class Disturbed:
+    """Walks as the toy does, but for what ``disturb`` does to the n-th simulation and after."""
 
-    def __init__(self, at: int) -> None:
-        self.at, self.calls = at, 0
+    def __init__(self, at: int, disturb: Callable[[int], None]) -> None:
+        self.at, self.disturb, self.calls = at, disturb, 0
 
     def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
         self.calls += 1
-        if self.calls == self.at:
-            raise ValueError("not today")
+        if self.calls >= self.at:
+            self.disturb(self.calls - self.at)
         yield from walkers(scene, hypothesis, rng)
+
+
+def fails_once(later: int) -> None:
+    if not later:
+        raise ValueError("not today")
+
+
+def hangs(later: int) -> None:
+    time.sleep(1000)
 
 
 def test_raise_keeps_what_was_done_and_can_go_on(tmp_path: Path) -> None:
     path = tmp_path / "run.ckpt"
-    model = ppl.Model(simulator=FailsOnce(at=10))  # in the second iteration of four particles
+    model = ppl.Model(simulator=Disturbed(10, fails_once))  # in the second iteration
     with pytest.raises(ppl.SimulationError, match=r"with seed \d+ failed.*not today") as caught:
         ppl.infer(EVENT, model, **OPTIONS, on_failure="raise", checkpoint=path)
     kept = caught.value.posterior
@@ -120,56 +125,43 @@ def test_raise_keeps_what_was_done_and_can_go_on(tmp_path: Path) -> None:
     assert kept.cost["interrupted"]
     resumed = ppl.resume(path, EVENT, model, on_failure="reject", workers=1, progress=False)
     assert_same_draws(ppl.infer(EVENT, model, **OPTIONS).tree, resumed.tree)
+    model = ppl.Model(simulator=Disturbed(3, fails_once))
     with pytest.raises(ppl.SimulationError, match="not today") as caught:
-        ppl.infer(EVENT, ppl.Model(simulator=FailsOnce(at=3)), **OPTIONS, on_failure="raise")
+        ppl.infer(EVENT, model, **OPTIONS, on_failure="raise")
     assert caught.value.posterior is None  # of the initial particles nothing is kept
 
 
 # --- what hangs ------------------------------------------------------------------------------
 
 
-class Hangs:
-    """Walks as the toy does, but hangs from a certain simulation on."""
-
-    def __init__(self, at: int) -> None:
-        self.at, self.calls = at, 0
-
-    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
-        self.calls += 1
-        if self.calls > self.at:
-            time.sleep(1000)
-        yield from walkers(scene, hypothesis, rng)
-
-
 def test_a_limit_of_seconds_makes_a_failure_of_what_hangs() -> None:
-    model = ppl.Model(simulator=Hangs(10))  # one of them only to see whether it repeats itself
-    options = {**OPTIONS, "chains": 2, "iterations": 4, "simulation_seconds": 0.2}
+    model = ppl.Model(simulator=Disturbed(13, hangs))  # the fifth was to see if it repeats itself
+    options = {**OPTIONS, "iterations": 2, "simulation_seconds": 0.2}
     post = ppl.infer(EVENT, model, weights="count", **options)
     assert post.cost["failures"] == int(failed(post).sum()) == 1
     assert post.settings["simulation_seconds"] == 0.2
 
 
 def test_a_budget_of_seconds_holds_where_the_simulator_hangs() -> None:
-    options = {key: value for key, value in OPTIONS.items() if key != "iterations"}
-    post = ppl.infer(EVENT, ppl.Model(simulator=Hangs(10)), budget=ppl.seconds(6), **options)
+    options = {**OPTIONS, "iterations": None}
+    model = ppl.Model(simulator=Disturbed(11, hangs))
+    post = ppl.infer(EVENT, model, budget=ppl.seconds(4), **options)
     assert post.tree["posterior"].sizes["draw"] == 1  # 4 to begin with, 4 of an iteration
     assert not post.cost["interrupted"]
-    hangs = Hangs(0)
+    hanging = Disturbed(1, hangs)
     with pytest.raises(SimulationError, match=r"took longer than the 0\.3 s"):
-        ppl.infer(EVENT, ppl.Model(simulator=hangs), budget=ppl.seconds(0.3), **options)
-    assert hangs.calls == 1  # after it no time was left
+        ppl.infer(EVENT, ppl.Model(simulator=hanging), budget=ppl.seconds(0.3), **options)
+    assert hanging.calls == 1  # after it no time was left
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
-def test_ctrl_c_ends_a_run_whose_only_worker_hangs(tmp_path: Path) -> None:
-    class HangsLoudly(Hangs):
-        def __call__(self, *given: Any) -> Iterator[Any]:
-            if self.calls == self.at:
-                threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
-            return super().__call__(*given)
+def test_ctrl_c_ends_a_run_whose_only_worker_hangs() -> None:
+    def interrupted(later: int) -> None:
+        threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+        hangs(later)
 
     with pytest.raises(ppl.Interrupted) as caught:
-        ppl.infer(EVENT, ppl.Model(simulator=HangsLoudly(10)), **OPTIONS)
+        ppl.infer(EVENT, ppl.Model(simulator=Disturbed(11, interrupted)), **OPTIONS)
     assert caught.value.posterior is not None
     assert caught.value.posterior.tree["posterior"].sizes["draw"] == 1
 

@@ -95,25 +95,28 @@ def most_probable(observation: Observation, agent: int) -> str:
     return GOALS[int(alone.argmax())]
 
 
-def test_every_goal_has_a_kind() -> None:
+def test_every_goal_has_a_kind_and_every_kind_weights() -> None:
     assert GOALS_ABOUT.kind.shape == (2, N_GOALS)
     assert KINDS[GOALS_ABOUT.kind[RED, goal_index("Get red agent away from blue lm")]] == "not self"
     assert KINDS[GOALS_ABOUT.kind[GREEN, goal_index("Get red agent to blue lm")]] == "other"
     assert KINDS[GOALS_ABOUT.kind[RED, goal_index("get to green agent")]] == "touch"
+    for weights in goal_weights().values():
+        assert weights.shape == (len(KINDS), len(FEATURES))
+        assert np.isfinite(weights).all()
+    # one frame of motion is enough
+    short = Observation(moving(_0=(16.0, 12.0)).trajectory[:2])
+    tables = bottom_up_tables(SCENE, short, SimpleSettings())
+    assert np.isfinite(np.asarray(tables.goal_logits)).all()
 
 
-def test_an_agent_that_pushes_an_item_is_seen_to_touch_it() -> None:
+def test_touch_and_way_are_the_agents_own() -> None:
     pushed = moving(_2=(9.0, 18.5)).trajectory.copy()
     pushed[:, RED, :2] = pushed[:, 2, :2] - np.array([1.4, 1.0])
-    goal = f"Get blue item to {LANDMARKS[0]}"
-    assert feature(Observation(pushed), "share of time touching the subject", goal) == 1
-    assert feature(Observation(pushed), "share of time touching the subject", goal, GREEN) == 0
-    assert feature(Observation(pushed), "progress", goal) > 0
-
-
-def test_way_towards_an_item_is_the_agents_own() -> None:
-    goal = "Get pink item to red lm"
-    name = "agent's way towards the subject"
+    seen, goal = Observation(pushed), f"Get blue item to {LANDMARKS[0]}"
+    assert feature(seen, "share of time touching the subject", goal) == 1
+    assert feature(seen, "share of time touching the subject", goal, GREEN) == 0
+    assert feature(seen, "progress", goal) > 0
+    name, goal = "agent's way towards the subject", "Get pink item to red lm"
     assert feature(moving(_0=(16.0, 12.0)), name, goal) > 0
     assert feature(moving(_3=(10.0, 10.0)), name, goal) == 0
 
@@ -139,12 +142,6 @@ def test_features_do_not_depend_on_which_landmark_it_is() -> None:
         np.testing.assert_allclose(one[0, :, number], other[0, :, twin], atol=1e-9)
 
 
-def test_one_frame_of_motion_is_enough() -> None:
-    short = Observation(moving(_0=(16.0, 12.0)).trajectory[:2])
-    tables = bottom_up_tables(SCENE, short, SimpleSettings())
-    assert np.isfinite(np.asarray(tables.goal_logits)).all()
-
-
 @pytest.mark.parametrize("agent", [RED, GREEN])
 def test_an_agent_that_walks_to_a_landmark_and_stays_is_taken_to_want_that(agent: int) -> None:
     place = 23.5, 19.5
@@ -167,9 +164,3 @@ def test_tables_are_those_of_the_joint_distribution() -> None:
     goal /= goal.sum(axis=-1, keepdims=True)
     found = np.einsum("a,ar,ag->rga", alpha / alpha.sum(), goal[:, RED], goal[:, GREEN])
     np.testing.assert_allclose(found, expected / expected.sum(), atol=1e-12)
-
-
-def test_weights_that_come_with_the_package_fit_the_features() -> None:
-    for weights in goal_weights().values():
-        assert weights.shape == (len(KINDS), len(FEATURES))
-        assert np.isfinite(weights).all()

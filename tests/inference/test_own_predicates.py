@@ -85,9 +85,9 @@ def test_the_closed_loop_finds_it_and_its_posterior_is_kept(tmp_path: Path) -> N
 
 
 def test_simple_proposes_and_finds_it() -> None:
-    event = simulate("ball in the playroom", frames=30)
+    event = simulate("ball in the playroom", frames=24)
     model = ppl.Model(planner=ppl.PlannerConfig.fast())
-    options = {"kernel": "local_mh", "budget": ppl.simulations(105), "workers": 1}
+    options = {"kernel": "local_mh", "chains": 8, "budget": ppl.simulations(32), "workers": 1}
     post = ppl.infer(event, model, **options)
     assert post.top("goal_red", 1)[0][0] == "ball in the playroom"
 

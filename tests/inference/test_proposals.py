@@ -32,6 +32,7 @@ from phase_ppl.world.scene import Scene
 from tests.inference.toy import SCENE, START, few_goals, moving, never_called, table_guide
 
 RED, GREEN = 0, 1
+TO_RED = "Get blue item to red lm"
 
 
 def distances(observation: Observation, **more: Any) -> BottomUpTables:
@@ -54,59 +55,41 @@ def test_windows_cover_all_frames(n_frames: int, length: int, count: int) -> Non
 def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
     tables = distances(moving(_2=(23.5, 4.5)))
     mine = [goal for goal in GOALS if goal.startswith("Get blue item")]
-    assert max(mine, key=lambda goal: logit(tables, goal)) == "Get blue item to red lm"
+    assert max(mine, key=lambda goal: logit(tables, goal)) == TO_RED
+    # being far is no reason to believe in getting away
+    for landmark in ("blue lm", "green lm", "yellow lm"):
+        assert logit(tables, f"Get blue item away from {landmark}") < logit(tables, TO_RED)
+    # what names its holder is never proposed
+    assert (np.asarray(tables.goal_logits)[:, sites.SELF_REFERRING] < -1e20).all()
 
 
-def test_progress_counts_as_well_as_closeness() -> None:
+def test_progress_counts_as_well_as_closeness_in_the_window_itself() -> None:
     there = np.repeat(START[None], 21, axis=0)
     there[:, 2, :2] = 20.0, 8.0
-    resting = distances(Observation(there))
-    arriving = distances(moving(_2=(20.0, 8.0)))
-    goal = "Get blue item to red lm"
-    assert logit(arriving, goal) > logit(resting, goal) + 1
-
-
-def test_window_is_judged_by_its_own_motion() -> None:
+    resting, arriving = distances(Observation(there)), distances(moving(_2=(20.0, 8.0)))
+    assert logit(arriving, TO_RED) > logit(resting, TO_RED) + 1
     tables = distances(moving(41, _2=(23.5, 4.5)))
-    goal = "Get blue item to red lm"
-    assert logit(tables, goal, 30) > logit(tables, goal, 0)
+    assert logit(tables, TO_RED, 30) > logit(tables, TO_RED, 0)
 
 
-def test_goal_about_the_other_agent_is_judged_by_the_other_agent() -> None:
+def test_goals_about_agents_are_judged_by_where_these_are() -> None:
     tables = distances(moving(_1=(23.5, 4.5)))
     goal = "Get green agent to red lm"
     assert logit(tables, goal, agent=RED) == logit(tables, goal, agent=GREEN)
     assert logit(tables, goal) > logit(tables, "Get red agent to red lm")
-
-
-def test_chase_is_judged_by_the_distance_between_the_agents() -> None:
-    closer = distances(moving(_0=(18.0, 8.0)))
-    farther = distances(moving(_0=(6.5, 21.0)))
+    closer, farther = (distances(moving(_0=place)) for place in ((18.0, 8.0), (6.5, 21.0)))
     assert logit(closer, "get to green agent") > logit(farther, "get to green agent")
     away = "get away from green agent"
     assert logit(farther, away) > logit(closer, away)
 
 
-def test_being_far_is_no_reason_to_believe_in_getting_away() -> None:
-    tables = distances(moving(_2=(23.5, 4.5)))
-    reached = logit(tables, "Get blue item to red lm")
-    for landmark in ("blue lm", "green lm", "yellow lm"):
-        assert logit(tables, f"Get blue item away from {landmark}") < reached
-
-
 def test_printed_sign_prefers_far_goals() -> None:
-    observation = moving(_2=(23.5, 4.5))
-    intended = distances(observation)
-    printed = distances(observation, sign="printed")
-    possible = ~sites.SELF_REFERRING
-    for tables, sign in ((intended, -1), (printed, 1)):
-        scores = np.asarray(tables.goal_logits)[:, possible]
-        np.testing.assert_allclose(sign * scores, np.asarray(printed.goal_logits)[:, possible])
-
-
-def test_goals_that_name_their_holder_are_never_proposed() -> None:
-    tables = distances(moving(_2=(23.5, 4.5)))
-    assert (np.asarray(tables.goal_logits)[:, sites.SELF_REFERRING] < -1e20).all()
+    observation, possible = moving(_2=(23.5, 4.5)), ~sites.SELF_REFERRING
+    intended, printed = (
+        np.asarray(distances(observation, sign=sign).goal_logits)[:, possible]
+        for sign in ("intended", "printed")
+    )
+    np.testing.assert_allclose(intended, -printed)
 
 
 # --- the guide as a program --------------------------------------------------------------------
@@ -201,12 +184,6 @@ def test_guide_is_a_program_whose_density_numpyro_agrees_with() -> None:
     np.testing.assert_allclose(densities(guide, z, window), expected, rtol=1e-5)
 
 
-def test_goals_that_the_prior_excludes_are_not_proposed() -> None:
-    z = proposed(few_goals)
-    assert set(np.unique(z["goal_red"])) <= {0, 5, 18}
-    assert set(np.unique(z["goal_green"])) <= {3, 9}
-
-
 def test_strength_is_proposed_around_its_estimate_and_otherwise_from_the_prior() -> None:
     z = proposed(priors.uniform)
     red, green = z["strength_red"], z["strength_green"]
@@ -215,13 +192,16 @@ def test_strength_is_proposed_around_its_estimate_and_otherwise_from_the_prior()
     assert green.std() == pytest.approx(450 / np.sqrt(12), abs=6)
 
 
-def test_sites_of_the_users_own_come_from_the_prior() -> None:
+def test_sites_of_the_users_own_come_from_the_prior_and_excluded_goals_from_nowhere() -> None:
     z = proposed(helpful_moods, "paper")
     mood, alpha = z["mood"], z["alpha"]
     assert mood.mean() == pytest.approx(0.3, abs=0.03)
     helping = np.isin(alpha, (1, 2))
     assert helping[mood == 1].mean() == pytest.approx(0.8, abs=0.04)
     assert helping[mood == 0].mean() == pytest.approx(0.1, abs=0.03)
+    few = proposed(few_goals)
+    assert set(np.unique(few["goal_red"])) <= {0, 5, 18}
+    assert set(np.unique(few["goal_green"])) <= {3, 9}
 
 
 def test_mixture_needs_no_key_where_all_values_are_given() -> None:

@@ -25,8 +25,10 @@ START = np.array([[7.0, 12.0, -np.pi / 2], [20.0, 4.0, 0.0], [8.0, 20.0, 0.0], [
 SCENE = Scene(START, np.array([1.2, 0.8, 0.8, 0.8]))
 
 
-def driven(strengths: tuple[float, float], actions: list[tuple[Action, Action]]) -> np.ndarray:
-    world = PymunkWorld(SCENE, strengths)
+def driven(
+    strengths: tuple[float, float], actions: list[tuple[Action, Action]], scene: Scene = SCENE
+) -> np.ndarray:
+    world = PymunkWorld(scene, strengths)
     return np.array([START, *(world.step((int(a), int(b))) for a, b in actions)])
 
 
@@ -37,24 +39,16 @@ def estimate(
     return analytic_strengths(scene, Observation(trajectory), windows).mean[0]
 
 
+@pytest.mark.parametrize("resets", [False, True])
 @pytest.mark.parametrize("level", STRENGTH_LEVELS)
-def test_free_forward_driving_gives_the_strength_away(level: float) -> None:
-    trajectory = driven((level, 750.0 - level), [(Action.UP, Action.UP)] * 5)
-    np.testing.assert_array_equal(estimate(trajectory), [level, 750.0 - level])
-
-
-@pytest.mark.parametrize("level", STRENGTH_LEVELS)
-def test_driving_gives_the_strength_of_agents_away_that_are_reset(level: float) -> None:
-    scene = dataclasses.replace(SCENE, resets_velocity=True)
-    world = PymunkWorld(scene, (level, 750.0 - level))
-    pairs = [(Action.UP, Action.UP)] * 5
-    trajectory = np.array([START, *(world.step(pair) for pair in pairs)])
-    np.testing.assert_array_equal(estimate(trajectory, scene=scene), [level, 750.0 - level])
-    # the network knows no such agents
-    windows = np.array([[0, 5]])
-    found = network_strengths(scene, Observation(trajectory), windows).mean[0]
-    np.testing.assert_array_equal(found, [level, 750.0 - level])
+def test_free_forward_driving_gives_the_strength_away(level: float, resets: bool) -> None:
+    scene, strengths = dataclasses.replace(SCENE, resets_velocity=resets), (level, 750.0 - level)
+    trajectory = driven(strengths, [(Action.UP, Action.UP)] * 5, scene)
+    np.testing.assert_array_equal(estimate(trajectory, scene=scene), strengths)
     assert np.isnan(estimate(trajectory[:1].repeat(4, axis=0), scene=scene)).all()
+    if resets:  # the network knows no such agents
+        found = network_strengths(scene, Observation(trajectory), np.array([[0, 5]]))
+        np.testing.assert_array_equal(found.mean[0], strengths)
 
 
 def test_window_sees_only_its_own_frames() -> None:
@@ -65,14 +59,16 @@ def test_window_sees_only_its_own_frames() -> None:
 
 
 PUSH, COAST = (Action.UP, Action.STOP), (Action.NO_FORCE, Action.STOP)
-NOTHING = {
-    "coasting": (450.0, [PUSH, PUSH, *[COAST] * 6], 3),
-    "between the levels": (375.0, [(Action.UP, Action.UP)] * 5, 0),
-    "two frames": (300.0, [(Action.UP, Action.UP)], 0),
-}
 
 
-@pytest.mark.parametrize(("strength", "actions", "first"), NOTHING.values(), ids=NOTHING)
+@pytest.mark.parametrize(
+    ("strength", "actions", "first"),
+    [
+        pytest.param(450.0, [PUSH, PUSH, *[COAST] * 6], 3, id="coasting"),
+        pytest.param(375.0, [(Action.UP, Action.UP)] * 5, 0, id="between the levels"),
+        pytest.param(300.0, [(Action.UP, Action.UP)], 0, id="two frames"),
+    ],
+)
 def test_no_strength_is_seen_where_none_shows(
     strength: float, actions: list[tuple[Action, Action]], first: int
 ) -> None:

@@ -93,15 +93,12 @@ def test_window_knows_only_its_own_frames_but_for_the_jitter() -> None:
     assert np.abs(before - window_features(TRAJECTORY, RADIUS, windows + 8)[0]).max() > 0.5
 
 
-@pytest.mark.parametrize("jitter", [0.02, 0.1, 0.3])
-def test_jitter_is_read_off_what_rests(jitter: float) -> None:
-    seen = blurred(TRAJECTORY, jitter, np.random.default_rng(0))
-    assert jitter < observed_jitter(seen).position < 1.6 * jitter
-
-
-def test_jitter_blurs_positions_and_angles_by_the_stated_amounts() -> None:
+def test_jitter_blurs_by_the_stated_amounts_and_is_read_off_what_rests() -> None:
     noise = blurred(np.zeros((4000, 4, 3)), 0.2, np.random.default_rng(0), angle=0.5)
     np.testing.assert_allclose(noise.std(axis=(0, 1)), [0.2, 0.2, 0.1], rtol=0.05)
+    for jitter in (0.02, 0.1, 0.3):
+        seen = blurred(TRAJECTORY, jitter, np.random.default_rng(0))
+        assert jitter < observed_jitter(seen).position < 1.6 * jitter
 
 
 # --- the network -------------------------------------------------------------------------------
@@ -122,28 +119,22 @@ def test_forward_pass_equals_one_worked_by_hand() -> None:
 
 
 def test_shipped_network_beats_the_prior_on_new_events() -> None:
-    events = simulate_events(6, 36, seed=20_000)
+    events, window = simulate_events(6, 36, seed=20_000), np.array([[0, 35]])
     for jitter, gain in ((0.0, 0.8), (0.1, 0.4)):
-        found, truth = [], []
         rng = np.random.default_rng(0)
-        for trajectory, radius, strength in zip(*events, strict=True):
-            seen = blurred(trajectory, jitter, rng)
-            found.append(
-                shipped_network().outputs(window_features(seen, radius, np.array([[0, 35]])))
-            )
-            truth.append(strength)
+        found = [
+            shipped_network().outputs(window_features(blurred(t, jitter, rng), radius, window))
+            for t, radius in zip(events.trajectory, events.radius, strict=True)
+        ]
         mean, sd = (np.concatenate(part) for part in zip(*found, strict=True))
-        judged = quality(StrengthEstimates(mean, sd), np.array(truth))
+        judged = quality(StrengthEstimates(mean, sd), events.strength)
         assert judged.log_density > PRIOR_LOG_DENSITY + gain
 
 
-def test_shipped_network_knows_little_of_agents_at_rest() -> None:
+def test_the_network_knows_little_of_agents_at_rest_and_jitter_makes_it_less_sure() -> None:
     resting = Observation(np.repeat(TRAJECTORY[:1], 30, axis=0))
-    estimates = estimated_strengths("network", EVENT.scene, resting, np.array([[0, 29], [0, 10]]))
-    assert (estimates.sd > 100).all()
-
-
-def test_jitter_makes_the_network_less_sure() -> None:
+    windows = np.array([[0, 29], [0, 10]])
+    assert (estimated_strengths("network", EVENT.scene, resting, windows).sd > 100).all()
     clear, blur = (
         estimated_strengths("network", EVENT.scene, Observation(seen), ALL).sd
         for seen in (TRAJECTORY, blurred(TRAJECTORY, 0.3, np.random.default_rng(0)))
@@ -165,42 +156,31 @@ def test_stronger_agents_seem_stronger() -> None:
     assert means == sorted(means)
 
 
-def test_every_estimator_takes_the_shortest_observations() -> None:
-    for name in ESTIMATORS:
-        for n_frames in (2, 3):
-            seen = Observation(TRAJECTORY[:n_frames])
-            tables = bottom_up_tables(EVENT.scene, seen, SimpleSettings(strength=name))
-            assert np.isnan(tables.strength).all() or np.isfinite(tables.strength).all()
-            np.testing.assert_array_equal(np.isnan(tables.strength), np.isnan(tables.strength_sd))
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_takes_the_shortest_observations(name: str) -> None:
+    for n_frames in (2, 3):
+        seen = Observation(TRAJECTORY[:n_frames])
+        tables = bottom_up_tables(EVENT.scene, seen, SimpleSettings(strength=name))
+        assert np.isnan(tables.strength).all() or np.isfinite(tables.strength).all()
+        np.testing.assert_array_equal(np.isnan(tables.strength), np.isnan(tables.strength_sd))
 
 
 # --- files of weights --------------------------------------------------------------------------
 
 
-def test_weights_survive_saving(tmp_path: Path) -> None:
-    shipped_network().save(tmp_path / "w.npz")
-    features = window_features(TRAJECTORY, RADIUS, ALL)
-    again = StrengthNetwork.load(tmp_path / "w.npz")
-    np.testing.assert_array_equal(again.outputs(features), shipped_network().outputs(features))
-
-
-def test_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
+def test_weights_survive_saving_and_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
     whole = tmp_path / "whole.npz"
     shipped_network().save(whole)
+    features = window_features(TRAJECTORY, RADIUS, ALL)
+    again = StrengthNetwork.load(whole)
+    np.testing.assert_array_equal(again.outputs(features), shipped_network().outputs(features))
     content = whole.read_bytes()
-    damaged = bytearray(content)
-    damaged[len(content) // 2] ^= 0xFF
-    for name, data in {
-        "cut.npz": content[: len(content) // 2],
-        "flipped.npz": bytes(damaged),
-        "text.npz": b"no weights",
-        "empty.npz": b"",
-    }.items():
-        (tmp_path / name).write_bytes(data)
-        with pytest.raises(InvalidSettingError, match=name):
-            StrengthNetwork.load(tmp_path / name)
-    with pytest.raises(InvalidSettingError, match=r"absent\.npz"):
-        StrengthNetwork.load(tmp_path / "absent.npz")
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 0xFF
+    for damaged in (content[: len(content) // 2], bytes(flipped), b"no weights", b"", None):
+        whole.write_bytes(damaged) if damaged is not None else whole.unlink()
+        with pytest.raises(InvalidSettingError, match=r"whole\.npz"):
+            StrengthNetwork.load(whole)
 
 
 @pytest.mark.parametrize(
@@ -237,9 +217,6 @@ def test_settings_take_names_functions_and_networks() -> None:
     np.testing.assert_allclose(tables.strength, 375.0)
     assert estimator_name(mine).endswith("StrengthNetwork")
     assert estimator_name("analytic") == "analytic"
-
-
-def test_unknown_estimators_are_named() -> None:
     with pytest.raises(UnknownNameError, match="'networks'; did you mean 'network'"):
         SimpleSettings(strength="networks")
     with pytest.raises(InvalidSettingError, match="strength=3"):
@@ -255,14 +232,11 @@ def test_unknown_estimators_are_named() -> None:
         (np.full((1, 2), np.inf), np.ones((1, 2)), "mean inf"),
     ],
 )
-def test_answers_that_are_no_distributions_are_refused(
-    mean: np.ndarray, sd: np.ndarray, message: str
-) -> None:
-    def odd(scene: Scene, observation: Observation, windows: np.ndarray) -> StrengthEstimates:
-        return StrengthEstimates(mean, sd)
-
+def test_answers_that_are_no_distributions_are_refused(mean: Any, sd: Any, message: str) -> None:
     with pytest.raises(InvalidSettingError, match=message):
-        estimated_strengths(odd, EVENT.scene, EVENT.observation, ALL)
+        estimated_strengths(
+            lambda *_: StrengthEstimates(mean, sd), EVENT.scene, EVENT.observation, ALL
+        )
 
 
 # --- quality -----------------------------------------------------------------------------------
@@ -324,14 +298,15 @@ def test_drawn_scenes_and_hypotheses_have_the_variety_of_phase() -> None:
 
 
 def test_simulated_events_are_the_same_for_the_same_seed_and_kept(tmp_path: Path) -> None:
-    kept = cached_events(tmp_path / "events.npz", 2, 6, seed=3)
-    assert kept.trajectory.shape == (2, 6, 4, 3)
-    again, read = simulate_events(1, 6, seed=3), cached_events(tmp_path / "events.npz", 2, 6, 3)
-    for whole, first, copy in zip(kept, again, read, strict=True):
-        np.testing.assert_array_equal(whole[:1], first)
+    # among them is one whose bodies overlap at the start
+    kept = cached_events(tmp_path / "events.npz", 3, 6, seed=0)
+    assert kept.trajectory.shape == (3, 6, 4, 3)
+    again, read = simulate_events(3, 6, 0, 2), cached_events(tmp_path / "events.npz", 3, 6, 0)
+    for whole, with_two_workers, copy in zip(kept, again, read, strict=True):
+        np.testing.assert_array_equal(whole, with_two_workers)
         np.testing.assert_array_equal(whole, copy)
-    with pytest.raises(InvalidSettingError, match=r"'seed': 3.*not of.*'seed': 4"):
-        cached_events(tmp_path / "events.npz", 2, 6, 4)
+    with pytest.raises(InvalidSettingError, match=r"'seed': 0.*not of.*'seed': 4"):
+        cached_events(tmp_path / "events.npz", 3, 6, 4)
 
 
 def test_examples_cover_lengths_and_jitter() -> None:
@@ -397,10 +372,3 @@ def test_command_writes_weights_that_load_and_a_report(tmp_path: Path) -> None:
     report = json.loads((tmp_path / "out" / "strength_weights.json").read_text())
     assert report["settings"]["events"] == 20
     assert set(SHAPES)
-
-
-def test_drawn_events_are_the_same_with_one_and_two_workers() -> None:
-    # among them is one whose bodies overlap at the start
-    one, two = (simulate_events(3, 6, 0, workers) for workers in (1, 2))
-    for alone, shared in zip(one, two, strict=True):
-        np.testing.assert_array_equal(alone, shared)

@@ -97,7 +97,7 @@ def log_ratio(
     return log_known + (proposed - current).sum() + log_after
 
 
-class MetropolisKernel(ParticleKernel[MHState]):
+class MetropolisKernel(ParticleKernel):
     """Base of the family: a subclass makes a :class:`Move` and has :meth:`accept_reject` decide.
 
     With ``early_reject`` a simulation is stopped once it cannot be accepted any more; the chain is

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, Final, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Final, Self
 
 import jax
 import jax.numpy as jnp
@@ -25,30 +25,14 @@ _SLACK: Final = 0.01
 _RELATIVE_SLACK: Final = 1e-5
 
 
-class ParticleState(Protocol):
-    """Fields that every state of ours has, beside ``z`` and ``sim_seed``, see the registry.
-
-    ``n_accepted`` of ``i`` iterations changed the hypothesis, or could be simulated.
-    """
-
-    @property
-    def i(self) -> jax.Array: ...
-    @property
-    def n_accepted(self) -> jax.Array: ...
-    @property
-    def rng_key(self) -> jax.Array: ...
-
-
-State = TypeVar("State", bound=ParticleState)
-
-
-class EventKernel(MCMCKernel, Generic[State]):
+class EventKernel(MCMCKernel):
     """Base of our kernels: bound to the model of an event, and moving all particles together.
 
     Their simulations reach the runner in one call (``chain_method="vectorized"``). States hold
-    constrained values, so nothing is replayed after the run. The proposal program ``guide(window)``
-    counts windows by their first frame; the index after the last one stands for the whole
-    observation.
+    constrained values, so nothing is replayed after the run; beside what the registry asks for they
+    have ``n_accepted``, how many of ``i`` iterations changed the hypothesis, or could be simulated.
+    The proposal program ``guide(window)`` counts windows by their first frame; the index after the
+    last one stands for the whole observation.
     """
 
     sample_field: ClassVar[str] = "z"
@@ -88,7 +72,7 @@ class EventKernel(MCMCKernel, Generic[State]):
         init_params: dict[str, jax.Array] | None = None,
         model_args: tuple[Any, ...] = (),
         model_kwargs: dict[str, Any] | None = None,
-    ) -> State:
+    ) -> Any:
         """Return the initial state of the particle, or of a batch where ``rng_key`` is one.
 
         ``init_params`` is the hypothesis to start from, by default what the kernel proposes; the
@@ -99,29 +83,24 @@ class EventKernel(MCMCKernel, Generic[State]):
             return as_batch_of_one(lambda batch: jax.jit(self._start)(*batch), one)
         return jax.jit(self._start)(rng_key, init_params)
 
-    def sample(
-        self,
-        state: State,
-        model_args: tuple[Any, ...] = (),
-        model_kwargs: dict[str, Any] | None = None,
-    ) -> State:
+    def sample(self, state: Any, model_args: Any = (), model_kwargs: Any = None) -> Any:
         return self._sample_fn(state)
 
-    def _sample_fn(self, state: State) -> State:
+    def _sample_fn(self, state: Any) -> Any:
         """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
         if is_prng_key(state.rng_key):
             return as_batch_of_one(self._step, state)
         return self._step(state)
 
     @abstractmethod
-    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> Any:
         """Return the initial state of a batch of particles."""
 
     @abstractmethod
-    def _step(self, state: State) -> State:
+    def _step(self, state: Any) -> Any:
         """Return the state of a batch of particles after one iteration."""
 
-    def get_diagnostics_str(self, state: State) -> str:
+    def get_diagnostics_str(self, state: Any) -> str:
         """Return the share of accepted proposals, for NumPyro's progress bar."""
         return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
 
@@ -144,7 +123,7 @@ class EventKernel(MCMCKernel, Generic[State]):
     def n_windows(self) -> Any:
         """How many windows the observation has: a number, or an array of one if it is padded."""
         if not self.program.is_padded:
-            return window_count(self.program.n_frames, self.settings.window)
+            return self.most_windows
         return jnp.maximum(self.program.observed - self.settings.window, 1)
 
     @property
@@ -154,28 +133,27 @@ class EventKernel(MCMCKernel, Generic[State]):
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
         """Return a hypothesis from the guide."""
-        guide = self.guide
-        if isinstance(guide, Mixture):
-            return guide.draw(key, jnp.asarray(window))
-        return draw(guide, key, jnp.asarray(window))
+        if isinstance(self.guide, Mixture):
+            return self.guide.draw(key, jnp.asarray(window))
+        return draw(self.guide, key, jnp.asarray(window))
 
 
-class ParticleKernel(EventKernel[State]):
+class ParticleKernel(EventKernel):
     """Base of kernels whose particles do not notice each other: how one starts, and moves."""
 
     initial_tries: ClassVar[int] = 16
     """Initial hypotheses drawn per particle, of which the first with prior mass is taken; 1 where
     the draw is weighed, since the best of several has another density."""
 
-    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> Any:
         return jax.vmap(self._init)(keys, sites)
 
-    def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+    def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> Any:
         key, key_sites, key_start = random.split(key, 3)
         start = self._initial_sites(key_sites) if sites is None else sites
         return _strongly_typed(self.start_one(key, key_start, start))
 
-    def _step(self, state: State) -> State:
+    def _step(self, state: Any) -> Any:
         return jax.vmap(self.step_one)(state)
 
     def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
@@ -200,11 +178,11 @@ class ParticleKernel(EventKernel[State]):
         return self.program.draw_prior(key)
 
     @abstractmethod
-    def start_one(self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]) -> State:
+    def start_one(self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]) -> Any:
         """Simulate the initial hypothesis of one particle; return its state, which has ``key``."""
 
     @abstractmethod
-    def step_one(self, state: State) -> State:
+    def step_one(self, state: Any) -> Any:
         """Return the state of one particle after one iteration."""
 
 
@@ -223,7 +201,7 @@ def as_batch_of_one(function: Callable[[Any], Any], tree: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf[0], function(jax.tree.map(lambda leaf: leaf[None], tree)))
 
 
-def _strongly_typed(state: State) -> State:
+def _strongly_typed(state: Any) -> Any:
     """Strip weak types, with which the step would be compiled twice."""
 
     def strip(leaf: jax.Array) -> jax.Array:
@@ -232,49 +210,3 @@ def _strongly_typed(state: State) -> State:
         return lax.convert_element_type(leaf, np.dtype(leaf.dtype))
 
     return jax.tree.map(strip, jax.tree.map(jnp.asarray, state))
-
-
-class WeightedState(NamedTuple):
-    """State of a particle that draws anew in every iteration, each draw with a weight."""
-
-    i: jax.Array
-    # site -> value, the hypothesis drawn last with any further sites; an earlier one, at weight 0,
-    # where the last could not be simulated
-    z: dict[str, jax.Array]
-    sim_seed: jax.Array
-    log_weight: jax.Array  # of the draw, -inf where it could not be simulated
-    window: jax.Array  # the window it was drawn from, by its first frame; -1 where there is none
-    accepted: jax.Array  # whether the last draw could be simulated
-    n_accepted: jax.Array
-    rng_key: jax.Array
-
-    @classmethod
-    def before(
-        cls, key: jax.Array, sites: dict[str, jax.Array], seed: jax.Array | int = 0
-    ) -> WeightedState:
-        """Return the state before the first draw."""
-        none = jnp.zeros((), jnp.int32)
-        seed = jnp.asarray(seed, jnp.int32)
-        return cls(none - 1, sites, seed, none - jnp.inf, none - 1, none > 0, none, key)
-
-    def after(
-        self,
-        key: jax.Array,
-        sites: dict[str, jax.Array],
-        seed: jax.Array,
-        log_weight: jax.Array,
-        simulated: jax.Array,
-        window: jax.Array | int = -1,
-    ) -> WeightedState:
-        """Return the state after a draw; ``simulated`` says whether it could be."""
-        sites, seed = chosen(simulated, (sites, seed), (self.z, self.sim_seed))
-        return WeightedState(
-            self.i + 1,
-            sites,
-            seed,
-            jnp.where(simulated, log_weight, -jnp.inf),
-            jnp.asarray(window, jnp.int32),
-            simulated,
-            self.n_accepted + simulated,
-            key,
-        )

@@ -173,7 +173,7 @@ class SMCState(NamedTuple):
     weighted=True,
     any_length=True,
 )
-class SMC(ParticleKernel[SMCState]):
+class SMC(ParticleKernel):
     """Sequential Monte Carlo: a population cooled from the proposal to the posterior.
 
     Args:
@@ -186,9 +186,6 @@ class SMC(ParticleKernel[SMCState]):
         UnknownNameError: there is no such move.
     """
 
-    validity = "consistent"
-    keeps = "last"
-    weighted = True
     initial_tries = 1
 
     def __init__(

@@ -2,19 +2,19 @@
 
 These see the model as a function of uniform numbers: every latent site of the prior is its inverse
 distribution function at a uniform number, site after site, and the simulator's seed is a function
-of one more. Such a model has no discrete site,
-and its prior is the same for every site; samplers move on the whole real line, u = 1 / (1 +
-exp(-x)).
+of one more. Such a model has no discrete site, and its prior is the same
+for every site; samplers move on the whole real line, u = 1 / (1 + exp(-x)).
 """
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +43,6 @@ one."""
 
 _STEPS: Final = 2**16  # distinct values of a uniform number
 
-
 Found = tuple[dict[str, jax.Array], jax.Array, jax.Array]
 """What a point stands for: sites, seed, and the errors (time,) of the simulation, units."""
 
@@ -66,19 +65,16 @@ def quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
     """Return where a distribution function reaches ``uniform``, element by element."""
     while isinstance(distribution, dist.Independent | dist.ExpandedDistribution):
         distribution = distribution.base_dist  # broadcasting gives the shape back
-    kind = type(distribution).__name__
-    refused = InvalidSettingError(
-        f"site {name!r} ({kind}) has no inverse distribution function, which this kernel needs"
+    if not distribution.event_shape:
+        with contextlib.suppress(NotImplementedError, ImportError):
+            if distribution.has_enumerate_support:
+                return _discrete_quantile(distribution, uniform)
+            value: jax.Array = distribution.icdf(uniform)
+            return value
+    raise InvalidSettingError(
+        f"site {name!r} ({type(distribution).__name__}) has no inverse distribution function, "
+        "which this kernel needs"
     )
-    if distribution.event_shape:
-        raise refused
-    try:
-        if distribution.has_enumerate_support:
-            return _discrete_quantile(distribution, uniform)
-        value: jax.Array = distribution.icdf(uniform)
-    except (NotImplementedError, ImportError):
-        raise refused from None
-    return value
 
 
 def _discrete_quantile(distribution: Any, uniform: jax.Array) -> jax.Array:
@@ -87,8 +83,7 @@ def _discrete_quantile(distribution: Any, uniform: jax.Array) -> jax.Array:
     reached = reached / reached[-1]
     index = (uniform[None] > reached[:-1]).sum(axis=0)
     values = jnp.broadcast_to(support, (len(support), *uniform.shape))
-    value: jax.Array = jnp.take_along_axis(values, index[None], axis=0)[0]
-    return value
+    return jnp.take_along_axis(values, index[None], axis=0)[0]
 
 
 class WrappedState(NamedTuple):
@@ -114,7 +109,7 @@ class WrappedState(NamedTuple):
         return WrappedState(self.i + 1, z, sim_seed, error, inner, moved, n_accepted, rng_key)
 
 
-class UniformKernel(EventKernel[WrappedState]):
+class UniformKernel(EventKernel):
     """Base of kernels that run a sampler of NumPyro on the model as a function of real numbers.
 
     Subclasses work on all particles together.
@@ -122,8 +117,6 @@ class UniformKernel(EventKernel[WrappedState]):
     Raises:
         InvalidSettingError: a site of the prior has no inverse distribution function.
     """
-
-    validity: ClassVar[str] = "exact"
 
     def __init__(self, program: EventProgram | None = None) -> None:
         super().__init__(program)
@@ -209,8 +202,6 @@ class Ensemble(UniformKernel):
             are fewer than twice as many chains as sites, so that they might move in a subspace.
     """
 
-    even_chains = True
-
     def start(self, keys: jax.Array, points: jax.Array) -> jax.Array:
         """Return the points: they are the whole state."""
         chains, dimensions = points.shape
@@ -257,8 +248,6 @@ class SampleAdaptive(UniformKernel):
         InvalidSettingError: ``pool`` is below 2, or a site has no inverse distribution function.
     """
 
-    validity = "consistent"
-
     def __init__(self, program: EventProgram | None = None, *, pool: int | None = None) -> None:
         super().__init__(program)
         self._pool = None if pool is None else whole_number("pool", pool, minimum=2)
@@ -272,11 +261,11 @@ class SampleAdaptive(UniformKernel):
         """Simulate pools around the points."""
         state = self._sampler(keys, points)[1]
         # a particle must be somewhere possible, if it knows such a place
-        best = state.adapt_state.pes.argmin(axis=1)
-        possible = state.potential_energy < IMPOSSIBLE
         zs, pes = state.adapt_state.zs, state.adapt_state.pes
-        best_z = jnp.take_along_axis(zs, best[:, None, None], axis=1)[:, 0]
-        best_pe = jnp.take_along_axis(pes, best[:, None], axis=1)[:, 0]
+        best = pes.argmin(axis=1)[:, None]
+        possible = state.potential_energy < IMPOSSIBLE
+        best_z = jnp.take_along_axis(zs, best[..., None], axis=1)[:, 0]
+        best_pe = jnp.take_along_axis(pes, best, axis=1)[:, 0]
         return state._replace(
             z=jnp.where(possible[:, None], state.z, best_z),
             potential_energy=jnp.where(possible, state.potential_energy, best_pe),
@@ -287,9 +276,8 @@ class SampleAdaptive(UniformKernel):
         sampler, _ = self._sampler(keys, inner.z)  # a sampler is made ready by its init
         return sampler.sample(inner._replace(rng_key=keys), (), {})
 
-    def points(self, inner: Any) -> jax.Array:
-        points: jax.Array = inner.z
-        return points
+    def points(self, inner: Any) -> Any:
+        return inner.z
 
     def _sampler(self, keys: jax.Array, points: jax.Array) -> tuple[SA, Any]:
         sampler = SA(potential_fn=self.potential, adapt_state_size=self.sims_at_start)
@@ -361,7 +349,7 @@ class RandomWalk(MCMCKernel):
 
 
 @register_kernel("gibbs", validity="exact", sims_per_step=4, any_length=True)
-class GibbsKernel(ParticleKernel[WrappedState]):
+class GibbsKernel(ParticleKernel):
     """Gibbs sampling: random walks site by site.
 
     Updates the discrete sites one by one, in random order, then the numbers and the seed. A
@@ -376,8 +364,6 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         InvalidSettingError: ``step`` is no positive number, or a discrete site's values are not
             0, 1, ..., n.
     """
-
-    validity = "exact"
 
     def __init__(self, program: EventProgram | None = None, *, step: float = 0.5) -> None:
         super().__init__(program)

@@ -31,11 +31,16 @@ def short(frames: int = 9) -> Event:
     )
 
 
-@pytest.fixture(scope="module")
-def whole() -> ppl.StepwisePosterior:
-    post = ppl.infer(short(), MODEL, workers=1, progress=False)
+def infer(event: Event | None = None, **options: Any) -> ppl.StepwisePosterior:
+    given = {"model": MODEL, "workers": 1, "progress": False, **options}
+    post = ppl.infer(short() if event is None else event, **given)
     assert isinstance(post, ppl.StepwisePosterior)
     return post
+
+
+@pytest.fixture(scope="module")
+def whole() -> ppl.StepwisePosterior:
+    return infer()
 
 
 def tables(post: ppl.StepwisePosterior) -> list[np.ndarray]:
@@ -57,8 +62,7 @@ def test_later_frames_never_change_earlier_posteriors(whole: ppl.StepwisePosteri
     event = short()
     other = event.observation.trajectory.copy()
     other[6:, 0, :2] -= 1.5
-    changed = dataclasses.replace(event, observation=Observation(other))
-    post = ppl.infer(changed, MODEL, workers=1, progress=False)
+    post = infer(dataclasses.replace(event, observation=Observation(other)))
     for one, before in zip(tables(post), tables(whole), strict=True):
         np.testing.assert_array_equal(one[:6], before[:6])
         if one.dtype.kind == "f" and one.ndim == 3 and one.shape[1] == 36:
@@ -69,11 +73,9 @@ def test_later_frames_never_change_earlier_posteriors(whole: ppl.StepwisePosteri
 
 def test_only_scene_observation_and_seed_matter(whole: ppl.StepwisePosterior) -> None:
     event = dataclasses.replace(short(), truth=None, judgments=None)
-    post = ppl.infer(event, MODEL, workers=2, progress=False)
-    for one, other in zip(tables(post), tables(whole), strict=True):
+    for one, other in zip(tables(infer(event, workers=2)), tables(whole), strict=True):
         np.testing.assert_array_equal(one, other)
-    reseeded = ppl.infer(event, MODEL, seed=1, workers=1, progress=False)
-    assert not np.array_equal(tables(reseeded)[0], tables(whole)[0])
+    assert not np.array_equal(tables(infer(event, seed=1))[0], tables(whole)[0])
 
 
 def test_a_bad_frame_is_refused_and_loses_nothing() -> None:
@@ -123,17 +125,13 @@ def test_an_interrupted_reading_keeps_what_was_read(monkeypatch: pytest.MonkeyPa
 def test_a_long_reading_says_how_long(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(enumerate_, "_TIMED", 2)
-    monkeypatch.setattr(enumerate_, "_LONG", 0.0)
-    ppl.infer(short(5), MODEL, workers=1)
-    assert "reading 4 more frames takes about" in capsys.readouterr().err
-    ppl.infer(short(5), MODEL, workers=1, progress=False)
-    assert capsys.readouterr().err == ""
-
-
-def test_how_long_a_reading_takes_is_not_told_by_the_frame_that_compiles(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(enumerate_, "_TIMED", 2)
+        patch.setattr(enumerate_, "_LONG", 0.0)
+        infer(short(5), progress=None)
+        assert "reading 4 more frames takes about" in capsys.readouterr().err
+        infer(short(5))
+    # the frame that compiles does not tell how long a reading takes
     clock = itertools.chain([0.0], itertools.count(60.0, 0.1))
     monkeypatch.setattr(enumerate_.time, "monotonic", lambda: next(clock))
     assert len(list(enumerate_._timed([np.zeros(1)] * 50, None))) == 50
@@ -147,15 +145,6 @@ def test_other_likelihoods_and_simulators_cannot_be_read() -> None:
     own = ppl.Model(simulator=lambda scene, h, rng: iter(()), likelihood=ppl.StepwiseLikelihood())
     with pytest.raises(InvalidSettingError, match="a simulator of its own"):
         ppl.infer(event, own)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"iterations": 3}, {"budget": ppl.simulations(50)}, {"chains": 4}, {"rule": "paper"}],
-)
-def test_options_of_sampling_are_refused(options: Any) -> None:
-    with pytest.raises(InvalidSettingError, match=next(iter(options))):
-        ppl.infer(short(3), MODEL, **options)
 
 
 @pytest.mark.parametrize(
@@ -207,22 +196,19 @@ def test_sets_of_searches_give_errors_and_one_gives_none(whole: ppl.StepwisePost
     assert whole.planner_seeds == 2
     assert whole.probability(relation="friendly").error > 0
     instant = dataclasses.replace(MODEL, likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
-    post = ppl.infer(short(), instant, workers=1, progress=False)
+    post = infer(model=instant)
     assert np.isnan(post.probability(relation="friendly").error)
     assert post.cost["searches"] < whole.cost["searches"]
 
 
 def test_impossible_videos_are_called_out(whole: ppl.StepwisePosterior) -> None:
     assert whole.diagnostics()["unexplained_frames"] == []
-    event = short()
-    torn = event.observation.trajectory.copy()
+    torn, lying = (short().observation.trajectory.copy() for _ in range(2))
     torn[4:6, 0, 0] -= 9.0  # red is elsewhere for two frames
-    lying = event.observation.trajectory.copy()
     lying[3:, 0, :2] = lying[3:, 1, :2]
     found = []
     for frames in (torn, lying):
-        changed = dataclasses.replace(event, observation=Observation(frames))
-        post = ppl.infer(changed, MODEL, workers=1, progress=False)
+        post = infer(dataclasses.replace(short(), observation=Observation(frames)))
         found.append(post.diagnostics())
         assert found[-1]["verdict"] in " ".join(str(post).split())
     assert {4, 6} <= set(found[0]["unexplained_frames"])
@@ -268,6 +254,9 @@ def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ("given", "message"),
     [
         ({"chains": 3}, "chains=3 is for sampling"),
+        ({"iterations": 3}, "iterations=3 is for sampling"),
+        ({"budget": ppl.simulations(50)}, "budget=.* is for sampling"),
+        ({"rule": "paper"}, "rule='paper' is for sampling"),
         ({"began": 5}, "began=5 is for sampling"),
         ({"kernel": "prior_mh", "retries": 3}, "retries=3: a stepwise likelihood simulates"),
         ({"kernel": "prior_mh", "on_failure": "banana"}, "on_failure='banana': a stepwise"),
@@ -275,4 +264,4 @@ def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 )
 def test_what_is_of_no_use_step_by_step_is_refused(given: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidSettingError, match=message):
-        ppl.infer(short(4), MODEL, progress=False, **given)
+        ppl.infer(short(3), MODEL, progress=False, **given)

@@ -1,4 +1,4 @@
-"""Every hypothesis, one after the other: for simulators fast enough."""
+"""Kernels whose draws have weights: importance sampling, and enumeration of every hypothesis."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import random
+from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
+from phase_ppl.inference.kernels.particle import ParticleKernel, chosen
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.models.density import NO_DENSITY, log_density
+from phase_ppl.models.density import NO_DENSITY, Sites, log_density
 from phase_ppl.models.effective import (
     cells,
     drawn_stated,
@@ -34,10 +35,113 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 
+
+class WeightedState(NamedTuple):
+    """State of a particle that draws anew in every iteration, each draw with a weight."""
+
+    i: jax.Array
+    # site -> value, the hypothesis drawn last with any further sites; an earlier one, at weight 0,
+    # where the last could not be simulated
+    z: dict[str, jax.Array]
+    sim_seed: jax.Array
+    log_weight: jax.Array  # of the draw, -inf where it could not be simulated
+    window: jax.Array  # the window it was drawn from, by its first frame; -1 where there is none
+    accepted: jax.Array  # whether the last draw could be simulated
+    n_accepted: jax.Array
+    rng_key: jax.Array
+
+    @classmethod
+    def before(
+        cls, key: jax.Array, sites: dict[str, jax.Array], seed: jax.Array | int = 0
+    ) -> WeightedState:
+        """Return the state before the first draw."""
+        none = jnp.zeros((), jnp.int32)
+        seed = jnp.asarray(seed, jnp.int32)
+        return cls(none - 1, sites, seed, none - jnp.inf, none - 1, none > 0, none, key)
+
+    def after(
+        self,
+        key: jax.Array,
+        sites: dict[str, jax.Array],
+        seed: jax.Array,
+        log_weight: jax.Array,
+        simulated: jax.Array,
+        window: jax.Array | int = -1,
+    ) -> WeightedState:
+        """Return the state after a draw; ``simulated`` says whether it could be."""
+        sites, seed = chosen(simulated, (sites, seed), (self.z, self.sim_seed))
+        return WeightedState(
+            self.i + 1,
+            sites,
+            seed,
+            jnp.where(simulated, log_weight, -jnp.inf),
+            jnp.asarray(window, jnp.int32),
+            simulated,
+            self.n_accepted + simulated,
+            key,
+        )
+
+
+@register_kernel(
+    "importance",
+    validity="consistent",
+    needs=("guide", "settings"),
+    keeps="start",
+    weighted=True,
+    any_length=True,
+)
+class Importance(ParticleKernel):
+    """Importance sampling from the guide's mixture over windows.
+
+    Draws are independent, each weighing P(h) L / Q(h). Q is the even mixture of the guide's
+    proposals over all windows and the whole observation; with the guide's share of the prior it
+    covers whatever the prior does. Nothing is stopped early.
+    """
+
+    initial_tries = 1
+
+    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
+        return self._draw(key)[0]
+
+    def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        key_window, key_sites = random.split(key)
+        window = random.randint(key_window, (), 0, self.n_windows + 1)
+        return self.draw_guide(key_sites, window), window
+
+    def start_one(
+        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
+    ) -> WeightedState:
+        seed, log_weight = self._weighed(key_start, sites)
+        possible = jnp.isfinite(log_weight)
+        return WeightedState.before(key, sites, seed).after(key, sites, seed, log_weight, possible)
+
+    def step_one(self, state: WeightedState) -> WeightedState:
+        """Draw once more, whatever was drawn before."""
+        key, key_sites, key_seed = random.split(state.rng_key, 3)
+        sites, window = self._draw(key_sites)
+        seed, log_weight = self._weighed(key_seed, sites)
+        return state.after(key, sites, seed, log_weight, jnp.isfinite(log_weight), window)
+
+    def _weighed(self, key: jax.Array, sites: Sites) -> tuple[jax.Array, jax.Array]:
+        """Simulate a draw; return the seed and the log weight, -inf where it is impossible."""
+        program = self.program
+        seed = program.simulator_seed(key, sites)
+        log_prior = program.log_prior(sites)
+        windows = jnp.arange(self.most_windows + 1)  # and the whole observation
+        by_window = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
+        by_window = jnp.where(windows <= self.n_windows, by_window, -jnp.inf)
+        log_count = jnp.asarray(np.log(np.arange(1, len(windows) + 1)), jnp.float32)
+        log_proposal = logsumexp(by_window) - log_count[self.n_windows]
+        error = program.simulate(sites, log_prior, seed)
+        log_weight = log_prior - log_proposal + program.relative_log_likelihood(error)
+        return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)
+
+
+# --- every hypothesis ----------------------------------------------------------------------------
+
 _NEGLIGIBLE: Final = -60.0
 """Log prior, less the highest, below which a hypothesis is left out; NumPyro gives a probability
 of 0 some -87."""
-
 
 STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)  # grid of each agent's strength, newtons
 MAX_SIMULATIONS: Final = 50_000
@@ -85,7 +189,7 @@ def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SI
 @functools.lru_cache(8)
 def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     pairs = np.array(list(stated_hypotheses()), np.int64)
-    forces = np.array([(red, green) for red in strengths for green in strengths], np.float32)
+    forces = np.array(list(itertools.product(strengths, repeat=2)), np.float32)
     # strengths vary slowest: a run that is cut short has seen every pair of goals
     which = np.tile(np.arange(len(pairs)), len(forces))
     force = np.repeat(forces, len(pairs), axis=0)
@@ -177,7 +281,7 @@ def _with_mass(
 
 
 @register_kernel("enumerate", validity="consistent", keeps="start", weighted=True, any_length=True)
-class Enumeration(ParticleKernel[WeightedState]):
+class Enumeration(ParticleKernel):
     """Enumeration of all agents' effective goals on a grid of strengths.
 
     Every hypothesis is simulated, one after the other, and weighs P(h) L. As good as its grid of
@@ -196,9 +300,6 @@ class Enumeration(ParticleKernel[WeightedState]):
             than one seed where the model's noise is fixed.
     """
 
-    validity = "consistent"
-    keeps = "start"
-    weighted = True
     initial_tries = 1
 
     def __init__(
@@ -213,21 +314,17 @@ class Enumeration(ParticleKernel[WeightedState]):
         self._strengths = strengths
         self._noise_seeds = whole_number("noise_seeds", noise_seeds)
         self._max_simulations = whole_number("max_simulations", max_simulations)
-        if program is not None:
-            self._check(program)
-
-    def _check(self, program: EventProgram) -> None:
-        if program.model.noise == "fixed" and self._noise_seeds > 1:
+        if program is None:
+            return
+        if program.model.noise == "fixed" and noise_seeds > 1:
             raise InvalidSettingError(
-                f"noise_seeds={self._noise_seeds}, but with noise='fixed' every hypothesis has "
-                "one seed"
+                f"noise_seeds={noise_seeds}, but with noise='fixed' every hypothesis has one seed"
             )
-        if self.n_simulations > self._max_simulations:
+        if self.n_simulations > max_simulations:
             raise InvalidSettingError(
                 f"the prior leaves {self._grid.size} hypotheses with the strengths "
-                f"{list(self._strengths)}; with noise_seeds={self._noise_seeds} that takes "
-                f"{self.n_simulations} simulations, more than "
-                f"max_simulations={self._max_simulations}"
+                f"{list(strengths)}; with noise_seeds={noise_seeds} that takes "
+                f"{self.n_simulations} simulations, more than max_simulations={max_simulations}"
             )
 
     @property
