@@ -213,7 +213,7 @@ def _as_one(
     """Return the errors of a batch of requests, the batch first."""
     n = next(a.shape[i] for a, i in zip(arguments, axes, strict=True) if i is not None)
     whole = (
-        jnp.broadcast_to(a, (n, *a.shape)) if i is None else jnp.moveaxis(a, i, 0)
+        jnp.broadcast_to(a, (n, *jnp.shape(a))) if i is None else jnp.moveaxis(a, i, 0)
         for a, i in zip(arguments, axes, strict=True)
     )
     return request_p.bind(*whole, **params), 0

@@ -37,14 +37,9 @@ SETTINGS = SimpleSettings(eta=0.1, window=2)
 SEEDS = 3
 """Simulator seeds make one of so many equally likely simulations."""
 
-RED_GOALS = (0, 5, 18)
-GREEN_GOALS = (3, 9)
-ALPHA_CODES = (0, 1, 4)
-
-
-RED_MASS = (0.5, 0.3, 0.2)
-GREEN_MASS = (0.6, 0.4)
-ALPHA_MASS = (0.5, 0.3, 0.2)
+RED_GOALS, RED_MASS = (0, 5, 18), (0.5, 0.3, 0.2)
+GREEN_GOALS, GREEN_MASS = (3, 9), (0.6, 0.4)
+ALPHA_CODES, ALPHA_MASS = (0, 1, 4), (0.5, 0.3, 0.2)
 
 
 def few_goals() -> None:
@@ -139,9 +134,13 @@ def table_program(
 def table_guide(prior: Any = few_goals, seed: int = 1) -> Mixture:
     """A guide whose windows disagree: each one has goals of its own in mind."""
     n_windows = window_count(N_FRAMES, SETTINGS.window)
-    rng = np.random.default_rng(seed)
-    logits = rng.normal(0.0, 2.0, (n_windows + 1, 2, N_GOALS))
-    strength = np.full((n_windows + 1, 2), np.nan)
+    logits = np.random.default_rng(seed).normal(0.0, 2.0, (n_windows + 1, 2, N_GOALS))
+    return guide_of_logits(prior, logits)
+
+
+def guide_of_logits(prior: Any, logits: FloatArray) -> Mixture:
+    """A guide with estimates of strengths in window 1 only."""
+    strength = np.full((len(logits), 2), np.nan)
     strength[1] = 300.0, 450.0
     tables = BottomUpTables(logits, strength, np.where(np.isnan(strength), np.nan, 40.0))
     return bottom_up_guide(prior, Model(prior=prior).sites, tables, prior_share=0.1)
@@ -251,8 +250,7 @@ def moving(n_frames: int = 21, **towards: tuple[float, float]) -> Observation:
 
 
 def walking_event(n_frames: int = 14) -> Event:
-    start = np.array([[8, 10, 0.3], [20, 8, 1.0], [14, 16, 0], [18, 12, 0]], float)
-    scene = Scene(start, np.array([0.8, 1.2, 1.01, 0.8]))
+    scene = Scene(START + np.array([[0], [0], [1], [0]]) * [4, 0, 0], SCENE.radius)
     truth = Truth("Get blue item to red lm", "get to red agent")
     h = Hypothesis(GOALS.index(truth.goal_red), GOALS.index(truth.goal_green), (0, 0), 400, 300)
     frames = itertools.islice(walkers(scene, h, np.random.default_rng(1)), n_frames)
