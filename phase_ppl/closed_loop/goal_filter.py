@@ -70,16 +70,10 @@ class Conduct(NamedTuple):
 
 
 class SearchSets:
-    """Every agent's policies, in several independent sets, at what was seen.
+    """Every agent's policies, in ``n`` independent sets, at what was seen; first a scene at rest.
 
-    Args:
-        scene: where everything starts, at rest.
-        planner: settings of the agents' planner.
-        tracking: settings of the filter of hidden states.
-        seed: of beliefs and searches.
-        threads: at most so many at a time; the result does not depend on it.
-        n: sets. Each plans with strengths of its own, which together stand for what is believed of
-            them.
+    Each set plans with strengths of its own, which together stand for what is believed of them. At
+    most ``threads`` are at work at a time; the result does not depend on it.
 
     Attributes:
         hidden: velocities, holds and strengths; whoever reads frames takes them there.
@@ -97,12 +91,14 @@ class SearchSets:
         self.scene, self._planner = scene, planner
         self.hidden = HiddenState(scene, tracking, threads)
         self._models: dict[tuple[float, ...], WorldModel] = {}
+        more = (np.random.SeedSequence([seed, place]) for place in range(1, n))
+        seeds = [seed, *(int(one.generate_state(1, np.uint64)[0]) for one in more)]
         self._policies = [
             [
-                Policies(agent, self._model(expected.strengths), planner, _seed(seed, place))
+                Policies(agent, self._model(expected.strengths), planner, own_seed)
                 for agent in range(len(scene.world.agents))
             ]
-            for place, expected in enumerate(self.hidden.spread(n))
+            for expected, own_seed in zip(self.hidden.spread(n), seeds, strict=True)
         ]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -147,13 +143,11 @@ class SearchSets:
             for (one, group), roots in zip(searches, self.map(search, searches), strict=True)
             for place, root in zip(group, roots, strict=True)
         }
-        return [
-            [
-                Looked([found[one, k] for k in range(len(one.intents))], one.intent_of.copy())
-                for one in each
-            ]
-            for each in self._policies
-        ]
+
+        def looked(one: Policies) -> Looked:
+            return Looked([found[one, k] for k in range(len(one.intents))], one.intent_of.copy())
+
+        return [list(map(looked, each)) for each in self._policies]
 
     def done(self, actions: Sequence[Action]) -> None:
         """Say what the agents have just done, from which their beliefs go on."""
@@ -165,13 +159,6 @@ class SearchSets:
         if strengths not in self._models:
             self._models[strengths] = WorldModel.of(self.scene, strengths, self._planner)
         return self._models[strengths]
-
-
-def _seed(seed: int, place: int) -> int:
-    """Return the seed of one of several sets of searches; the first has the seed itself."""
-    if place == 0:
-        return seed
-    return int(np.random.SeedSequence([seed, place]).generate_state(1, np.uint64)[0])
 
 
 SEARCHED_BY_ALL: Final = 0.99
@@ -206,9 +193,6 @@ class GoalFilter:
         weight: what a frame counts as evidence.
         log_prior: log prior masses of goals. With the weight it only says which goals are probable
             by now.
-
-    Attributes:
-        combinations: (combination, agent) strengths that are followed, newtons.
     """
 
     def __init__(
@@ -219,7 +203,6 @@ class GoalFilter:
         self.combinations = sets.hidden.combinations
 
     def close(self) -> None:
-        """End the threads."""
         self._sets.close()
 
     def at_start(self) -> Reading:
@@ -244,14 +227,11 @@ class GoalFilter:
         self._sets.done(most_probable_actions(density))
         axes = range(density.ndim)
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
+        actions /= actions.sum(axis=1, keepdims=True)
+        held, peak = hidden.best().held.copy(), hidden.log_peak
+        searched = [len(root.actions) > 1 for each in looked for one in each for root in one.roots]
         return Reading(
-            of_goals,
-            hidden.strengths(),
-            actions / actions.sum(axis=1, keepdims=True),
-            hidden.best().held.copy(),
-            hidden.log_peak - highest,
-            hidden.log_peak,
-            sum(len(root.actions) > 1 for each in looked for one in each for root in one.roots),
+            of_goals, hidden.strengths(), actions, held, peak - highest, peak, sum(searched)
         )
 
     def _choose_wanted(self) -> list[BoolArray] | None:
@@ -312,12 +292,9 @@ class PairFilter(GoalFilter):
             looked, self._probable, relative, self._log_mass, self._conduct
         )
         likelihood += density.max()
-        without += density.max()
+        without = (without + density.max()).astype(np.float32)
         self._log_mass += self._weight * likelihood
-        return {
-            "log_likelihood": likelihood,
-            "log_likelihood_without": without.astype(np.float32),
-        }
+        return {"log_likelihood": likelihood, "log_likelihood_without": without}
 
 
 def frame_log_likelihood(
@@ -403,8 +380,11 @@ class PolicyFilter(GoalFilter):
         super().__init__(sets, conduct, weight, log_prior)
         world = sets.scene.world
         self._points = [standpoints(agent, world) for agent in range(len(world.agents))]
-        # (agent) (goal,) the standpoint of each goal where the others want something else
-        self._usual = [self._alone(agent, len(world.goals)) for agent in range(len(world.agents))]
+        # (agent) (goal,) the first standpoint of each goal; -1: the agent cannot have it
+        self._usual = [np.full(len(world.goals), -1) for _ in world.agents]
+        for usual, points in zip(self._usual, self._points, strict=True):
+            for one in reversed(points.alike):
+                usual[one.own] = one.places[0]
 
     def _nothing(self, n_sets: int) -> OfGoals:
         n = len(self._points)
@@ -425,13 +405,6 @@ class PolicyFilter(GoalFilter):
             "policy_of": stacked(policy_of).astype(np.int32),
             "marginals": self._log_mass.copy(),
         }
-
-    def _alone(self, agent: int, n_goals: int) -> IntArray:
-        """Return (goal,) the first standpoint of an agent with each goal; -1: it cannot have it."""
-        found = np.full(n_goals, -1)
-        for one in reversed(self._points[agent].alike):
-            found[one.own] = one.places[0]
-        return found
 
     def _policies(self, looked: _All) -> tuple[list[FloatArray], list[IntArray]]:
         """Return each agent's different policies, and which of them each standpoint has."""

@@ -177,12 +177,7 @@ class Expected(NamedTuple):
 
 
 class HiddenState:
-    """The filter, at the start of a video.
-
-    Args:
-        scene: where everything starts, at rest.
-        tracking: its settings.
-        threads: that may be at work at a time, see :meth:`advance`.
+    """The filter, from a scene at rest on; ``threads`` may be at work at a time.
 
     Attributes:
         beam: states after the last frame.
@@ -196,14 +191,9 @@ class HiddenState:
         self._n_agents = n_agents
         self.combinations = balanced(tracking.strengths, n_agents)
         n = len(self.combinations)
-        bodies, held, weld = compiled.from_state(State.at_start(scene), scene.radius)
-        self.beam = Beam(
-            np.repeat(bodies[None], n, axis=0),
-            np.repeat(held[None], n, axis=0),
-            np.repeat(weld[None], n, axis=0),
-            np.arange(n),
-            np.zeros(n),
-        )
+        start = compiled.from_state(State.at_start(scene), scene.radius)
+        states = (np.repeat(part[None], n, axis=0) for part in start)
+        self.beam = Beam(*states, np.arange(n), np.zeros(n))
         self._evidence = np.zeros(n)  # log, of each combination of strengths
         # each part of the beam has a work space; its forces are overwritten state by state
         strongest = (max(tracking.strengths),) * n_agents
@@ -256,15 +246,13 @@ class HiddenState:
                 *state, strengths[rows], observed, scatter, *self._spaces[part], found[rows]
             )
 
-        for _ in share(try_part, range(len(self._spaces))):
-            pass
+        list(share(try_part, range(len(self._spaces))))
         found += beam.within[:, None]
         before = self._log_strengths()
         density = np.logaddexp.reduce(found + before[beam.combination][:, None], axis=0)
         self._noise.update(observed)
-        self._go_on(
-            found + self._log_prior, observed, filter_gains(tracking.scale, self._noise.now)
-        )
+        gains = filter_gains(tracking.scale, self._noise.now)
+        self._go_on(found + self._log_prior, observed, gains)
         return np.asarray(density.reshape((N_ACTIONS,) * self._n_agents)[self._all_executed])
 
     def strengths(self) -> FloatArray:
@@ -360,8 +348,7 @@ class HiddenState:
         ):
             kind = (*holds, strengths)
             key = (*kind, *velocity)
-            place = places.get(key)
-            if place is not None:
+            if (place := places.get(key)) is not None:
                 mass[place] = float(np.logaddexp(mass[place], weight[row]))
             elif len(rows) < room and alike.get(kind, 0) < _ALIKE:
                 alike[kind] = alike.get(kind, 0) + 1
@@ -417,10 +404,6 @@ def reconstructed(scene: Scene, trajectory: FloatArray, tracking: Tracking | Non
 
 
 def most_probable_actions(density: FloatArray) -> tuple[Action, ...]:
-    """Return the intended actions of all agents under which a frame is most probable.
-
-    Args:
-        density: from :meth:`HiddenState.advance`.
-    """
+    """Return what agents intended, most probably, by a density of :meth:`HiddenState.advance`."""
     best = np.unravel_index(int(density.argmax()), density.shape)
     return tuple(Action(int(action)) for action in best)

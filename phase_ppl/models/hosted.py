@@ -74,28 +74,13 @@ def read_code(name: str, n_inputs: int, n_outputs: int) -> Callable[..., Any] | 
     """Return a compiled program from the disk, of flat arguments and results; None: not there."""
     given = jax.tree.structure(((0,) * n_inputs, {}))
     results = jax.tree.structure([0] * n_outputs)
-    return _read(
-        name,
-        lambda content: serialize_executable.deserialize_and_load(
-            content,
-            *(given, results, "cpu"),
-            execution_devices=jax.local_devices(backend="cpu")[:1],
-        ),
-    )
+    devices = jax.local_devices(backend="cpu")[:1]
+    load = serialize_executable.deserialize_and_load
+    return read(name, lambda code: load(code, given, results, "cpu", execution_devices=devices))
 
 
-def read_outline(name: str) -> Any:
-    """Return what :func:`write_outline` was given; None: not there."""
-    return _read(name, pickle.loads)
-
-
-def write_outline(name: str, outline: Any) -> None:
-    """Keep what says how pieces of compiled code go together."""
-    with contextlib.suppress(TypeError, AttributeError, pickle.PicklingError):
-        _write(name, pickle.dumps(outline))
-
-
-def _read(name: str, understood: Callable[[bytes], Any]) -> Any:
+def read(name: str, understood: Callable[[bytes], Any] = pickle.loads) -> Any:
+    """Return what is kept under a name; None: not there, or damaged, which is said."""
     if (place := folder()) is None:
         return None
     path = place / f"{name}{SUFFIX}"
@@ -113,7 +98,8 @@ def _read(name: str, understood: Callable[[bytes], Any]) -> Any:
         return None
 
 
-def _write(name: str, content: bytes) -> None:
+def write(name: str, content: bytes) -> None:
+    """Keep something on the disk, and no more than :data:`MOST` files in all."""
     if (place := folder()) is None:
         return
     packed = zlib.compress(content, _LEVEL)
@@ -188,15 +174,10 @@ class Hosted:
 
     def _remembered(self, kind: Any) -> Callable[..., Any] | None:
         """Return what an earlier process has made, if it is still there."""
-        if (name := self._name(kind)) is None or (outline := read_outline(name)) is None:
+        if (name := self._name(kind)) is None or (outline := read(name)) is None:
             return None
-        codes = []
-        for piece in outline.pieces:
-            code = read_code(piece.code, len(piece.inputs), len(piece.outputs))
-            if code is None:
-                return None
-            codes.append(code)
-        return functools.partial(_run, outline, codes)
+        codes = [read_code(one.code, len(one.inputs), len(one.outputs)) for one in outline.pieces]
+        return None if None in codes else functools.partial(_run, outline, codes)
 
     def _make(self, args: tuple[Any, ...], kind: Any) -> Callable[..., Any]:
         traced, shapes = jax.make_jaxpr(self._function, return_shape=True)(*args)
@@ -224,7 +205,7 @@ class Hosted:
             if (compiled := read_code(code, len(inputs), len(outputs))) is None:
                 compiled = lowered.compile()
                 with contextlib.suppress(NotImplementedError, ValueError):  # not to be serialised
-                    _write(code, serialize_executable.serialize(compiled)[0])
+                    write(code, serialize_executable.serialize(compiled)[0])
             codes.append(compiled)
         variables = program.jaxpr.constvars
         constants = map(_plain, program.consts, variables)
@@ -236,7 +217,8 @@ class Hosted:
             jax.tree.map(lambda _: 0, shapes),
         )
         if (name := self._name(kind)) is not None:
-            write_outline(name, outline)
+            with contextlib.suppress(TypeError, AttributeError, pickle.PicklingError):
+                write(name, pickle.dumps(outline))
         return functools.partial(_run, outline, codes)
 
 
@@ -307,10 +289,9 @@ def _requests(equation: core.JaxprEqn) -> bool:
     if equation.primitive is request_p:
         return True
     kinds = core.Jaxpr | core.ClosedJaxpr
-    held = jax.tree.leaves(
-        list(equation.params.values()), is_leaf=lambda part: isinstance(part, kinds)
-    )
-    jaxprs = [getattr(part, "jaxpr", part) for part in held if isinstance(part, kinds)]
+    params = list(equation.params.values())
+    held = jax.tree.leaves(params, is_leaf=lambda part: isinstance(part, kinds))
+    jaxprs = (getattr(part, "jaxpr", part) for part in held if isinstance(part, kinds))
     return any(_requests(inner) for jaxpr in jaxprs for inner in jaxpr.eqns)
 
 
@@ -339,10 +320,8 @@ def _pieces(
         inputs = [variable for variable in dict.fromkeys(taken) if variable not in made]
         outputs = [v for e in equations[::-1] for v in e.outvars if v in wanted]
         part = program.replace(constvars=[], invars=inputs, outvars=outputs, eqns=equations[::-1])
-        piece = core.jaxpr_as_fun(core.ClosedJaxpr(part, []))
-        quick: Any = compiled_quickly(piece)
-        lowered = quick.lower(*map(_blank, inputs))
-        yield inputs, outputs, lowered, request
+        quick: Any = compiled_quickly(core.jaxpr_as_fun(core.ClosedJaxpr(part, [])))
+        yield inputs, outputs, quick.lower(*map(_blank, inputs)), request
 
 
 def _variables(atoms: Iterable[Any]) -> set[core.Var]:

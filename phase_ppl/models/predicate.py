@@ -224,14 +224,11 @@ class CostToGo:
         else:
             self.focus = target if touch and positive else NOTHING
         # ``focus`` is the entity that the agent has to be at for the goal
-        self._known: dict[Node, float] = {}
+        self._known_cost = functools.cache(self._cost)
 
     def __call__(self, node: Node) -> float:
         """Return the cost, units of way; inf where there is no plan."""
-        relevant = self._relevant(node)
-        if relevant not in self._known:
-            self._known[relevant] = self._cost(relevant)
-        return self._known[relevant]
+        return self._known_cost(self._relevant(node))
 
     def node(self, state: SymbolicState) -> Node:
         """Return a symbolic state as the planner's: being at the focus counts first."""
@@ -397,17 +394,14 @@ class ForwardModel:
             for goal in possible_goals(agent, self._world)
         }
         self._steps: dict[tuple[Any, ...], list[Step]] = {}
-        self._known: dict[tuple[SymbolicState, int, int], dict[Literal, float]] = {}
+        self._known_policy = functools.cache(self._policy)
 
     def policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
         """Return P(operator | state, goal) by the literal that the operator makes true, sum 1.
 
         ``STOP`` is waiting; ``goal`` is the index of the effective goal.
         """
-        key = state, agent, goal
-        if key not in self._known:
-            self._known[key] = self._policy(*key)
-        return self._known[key]
+        return self._known_policy(state, agent, goal)
 
     def _policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
         given, left_after = self.rationality, self._cost_to_go[agent, goal]
@@ -415,7 +409,11 @@ class ForwardModel:
         left = left_after(node)
         costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
         touched = tuple(entity for entity, yes in enumerate(state.near[agent]) if yes)
-        for step in self._operators(node, agent, touched, left_after.abilities):
+        abilities = left_after.abilities
+        key = node, agent, touched, abilities.landmark_in  # in which alone goals' abilities differ
+        if key not in self._steps:
+            self._steps[key] = operators(node, agent, touched, abilities)
+        for step in self._steps[key]:
             costs[step.literal] = step.cost + left_after(step.result)
         # where there is no way to the goal, nothing is better than anything else
         least = min(costs.values())
@@ -427,14 +425,6 @@ class ForwardModel:
             literal: (1 - given.lapse) * weight / total + even
             for literal, weight in weights.items()
         }
-
-    def _operators(
-        self, node: Node, agent: int, touched: tuple[int, ...], abilities: Abilities
-    ) -> list[Step]:
-        key = node, agent, touched, abilities.landmark_in
-        if key not in self._steps:
-            self._steps[key] = operators(node, agent, touched, abilities)
-        return self._steps[key]
 
     def log_likelihood(self, trajectory: Sequence[SymbolicState]) -> FloatArray:
         """Return (agent, goal) log P(trajectory | goal), 0 for goals that name their holder.

@@ -118,7 +118,6 @@ def simulate_one(
     Whatever the simulator does wrong becomes a failed result, which keeps the frames before.
 
     Args:
-        simulator, scene, hypothesis, seed: what to simulate.
         observed_positions: (time, entity, 2) observed x, y, units.
         error_ceiling: the simulation is closed once its summed error exceeds this, units. Below
             zero nothing is simulated. What stays under it is the same as without a ceiling.
@@ -159,8 +158,7 @@ def in_time(
     """Return what ``work`` returns, from a thread of its own where something can end it.
 
     A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
-    unheeded, and does not keep its process from ending. Arguments as of :func:`simulate_one`;
-    ``failed`` says what becomes of work that took too long.
+    unheeded, and does not keep its process from ending. Arguments as of :func:`simulate_one`.
     """
     if math.inf == limit == deadline and not stop:
         return work()
@@ -337,13 +335,10 @@ def described(error: BaseException) -> str:
 class Statistics:
     """What the simulations of a runner have cost."""
 
-    # run, failed ones among them; requests merged with an identical one do not count
-    simulations: int = 0
+    simulations: int = 0  # run, failed ones among them; identical requests count once
     frames: int = 0  # simulated
     frames_saved: int = 0  # not simulated because the fate was decided
     seconds_simulating: float = 0.0  # summed over workers
     seconds_waiting: float = 0.0  # wall time spent in ``run``
     failures: int = 0  # simulations that failed
-    # simulations run again, because they were lost, most often with their worker, or because they
-    # failed
-    retries: int = 0
+    retries: int = 0  # run again, as they failed or were lost, most often with their worker

@@ -39,12 +39,9 @@ _MEAN_OF_STEP: Final = 0.6
 class Wish(NamedTuple):
     """What an agent wants of the next step."""
 
-    move: FloatArray  # (2,) how its body should move, with the item that it holds, units
+    move: FloatArray = np.zeros(2)  # how its body should move, with the item that it holds, units
     grab: int = NOTHING  # item to take hold of, or ``NOTHING``
     release: bool = False  # whether to let go
-
-
-_NO_MOVE: Final = np.zeros(2)
 
 
 class PathSimulator:
@@ -105,24 +102,22 @@ class PathSimulator:
         predicate, subject, target, positive = subgoal
         held = int(state.held[agent])
         if predicate is Predicate.STOP:
-            return Wish(_NO_MOVE)
+            return Wish()
         if predicate is Predicate.ATTACH and not positive:
-            return Wish(_NO_MOVE, release=True)
-        places = np.array(
-            [body_origin(imagined, entity, model.params.cog) for entity in range(len(imagined))]
-        )
+            return Wish(release=True)
+        n, cog = len(imagined), model.params.cog
+        places = np.array([body_origin(imagined, entity, cog) for entity in range(n)])
         item = target if predicate is Predicate.ATTACH else subject
         if item >= len(state.held):
             if held != item:
                 bodies, holds, _ = compiled.from_state(state, model.scene.radius)
                 if compiled.find_grab(bodies, holds, agent, model.params)[0] == item:
-                    return Wish(_NO_MOVE, grab=item)
+                    return Wish(grab=item)
                 return Wish(self._up_to(agent, item, places, model))
             return Wish(self._along(state.pose[item, :2], _place(subgoal, places, model), model))
         if predicate is Predicate.TOUCH and positive:
             return Wish(self._up_to(agent, target, places, model))
-        if subject != agent:
-            # all that is left of pushing the other about
+        if subject != agent:  # all that is left of pushing the other about
             return Wish(self._up_to(agent, subject, places, model))
         return Wish(self._along(places[agent], _place(subgoal, places, model), model))
 
@@ -137,8 +132,12 @@ class PathSimulator:
         """Return the move of one step along the way from start to end, stopping ``apart``."""
         left = model.scene.rooms.path_distance(start, end) - apart
         length = min(self.speed / FRAMES_PER_SECOND, left)
-        place = start
-        for corner in _way(start, end, model.scene):
+        place, rooms, corners = start, model.scene.rooms, [end]
+        if not rooms.is_open:
+            doors = rooms.route(int(rooms.room_of(start)), int(rooms.room_of(end)))
+            # there may be no way
+            corners = [] if doors is None else [*rooms.door_position[list(doors)], end]
+        for corner in corners:
             stretch = float(np.linalg.norm(corner - place))
             if length <= 0:
                 break
@@ -146,15 +145,6 @@ class PathSimulator:
                 place = place + min(1.0, length / stretch) * (corner - place)
             length -= stretch
         return place - start
-
-
-def _way(start: FloatArray, end: FloatArray, scene: Scene) -> list[FloatArray]:
-    """Return the corners of the way from start to end; none where there is no way."""
-    rooms = scene.rooms
-    if rooms.is_open:
-        return [end]
-    doors = rooms.route(int(rooms.room_of(start)), int(rooms.room_of(end)))
-    return [] if doors is None else [*rooms.door_position[list(doors)], end]
 
 
 def _place(subgoal: Literal, places: FloatArray, model: WorldModel) -> FloatArray:
@@ -188,10 +178,13 @@ def _move(state: State, wishes: list[Wish], scene: Scene) -> None:
     for agent, (move, wish) in enumerate(zip(moves, wishes, strict=True)):
         item = state.held[agent]
         state.pose[agent, :2] += move
-        if item == NOTHING:
-            state.pose[agent, 2] = _facing(move, float(state.pose[agent, 2]))
-        elif agent == holders[item][0]:
-            state.pose[item, :2] += move
+        if item != NOTHING:
+            if agent == holders[item][0]:
+                state.pose[item, :2] += move
+        elif move.any():  # it looks along its way
+            angle = float(state.pose[agent, 2])
+            turn = math.atan2(-move[0], move[1]) - angle
+            state.pose[agent, 2] = angle + math.remainder(turn, 2 * math.pi)
         if wish.release:
             state.held[agent] = NOTHING
         elif wish.grab != NOTHING:
@@ -200,11 +193,3 @@ def _move(state: State, wishes: list[Wish], scene: Scene) -> None:
     state.pose[:, :2] = state.pose[:, :2].clip(
         [x0 + _INSET, y0 + _INSET], [x1 - _INSET, y1 - _INSET]
     )
-
-
-def _facing(move: FloatArray, angle: float) -> float:
-    """Return the angle at which an agent looks along its move, nearest to the present one."""
-    if not move.any():
-        return angle
-    wanted = math.atan2(-move[0], move[1])
-    return angle + math.remainder(wanted - angle, 2 * math.pi)

@@ -41,6 +41,8 @@ from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown
 
 Result = TypeVar("Result")
+Thing = TypeVar("Thing")
+Job = TypeVar("Job")
 
 GROWTH_BYTES: Final = 2_000_000_000
 """How much a worker may grow before a fresh one takes its place; compiled programs take room."""
@@ -55,6 +57,12 @@ ENVIRONMENT: Final = {
 _PARENT_CHECK_SECONDS: Final = 1.0
 _STARTING_SECONDS: Final = 3.0  # how long a worker that is to end may take to start up
 _LOADED_AT_MOST: Final = 8
+RUNS: Final = 2  # how often a job is tried whose worker process dies
+AT_ONCE: Final = 1000  # jobs of ``results`` for an executor: waiting takes longer for more
+_POLL_SECONDS: Final = 1.0  # an executor that was closed, a worker that hangs: nobody tells of it
+_PATIENCE: Final = 2.0
+_STARTUP_SECONDS: Final = 10.0
+"""A worker that cannot end a job itself is killed after twice its limit and these."""
 
 
 # --- in a worker -----------------------------------------------------------------------------
@@ -283,7 +291,7 @@ class BorrowedExecutor:
             raise SimulationError(f"the executor takes no more work: {error}") from error
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
-        """Withdraw what has not begun; what has runs to its end, unheeded."""
+        """Withdraw what has not begun; the rest runs to its end, unheeded."""
         for future in running:
             future.cancel()
 
@@ -310,20 +318,6 @@ def mapped(
 
 
 # --- many independent jobs, whatever becomes of a single one --------------------------------------
-
-Thing = TypeVar("Thing")
-Job = TypeVar("Job")
-RUNS: Final = 2  # how often a job is tried whose worker process dies
-
-AT_ONCE: Final = 1000
-"""Jobs of ``results`` that an executor is given at a time, since waiting takes longer for more."""
-
-_POLL_SECONDS: Final = 1.0
-"""How often is looked for what nobody tells: an executor that was closed, a worker that hangs."""
-
-_PATIENCE: Final = 2.0
-_STARTUP_SECONDS: Final = 10.0
-"""A worker that cannot end a job itself is killed after twice its limit and these."""
 
 
 @dataclasses.dataclass(eq=False)
@@ -488,15 +482,12 @@ def _error_of(future: Future[Any]) -> BaseException | None:
     return future.exception()
 
 
-# --- jobs that may fail one by one --------------------------------------------------------------
-
-
 @dataclasses.dataclass(frozen=True)
 class Failure:
-    """Why there is no result."""
+    """Why there is no result, in one line, and what was raised, if anything was."""
 
-    reason: str  # in one line
-    error: BaseException | None = None  # what was raised, if anything was
+    reason: str
+    error: BaseException | None = None
 
 
 def results(
@@ -514,12 +505,10 @@ def results(
 
     Args:
         function: of a module, to be found by its name in worker processes.
-        thing: what all jobs work with; sent to each process once. If it has a method
-            ``warm_up``, that is called once before the jobs.
-        jobs: what differs.
+        thing: what all jobs work with, called ``what`` in messages; sent to each process once. Its
+            method ``warm_up``, if it has one, is called once before the jobs.
         workers: processes; 1 does everything in this process. With an ``executor``, how many jobs
             to give it at a time; None: up to :data:`AT_ONCE`.
-        what: name of the thing in error messages.
         executor: any PEP 3148 executor to work in instead; it is not shut down.
 
     Raises:

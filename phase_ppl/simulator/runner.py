@@ -74,7 +74,7 @@ def fresh_seed(seed: int, attempt: int) -> int:
 class Work(NamedTuple):
     """What all simulations of a runner have in common; sent to a worker once."""
 
-    simulator: Any  # what to simulate
+    simulator: Any
     scene: Scene
     observed_positions: FloatArray  # (time, entity, 2) x, y, units
 
@@ -100,9 +100,8 @@ class Runner:
     failure at once.
 
     Args:
-        simulator: what to run; may be defined anywhere, also in ``__main__`` or a notebook. One
-            with a ``simulate_batch`` needs no workers: its batches are run in this process.
-        scene: where it starts.
+        simulator, scene: what to run; may be defined anywhere, also in ``__main__`` or a notebook.
+            One with a ``simulate_batch`` needs no workers: its batches are run in this process.
         observation: what its frames are compared with.
         workers: processes; 1 simulates in this process; None: one per usable core. With an
             ``executor``, how many simulations to give it at a time; None: all.
@@ -119,12 +118,11 @@ class Runner:
         on_result: called in this process as each simulation finishes, not before the last retry.
         statistics: what the simulations have cost so far.
         workers: number of processes; None where an executor decides.
-        scene: as given.
         limit: seconds that a simulation may take.
         patience: time, by ``time.perf_counter``, after which, once one took too long, no further
             one is begun: it has failed then.
         deadline: time at which ``run`` raises :class:`~phase_ppl.simulator.contract.OutOfTime`.
-        on_failure, retries: as given; retries are 0 without "retry".
+        retries: 0 without "retry".
 
     Raises:
         InvalidSettingError: ``workers`` or ``retries`` is out of range, or the simulator cannot be
@@ -148,9 +146,9 @@ class Runner:
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
         slots = self.workers = slots_of(workers, executor)
         self.on_failure, self.retries = on_failure, n_retries(on_failure, retries)
+        self.limit = math.inf
         if simulation_seconds is not None:
-            positive_number("simulation_seconds", simulation_seconds)
-        self.limit = math.inf if simulation_seconds is None else float(simulation_seconds)
+            self.limit = positive_number("simulation_seconds", simulation_seconds)
         self.patience = self.deadline = math.inf
         self._cut = False
         self.statistics = Statistics()

@@ -43,9 +43,14 @@ def by_hand(all_sets: list[list[Looked]], relative: NDArray[np.float64], sets: l
     return float(np.log((np.multiply.outer(red, green) * relative).sum()))
 
 
+def drawn(n: int) -> tuple[list[list[Looked]], NDArray[np.float64]]:
+    """Return plans of so many sets, and densities after every pair of actions."""
+    rng = np.random.default_rng(n)
+    return [looked(rng) for _ in range(n)], rng.random((N_ACTIONS, N_ACTIONS))
+
+
 def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:
-    rng = np.random.default_rng(0)
-    all_sets, relative = [looked(rng) for _ in range(3)], rng.random((N_ACTIONS, N_ACTIONS))
+    all_sets, relative = drawn(3)
     found, without = frame_log_likelihood(all_sets, EVERYTHING, relative, FLAT, CONDUCT)
     assert (found[0] == -np.inf).all()
     assert np.isfinite(found[1:]).all()
@@ -55,18 +60,16 @@ def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:
 
 
 def test_one_set_of_searches_has_nothing_to_be_left_out() -> None:
-    rng = np.random.default_rng(1)
-    one, relative = [looked(rng)], rng.random((N_ACTIONS, N_ACTIONS))
+    one, relative = drawn(1)
     found, without = frame_log_likelihood(one, EVERYTHING, relative, FLAT, CONDUCT)
     assert found[RED, GREEN] == pytest.approx(by_hand(one, relative, [0]))
     assert without.shape == (0, N_GOALS, N_GOALS)
 
 
 def test_goals_with_one_set_of_searches_are_moved_with_the_others() -> None:
-    rng = np.random.default_rng(2)
+    all_sets, relative = drawn(2)
     wanted = np.zeros((N_GOALS, N_GOALS), bool)
     wanted[RED, GREEN] = True
-    all_sets, relative = [looked(rng) for _ in range(2)], rng.random((N_ACTIONS, N_ACTIONS))
     found, _ = frame_log_likelihood(all_sets, wanted, relative, FLAT, CONDUCT)
     alone, _ = frame_log_likelihood(all_sets[:1], wanted, relative, FLAT, CONDUCT)
     moved = found[RED, GREEN] - alone[RED, GREEN]

@@ -43,6 +43,17 @@ def played(where: Scene, actions: Any, strengths: tuple[float, float] = STRENGTH
     return [(world.step(pair), world.state) for pair in actions]
 
 
+def followed(where: Scene, frames: Any, **settings: Any) -> HiddenState:
+    hidden = HiddenState(where, Tracking(**settings))
+    for frame in frames:
+        hidden.advance(frame)
+    return hidden
+
+
+def frames_of(*given: Any) -> list[NDArray[np.float64]]:
+    return [frame for frame, _ in played(*given)]
+
+
 def near_item(**changes: Any) -> Scene:
     return scene(red=(12.0, 8.0, 0.0), blue=(12.0, 11.2), green=(22.0, 16.0, 0.5), **changes)
 
@@ -88,7 +99,7 @@ def test_agents_that_turn_one_way_only_may_have_meant_the_other() -> None:
 
 def test_what_agents_do_that_are_reset_is_understood_by_that_rule_alone() -> None:
     where = near_item(resets_velocity=True)
-    frames = [frame for frame, _ in played(where, CARRY)]
+    frames = frames_of(where, CARRY)
     explained = {}
     for rule in (True, False):
         assumed = dataclasses.replace(where, resets_velocity=rule)
@@ -107,13 +118,10 @@ def test_what_agents_do_that_are_reset_is_understood_by_that_rule_alone() -> Non
 def test_a_body_that_jumps_is_followed() -> None:
     where = near_item()
     hidden = HiddenState(where, Tracking())
-    frames = [frame for frame, _ in played(where, [(Action.STOP, Action.STOP)] * 8)]
-    for frame in frames:
-        moved = frame.copy()
-        moved[3, :2] += 2.0
-        density = hidden.advance(moved)
-        assert np.isfinite(density).all()
-    assert hidden.best().bodies[3, :2] == pytest.approx(frames[-1][3, :2] + 2.0, abs=0.05)
+    for frame in frames_of(where, [(Action.STOP, Action.STOP)] * 8):
+        frame[3, :2] += 2.0
+        assert np.isfinite(hidden.advance(frame)).all()
+    assert hidden.best().bodies[3, :2] == pytest.approx(frame[3, :2], abs=0.05)
 
 
 @pytest.mark.skipif(not FOLDER.exists(), reason="the real videos are not here")
@@ -162,23 +170,17 @@ def test_noise_is_estimated_from_items_that_mostly_lie_still(sigma: float) -> No
 
 def test_a_frame_is_scored_with_the_noise_of_the_frames_before() -> None:
     where = near_item()
-    still = [frame for frame, _ in played(where, [(Action.STOP, Action.STOP)] * 5)]
-    jump = still[-1].copy()
+    *before, still = frames_of(where, [(Action.STOP, Action.STOP)] * 5)
+    jump = still.copy()
     jump[2:, :2] += 1.0  # which alone would say that positions are noisy
-    peaks = []
-    for last in (still[-1], jump):
-        hidden = HiddenState(where, Tracking())
-        for frame in [*still[:-1], last]:
-            hidden.advance(frame)
-        peaks.append(hidden.log_peak)
-    assert peaks[0] == peaks[1]
+    peaks = {followed(where, [*before, last]).log_peak for last in (still, jump)}
+    assert len(peaks) == 1
 
 
 def test_no_strength_is_lost_and_each_has_states_of_its_own() -> None:
     where = near_item()
-    tracking = Tracking(states=4, strength_weight=1.0)
-    hidden = HiddenState(where, tracking)
-    frames = [frame for frame, _ in played(where, CARRY, (150.0, 600.0))]
+    hidden = HiddenState(where, Tracking(states=4, strength_weight=1.0))
+    frames = frames_of(where, CARRY, (150.0, 600.0))
     for frame in frames:
         hidden.advance(frame)
         assert sorted(set(hidden.beam.combination.tolist())) == list(range(16))
@@ -186,11 +188,8 @@ def test_no_strength_is_lost_and_each_has_states_of_its_own() -> None:
         for pair in range(16):
             within = hidden.beam.within[hidden.beam.combination == pair]
             assert np.exp(within).sum() == pytest.approx(1)
-    sure = hidden.strengths().reshape(4, 4)
-    assert sure[0, 3] > 0.99
-    doubtful = HiddenState(where, Tracking(states=4, strength_weight=0.01))
-    for frame in frames:
-        doubtful.advance(frame)
+    assert hidden.strengths().reshape(4, 4)[0, 3] > 0.99
+    doubtful = followed(where, frames, states=4, strength_weight=0.01)
     assert 0.1 < doubtful.strengths().reshape(4, 4)[0, 3] < 0.6
 
 
@@ -200,10 +199,8 @@ def test_planners_spread_over_what_is_believed_of_the_strengths() -> None:
     for n in (2, 3, 4, 8):
         found = hidden.spread(n)
         for agent in range(2):
-            levels = [one.strengths[agent] for one in found]
-            assert len(set(levels)) == min(n, 4)
-    for frame, _ in played(near_item(), CARRY):
-        hidden.advance(frame)
+            assert len({one.strengths[agent] for one in found}) == min(n, 4)
+    hidden = followed(near_item(), frames_of(near_item(), CARRY), strength_weight=1.0)
     assert {one.strengths for one in hidden.spread(4)} == {STRENGTHS}
 
 

@@ -38,12 +38,11 @@ def test_phase_under_another_name_is_read_as_phase(planner_seeds: int) -> None:
     # of PHASE some searches are saved where there are several sets
     slack = 1e-6 if planner_seeds == 1 else 0.01
     for name, theirs in (("goal_red",) * 2, ("relation", "relation_red_green")):
-        np.testing.assert_allclose(
-            own.marginal(theirs).values, phase.marginal(name).values, rtol=0, atol=slack
-        )
-        np.testing.assert_allclose(
-            own.over_time()[theirs].values, phase.over_time()[name].values, rtol=0, atol=slack
-        )
+        for one, other in (
+            (own.marginal(theirs), phase.marginal(name)),
+            (own.over_time()[theirs], phase.over_time()[name]),
+        ):
+            np.testing.assert_allclose(one.values, other.values, rtol=0, atol=slack)
     helps = phase.probability(alpha=["(1, 0)"])
     assert own.probability(alpha_red_green="1") == pytest.approx(helps, abs=slack)
     assert own.mean("strength_green") == pytest.approx(phase.mean("strength_green"), abs=1)

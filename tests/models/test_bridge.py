@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -24,34 +23,27 @@ class Counting:
         self.batches: list[list[Hypothesis]] = []
         self.ceilings: list[float] = []
 
-    def run(
-        self, hypotheses: Sequence[Hypothesis], seeds: Sequence[int], ceilings: Sequence[float]
-    ) -> list[SimulationResult]:
+    def run(self, hypotheses: Any, seeds: Any, ceilings: Any) -> list[SimulationResult]:
         self.batches.append(list(hypotheses))
         self.ceilings += ceilings
-        done: dict[Any, SimulationResult] = {}
-        for h, seed in zip(hypotheses, seeds, strict=True):
-            trajectory = np.zeros((N_FRAMES, 4, 3), np.float32)
-            errors = np.full(N_FRAMES, float(seed))
-            done.setdefault(
-                (h, seed), SimulationResult(h, seed, trajectory, errors, N_FRAMES, True)
+        asked, trajectory = list(zip(hypotheses, seeds, strict=True)), np.zeros((N_FRAMES, 4, 3))
+        done = {
+            (h, seed): SimulationResult(
+                h, seed, trajectory, np.full(N_FRAMES, float(seed)), N_FRAMES, True
             )
-        return [done[key] for key in zip(hypotheses, seeds, strict=True)]
+            for h, seed in asked
+        }
+        return [done[key] for key in asked]
 
 
 class Stopping(Counting):
     """Stops what exceeds its ceiling."""
 
-    def run(
-        self, hypotheses: Sequence[Hypothesis], seeds: Sequence[int], ceilings: Sequence[float]
-    ) -> list[SimulationResult]:
-        found = super().run(hypotheses, seeds, ceilings)
-        stopped = [result.errors.sum() > c for result, c in zip(found, ceilings, strict=True)]
+    def run(self, hypotheses: Any, seeds: Any, ceilings: Any) -> list[SimulationResult]:
+        stopped = {"errors": np.full(N_FRAMES, np.inf), "completed": False}
         return [
-            dataclasses.replace(one, errors=np.full(N_FRAMES, np.inf), completed=False)
-            if stops
-            else one
-            for one, stops in zip(found, stopped, strict=True)
+            dataclasses.replace(one, **(stopped if one.errors.sum() > ceiling else {}))
+            for one, ceiling in zip(super().run(hypotheses, seeds, ceilings), ceilings, strict=True)
         ]
 
 
@@ -61,16 +53,8 @@ def sites_of(n: int, **changes: Any) -> dict[str, jax.Array]:
     return {name: jnp.broadcast_to(jnp.asarray(value), (n,)) for name, value in values.items()}
 
 
-def ask(
-    bridge: SimulatorBridge,
-    sites: dict[str, jax.Array],
-    seeds: jax.Array,
-    log_prior: Any = -1.0,
-    ceiling: Any = np.inf,
-) -> Any:
-    limits = [
-        jnp.broadcast_to(jnp.asarray(v, jnp.float32), seeds.shape) for v in (log_prior, ceiling)
-    ]
+def ask(bridge: Any, sites: Any, seeds: Any, log_prior: Any = -1.0, ceiling: Any = np.inf) -> Any:
+    limits = (jnp.full(seeds.shape, v, jnp.float32) for v in (log_prior, np.asarray(ceiling)))
     return np.asarray(requested(bridge.handle, sites, seeds, *limits))
 
 
@@ -138,15 +122,11 @@ def test_what_has_no_prior_mass_is_not_simulated(log_prior: float) -> None:
     assert runner.batches == [[]]
 
 
-def test_identical_requests_are_paid_for_once() -> None:
+def test_identical_requests_of_one_batch_or_a_later_one_are_paid_for_once() -> None:
     bridge = SimulatorBridge(Counting(), N_FRAMES)
     ask(bridge, sites_of(4), jnp.array([5, 5, 6, 5]))
     assert [record.result.seed for record in bridge.records] == [5, 6]
-
-
-def test_a_completed_simulation_answers_later_requests_at_no_cost() -> None:
-    runner = Counting()
-    bridge = SimulatorBridge(runner, N_FRAMES)
+    bridge = SimulatorBridge(Counting(), N_FRAMES)
     seeds = jnp.array([3, 4], jnp.int32)
     first = ask(bridge, sites_of(2), seeds)
     again = ask(bridge, sites_of(2), seeds[::-1], ceiling=1.0)
@@ -162,14 +142,13 @@ def test_ceilings_reach_the_runner() -> None:
     assert runner.ceilings == [3.0, np.inf]
 
 
-class Exploding(Counting):
-    def run(self, *_: Any) -> list[SimulationResult]:
-        raise ZeroDivisionError("the simulator exploded")
-
-
 def test_an_exception_is_kept_with_its_class_and_not_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
+    class Exploding(Counting):
+        def run(self, *_: Any) -> Any:
+            raise ZeroDivisionError("the simulator exploded")
+
     bridge = SimulatorBridge(Exploding(), N_FRAMES)
     assert np.isinf(ask(bridge, sites_of(2), jnp.arange(2))).all()
     assert isinstance(bridge.failure, ZeroDivisionError)

@@ -11,13 +11,11 @@ import numpyro.distributions as dist
 import pytest
 
 from phase_ppl.models import priors, sites
-from phase_ppl.models.effective import (
-    log_prior_of_effective,
-    nodes_of,
-    prior_table,
-)
+from phase_ppl.models.effective import log_prior_of_effective, nodes_of, prior_table
 from phase_ppl.world.goals import goal_index
 
+LEVELS = (150.0, 300.0, 450.0, 600.0)
+ENDS = np.array([150.0, 225.0, 375.0, 525.0, 600.0])
 PER_NEWTON = 2 * np.log(450.0)
 BLUE_TO_RED = goal_index("Get blue item to red lm")
 PINK_TO_RED = goal_index("Get pink item to red lm")
@@ -28,8 +26,9 @@ def log_prior(pairs: list[tuple[int, int]], prior: object = priors.uniform) -> n
     return log_prior_of_effective(prior, np.array(pairs), strengths)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("share", [0.5, 0.001])
-def test_a_site_of_ones_own_with_few_values_is_summed_out(share: float) -> None:
+def test_a_site_of_ones_own_with_few_values_is_summed_out() -> None:
+    share = 0.001
+
     def friendly_or_not() -> None:
         friendly = numpyro.sample("friendly", dist.Bernoulli(share))
         helping = jnp.array([0.0, 0.5, 0.5, 0.0, 0.0])
@@ -44,7 +43,7 @@ def test_a_site_of_ones_own_with_few_values_is_summed_out(share: float) -> None:
     )
     assert unrelated == pytest.approx((1 - share) / 34**2, rel=1e-4)
     assert shared == pytest.approx(share / 34 + (1 - share) / 34**2, rel=1e-4)
-    masses = np.exp(prior_table(friendly_or_not, (150.0, 300.0, 450.0, 600.0)))
+    masses = np.exp(prior_table(friendly_or_not, LEVELS))
     expected = [1 - share, share / 2, share / 2, 0, 0]
     np.testing.assert_allclose(masses.sum(axis=(0, 1, 3, 4)), expected, rtol=1e-4)
 
@@ -61,7 +60,7 @@ def test_sites_of_ones_own_are_averaged_out_where_they_have_many_values() -> Non
         sites.goals()
         sites.strengths()
 
-    masses = np.exp(prior_table(moody, (150.0, 300.0, 450.0, 600.0))).sum(axis=(0, 1, 3, 4))
+    masses = np.exp(prior_table(moody, LEVELS)).sum(axis=(0, 1, 3, 4))
     np.testing.assert_allclose(masses, [0.925, *[0.075 / 4] * 4], rtol=0.02)
 
 
@@ -75,19 +74,16 @@ def test_levels_of_strength_have_the_mass_of_their_cells(law: dist.Distribution)
         numpyro.sample("strength_red", law)
         numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
 
-    table = np.exp(prior_table(prior, (150.0, 300.0, 450.0, 600.0))).sum(axis=(0, 1, 2))
-    exact = np.diff(law.cdf(np.clip([150.0, 225.0, 375.0, 525.0, 600.0], *law_ends(law))))
+    table = np.exp(prior_table(prior, LEVELS)).sum(axis=(0, 1, 2))
+    low, high = float(law.support.lower_bound), float(law.support.upper_bound)
+    exact = np.diff(law.cdf(np.clip(ENDS, low, high)))
     np.testing.assert_allclose(table.sum(axis=1), exact, atol=1e-5)
     np.testing.assert_allclose(table.sum(axis=0), [1 / 6, 1 / 3, 1 / 3, 1 / 6])
 
 
-def law_ends(law: dist.Distribution) -> tuple[float, float]:
-    return float(law.support.lower_bound), float(law.support.upper_bound)
-
-
 def masses_of_levels(prior: Any) -> np.ndarray:
     """Return (alpha, level of red's strength) prior masses."""
-    table: np.ndarray = np.exp(prior_table(prior, (150.0, 300.0, 450.0, 600.0)))
+    table: np.ndarray = np.exp(prior_table(prior, LEVELS))
     return table.sum(axis=(0, 1, 4))
 
 
@@ -102,7 +98,7 @@ def test_the_mass_of_levels_is_right_where_alpha_depends_on_strengths() -> None:
         numpyro.sample("alpha", dist.Categorical(probs=probs))
         numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
 
-    exact = np.diff(law.cdf(np.array([150.0, 225.0, 375.0, 525.0, 600.0])))
+    exact = np.diff(law.cdf(ENDS))
     np.testing.assert_allclose(masses_of_levels(prior).sum(axis=0), exact, atol=1e-4)
     np.testing.assert_allclose(masses_of_levels(prior).sum(axis=1), [0.2] * 5, atol=1e-4)
 
@@ -127,7 +123,7 @@ def test_a_strength_below_the_other_one_has_its_mass_at_all_levels() -> None:
         red = numpyro.sample("strength_red", dist.Uniform(200.0, 600.0))
         numpyro.sample("strength_green", dist.Uniform(150.0, red))
 
-    found = np.exp(prior_table(prior, (150.0, 300.0, 450.0, 600.0))).sum(axis=(0, 1, 2, 3))
+    found = np.exp(prior_table(prior, LEVELS)).sum(axis=(0, 1, 2, 3))
     # green < x with probability 1/400 times the integral of min(1, (x - 150) / (red - 150))
     ends = np.array([225.0, 375.0, 525.0])
     below = ends - 200 + (ends - 150) * np.log(450 / (ends - 150))
@@ -135,8 +131,8 @@ def test_a_strength_below_the_other_one_has_its_mass_at_all_levels() -> None:
 
 
 def test_few_strengths_stand_for_an_uneven_distribution() -> None:
-    law, ends = dist.Normal(374.0, 8.0), np.array([150.0, 225.0, 375.0, 525.0, 600.0])
-    values, newtons = nodes_of(law, ends)
+    law = dist.Normal(374.0, 8.0)
+    values, newtons = nodes_of(law, ENDS)
     assert len(values) == 16  # a table has the square of that times 6480 entries
     mass = (np.exp(np.asarray(law.log_prob(values), float)) * newtons).reshape(4, -1).sum(axis=1)
-    np.testing.assert_allclose(mass, np.diff(law.cdf(ends)), atol=1e-5)
+    np.testing.assert_allclose(mass, np.diff(law.cdf(ENDS)), atol=1e-5)

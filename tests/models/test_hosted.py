@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import pickle
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from jax import lax, random
 from jax.experimental.compilation_cache import compilation_cache
 
-from phase_ppl.models import hosted
+from phase_ppl.models import density, hosted
 from phase_ppl.models.bridge import SimulatorBridge, request_errors
 from phase_ppl.models.hosted import Hosted
 from tests.models.test_bridge import N_FRAMES, Counting, sites_of
@@ -140,8 +141,8 @@ def test_a_damaged_file_is_reported_and_made_anew(damage: bytes | None, tmp_path
 def test_the_files_not_used_for_longest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hosted, "MOST", 3)
     for number in range(5):
-        hosted.write_outline(f"{number}", number)
-        hosted.read_outline("0")
+        hosted.write(f"{number}", pickle.dumps(number))
+        hosted.read("0")
     names = {file.stem for file in tmp_path.iterdir()}
     assert len(names) == 3
     assert "4" in names
@@ -172,3 +173,17 @@ def test_code_that_was_changed_since_it_was_imported_is_not_remembered(
     assert hosted.outline_name("a function") is not None
     monkeypatch.setattr(hosted, "_IMPORTED", 0.0)
     assert hosted.outline_name("a function") is None
+
+
+# --- small programs -------------------------------------------------------------------------------
+
+
+def test_options_that_this_version_does_not_know_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known, asked = dict(density._WANTED), density._known_options.__wrapped__
+    monkeypatch.setattr(density, "_known_options", functools.cache(asked))
+    monkeypatch.setattr(density, "_WANTED", {"xla_no_such_option": True, **known})
+    assert density.compiled_quickly(lambda x: 2 * x)(jnp.float32(3.0)) == 6.0
+    assert density._known_options()
+    assert density._known_options().items() <= known.items()

@@ -1,6 +1,10 @@
+"""A model: what is refused, its likelihood, and as a program bound to an event."""
+
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import dataclasses
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
@@ -8,31 +12,35 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 import pytest
+from jax import random
+from numpyro.infer.util import log_density as numpyro_log_density
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.models import priors, sites
+from phase_ppl.models import sites
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
+from phase_ppl.models.program import EventProgram, event_salt
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.event import Observation
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
+from tests.inference.toy import (
+    N_FRAMES,
+    TableRunner,
+    never_called,
+    table_errors,
+    table_program,
+    walking_event,
+)
+from tests.models.test_checks import also
 
 
 def still(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Any]:
     while True:
         yield scene.start
-
-
-def also(statement: Callable[[], Any]) -> Callable[[], None]:
-    """The default prior and one more statement."""
-
-    def changed() -> None:
-        statement()
-        priors.uniform()
-
-    return changed
 
 
 @pytest.mark.parametrize(
@@ -86,3 +94,102 @@ def test_fingerprint_tells_models_apart() -> None:
     assert prints[0]["simulator"].endswith("still")
     assert Model().fingerprint() != Model(planner="paper").fingerprint()
     assert Model(prior="relation_first").fingerprint()["prior"].endswith("relation_first")
+
+
+# --- the likelihood -------------------------------------------------------------------------------
+
+
+BETAS = (0.05, 0.7)
+N_COORDINATES = 8  # of the four entities of PHASE
+
+
+@pytest.mark.parametrize("n_entities", [4, 1, 10])
+@pytest.mark.parametrize("beta", BETAS)
+def test_radial_density_integrates_to_one(beta: float, n_entities: int) -> None:
+    radius, d = np.linspace(1e-6, 90 / beta, 200_001), 2 * n_entities
+    sphere = 2 * math.pi ** (d / 2) / math.gamma(d / 2)
+    density = np.exp(RadialLikelihood(beta, n_entities).log_prob(radius))
+    found = np.trapezoid(density * sphere * radius ** (d - 1), radius)
+    assert found == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize("beta", BETAS)
+def test_mean_distance_of_samples_is_d_over_beta(beta: float) -> None:
+    predicted = np.broadcast_to(np.arange(3 * 8.0).reshape(3, 4, 2), (2000, 3, 4, 2))
+    samples = RadialLikelihood(beta).replicate(predicted, np.random.default_rng(0))
+    distance = np.sqrt(((samples - predicted) ** 2).sum(axis=(-2, -1)))
+    assert distance.shape == (2000, 3)
+    # the standard deviation of a Gamma(8) distance is its mean / sqrt(8)
+    assert distance.mean() == pytest.approx(N_COORDINATES / beta, rel=4 / math.sqrt(8 * 6000))
+
+
+def test_largest_error_reaches_exactly_the_floor() -> None:
+    likelihood = RadialLikelihood()
+    total = likelihood.max_total_error(-400.0, 10)
+    assert likelihood.log_prob(np.full(10, total / 10)).sum() == pytest.approx(-400)
+
+
+def test_density_is_the_same_in_numpy_and_jax_and_zero_of_an_infinite_error() -> None:
+    errors = np.array([0.0, 3.0, 40.0, np.inf])
+    found = RadialLikelihood().log_prob(errors)
+    np.testing.assert_allclose(found, RadialLikelihood().log_prob(jnp.asarray(errors)), 1e-6)
+    assert found[-1] == -np.inf
+
+
+@pytest.mark.parametrize("beta", [0, -1.0, math.nan, math.inf, 10**400, "0.05", True])
+def test_beta_must_be_a_positive_number(beta: Any) -> None:
+    with pytest.raises(InvalidSettingError, match="beta"):
+        RadialLikelihood(beta)
+
+
+# --- bound to an event ----------------------------------------------------------------------------
+
+
+Z = {"goal_red": 0, "goal_green": 3, "alpha": 0, "strength_red": 300.0, "strength_green": 200.0}
+SITES = {name: jnp.asarray(value) for name, value in Z.items()}
+
+
+def test_program_is_prior_times_likelihood() -> None:
+    errors = table_errors()
+    program, _bridge = table_program(TableRunner(errors))
+    found, trace = numpyro_log_density(program, (jnp.array(4),), {}, SITES)
+    np.testing.assert_allclose(trace["step_error"]["value"], errors[0, 3, 1], rtol=1e-5)
+    expected = program.log_prior(SITES) + program.log_likelihood(errors[0, 3, 1]).sum()
+    assert float(found) == pytest.approx(float(expected), rel=1e-5)
+
+
+def seed_of(program: EventProgram, key: int = 0, **changes: float) -> int:
+    sites = {name: jnp.asarray(value) for name, value in {**Z, **changes}.items()}
+    return int(program.simulator_seed(random.key(key), sites))
+
+
+def test_fresh_noise_takes_a_new_seed_each_time() -> None:
+    program, _bridge = table_program(TableRunner(table_errors()))
+    assert seed_of(program, key=1) != seed_of(program, key=2)
+    assert seed_of(program, key=1) == seed_of(program, key=1)
+
+
+def test_fixed_noise_follows_what_the_simulator_is_told() -> None:
+    model = Model(simulator=never_called, noise="fixed")
+    program, other = (EventProgram(model, 0, N_FRAMES, salt) for salt in (5, 6))
+    seed = seed_of(program, key=1)
+    assert seed == seed_of(program, key=2)
+    assert seed != seed_of(other)
+    assert seed != seed_of(program, goal_red=1)
+    assert seed != seed_of(program, strength_green=200.5)
+    # a helper's own stated goal changes nothing
+    helping = ALPHAS.index((1, 0))
+    ways = [seed_of(program, alpha=helping, goal_red=goal) for goal in (0, 7)]
+    assert ways[0] == ways[1] == seed_of(program, goal_red=3)
+    assert GOALS[3] != GOALS[0]
+
+
+def test_salt_stands_for_scene_and_observation_only() -> None:
+    event = walking_event()
+    salt = event_salt(event.scene, event.observation)
+    again = walking_event()
+    assert salt == event_salt(again.scene, again.observation)
+    moved = np.array(event.observation.trajectory)
+    moved[3, 2, 0] += 1e-9
+    assert salt != event_salt(event.scene, Observation(moved))
+    assert salt != event_salt(dataclasses.replace(event.scene, turning="cw"), event.observation)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -53,21 +56,17 @@ def test_an_observer_without_parts_answers_as_the_model_does() -> None:
 
 
 def test_evidence_of_any_size_leaves_an_observer_that_saturates_in_doubt() -> None:
-    found = answers(Observer(observers.saturation), SURE, most_evidence=2.0)
-    assert found[0] == pytest.approx(
-        np.array([1, np.exp(-2), np.exp(-2)]) / (1 + 2 * np.exp(-2)), abs=1e-4
-    )
-    small = evidence([[0.0, -0.01, -0.02]])
-    assert answers(Observer(observers.saturation), small, most_evidence=20.0) == pytest.approx(
-        answers(Observer(), small), abs=1e-4
-    )
+    observer, small = Observer(observers.saturation), evidence([[0.0, -0.01, -0.02]])
+    shares = np.exp([0, -2, -2]) / (1 + 2 * np.exp(-2))
+    assert answers(observer, SURE, most_evidence=2.0)[0] == pytest.approx(shares, abs=1e-4)
+    same = answers(Observer(), small)
+    assert answers(observer, small, most_evidence=20.0) == pytest.approx(same, abs=1e-4)
 
 
 def test_lapses_few_samples_and_a_flat_response_make_answers_alike() -> None:
-    assert answers(Observer(observers.lapse), SURE, lapse=0.3)[0] == pytest.approx([0.8, 0.1, 0.1])
-    assert answers(Observer(observers.samples), SURE, samples=3.0)[0] == pytest.approx(
-        [4 / 6, 1 / 6, 1 / 6]
-    )
+    lapsing, sampling = Observer(observers.lapse), Observer(observers.samples)
+    assert answers(lapsing, SURE, lapse=0.3)[0] == pytest.approx([0.8, 0.1, 0.1])
+    assert answers(sampling, SURE, samples=3.0)[0] == pytest.approx([4 / 6, 1 / 6, 1 / 6])
     given = evidence([[0.0, -2.0, -4.0]])
     flat = answers(Observer(observers.sharpness), given, sharpness=0.5)
     half = answers(Observer(observers.weight), given, weight=0.5)
@@ -93,11 +92,8 @@ def test_contact_speaks_against_agents_who_want_nothing_of_each_other() -> None:
 
 def test_readings_of_a_video_are_averaged_as_answers() -> None:
     one, other = [0.0, -30.0, -30.0], [-30.0, 0.0, -30.0]
-    both = np.array([one, other])[None, :, None]
-    given = evidence([one])
-    given = Evidence(
-        given.events, np.repeat(both, 3, 0), given.log_prior, given.answers, given.cues
-    )
+    both = np.repeat(np.array([one, other])[None, :, None], 3, 0)
+    given = dataclasses.replace(evidence([one]), log_likelihood=both)
     assert answers(Observer(), given)[0] == pytest.approx([0.5, 0.5, 0.0], abs=1e-5)
 
 
@@ -105,9 +101,8 @@ def test_relations_and_goals_follow_from_one_belief_about_pairs() -> None:
     from phase_ppl.evaluation.observers.answers import evidence_of
 
     event = ppl.load_event("collaborate")
-    empty = evidence_of(
-        [event], {event.id: ppl.Prediction(event.id, {"relation": [0.2, 0.3, 0.5]})}
-    )
+    told = ppl.Prediction(event.id, {"relation": [0.2, 0.3, 0.5]})
+    empty = evidence_of([event], {event.id: told})
     assert answers(Observer(), empty)[0] == pytest.approx([0.2, 0.3, 0.5], abs=0.01)
     assert set(empty.answers) == {"relation"}
     assert evidence_of([event]).log_likelihood.shape == (3, 1, 1, len(RELATIONS))
@@ -144,16 +139,16 @@ def test_a_reading_misses_frames_and_misjudges_positions() -> None:
 
 
 def test_what_is_no_observer_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="observer 'companie'"):
-        observer_named("companie")
-    with pytest.raises(UnknownNameError, match="cue 'distanze'"):
-        observers.cues(distanze="neutral")
-    with pytest.raises(UnknownNameError, match="relation 'hostile'"):
-        observers.cues(distance="hostile")
-    with pytest.raises(InvalidSettingError, match="no function"):
-        Observer("lapse")  # type: ignore[arg-type]
-    with pytest.raises(InvalidSettingError, match="missed=1"):
-        Perception(missed=1.0)
+    wrong: list[tuple[Callable[[], object], type[Exception], str]] = [
+        (lambda: observer_named("companie"), UnknownNameError, "observer 'companie'"),
+        (lambda: observers.cues(distanze="neutral"), UnknownNameError, "cue 'distanze'"),
+        (lambda: observers.cues(distance="hostile"), UnknownNameError, "relation 'hostile'"),
+        (lambda: Observer("lapse"), InvalidSettingError, "no function"),  # type: ignore[arg-type]
+        (lambda: Perception(missed=1.0), InvalidSettingError, "missed=1"),
+    ]
+    for make, error, message in wrong:
+        with pytest.raises(error, match=message):
+            make()
 
 
 def test_few_hypotheses_answer_as_all_pairs_of_goals_do() -> None:

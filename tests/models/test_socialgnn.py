@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import zipfile
@@ -23,13 +24,14 @@ from phase_ppl.models.socialgnn.graphs import (
     Examples,
     Graphs,
     Variant,
+    batch,
     edge_slots,
     frame_graphs,
     touching,
 )
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, shapes
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
-from phase_ppl.world.event import Observation
+from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
@@ -37,11 +39,20 @@ from phase_ppl.world.scene import Scene
 from tests.models.walks import START, eight, needs_torch, walk
 from tests.world.examples import walls
 
+with contextlib.suppress(ImportError):  # an extra
+    import torch
+
+    from phase_ppl.models.socialgnn import network
+    from phase_ppl.models.socialgnn.network import Ensemble, SocialGNN, fit
+
 SETTINGS = TrainingSettings(epochs=60, looks=False, dropout=0.0, learning_rate=0.02)
 
 
-def graphs(variant: Variant = "message_passing") -> Graphs:
-    event = walk(2, 1, n_frames=9, with_item=True)
+BRINGING = walk(2, 1, n_frames=9, with_item=True)
+"""Red brings the blue item to the red landmark."""
+
+
+def graphs(variant: Variant = "message_passing", event: Event = BRINGING) -> Graphs:
     return frame_graphs(event.scene, event.observation, variant)
 
 
@@ -55,7 +66,7 @@ def edges(of: Graphs, kind: int) -> set[tuple[int, int, int]]:
 
 def test_features_are_in_the_units_that_they_say() -> None:
     event = walk(2, 1, n_frames=9)
-    nodes = frame_graphs(event.scene, event.observation, "message_passing").nodes
+    nodes = graphs(event=event).nodes
     assert nodes.shape == (9, 8, 7)
     np.testing.assert_allclose(nodes[0, 0, :2], [(14 - 16) / 10, (11 - 12) / 10], atol=1e-6)
     step = np.diff(event.observation.positions, axis=0)
@@ -70,8 +81,8 @@ def test_features_are_in_the_units_that_they_say() -> None:
 
 
 def test_bodies_that_touch_are_joined_in_both_directions_and_no_others() -> None:
-    event = walk(2, 1, n_frames=9, with_item=True)
-    found, radius = edges(graphs(), CONTACT), event.scene.radius
+    event, found = BRINGING, edges(graphs(), CONTACT)
+    radius = event.scene.radius
     wanted = {
         (frame, *pair)
         for frame, poses in enumerate(event.observation.trajectory)
@@ -84,15 +95,10 @@ def test_bodies_that_touch_are_joined_in_both_directions_and_no_others() -> None
 
 
 def test_entities_are_joined_with_the_landmarks_near_them() -> None:
-    event = walk(2, 1, n_frames=9, with_item=True)
-    found = edges(graphs(), PROXIMITY)
-    wanted = set()
-    for frame, places in enumerate(event.observation.positions):
-        for entity, place in enumerate(places):
-            for landmark, centre in enumerate(event.scene.landmark_centres):
-                if np.linalg.norm(place - centre) < NEAR:
-                    wanted |= {(frame, entity, 4 + landmark), (frame, 4 + landmark, entity)}
-    assert found == wanted
+    found, positions = edges(graphs(), PROXIMITY), BRINGING.observation.positions
+    apart = np.linalg.norm(positions[:, :, None] - BRINGING.scene.landmark_centres, axis=-1)
+    near = {(frame, entity, 4 + lm) for frame, entity, lm in np.argwhere(apart < NEAR).tolist()}
+    assert found == near | {(frame, landmark, entity) for frame, entity, landmark in near}
     assert (8, 0, 4 + 2) in found
     assert (0, 0, 4 + 2) not in found
 
@@ -154,9 +160,7 @@ def test_graphs_do_not_depend_on_whole_turns_nor_on_the_angles_of_items(variant:
     turned = event.observation.trajectory + np.array([0.0, 0.0, 2 * np.pi])
     turned[:, 2:, 2] = 1.0
     again = frame_graphs(event.scene, Observation(turned), variant)
-    for one, other in zip(
-        again, frame_graphs(event.scene, event.observation, variant), strict=True
-    ):
+    for one, other in zip(again, graphs(variant, event), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-5)
 
 
@@ -171,14 +175,13 @@ def test_an_example_is_the_event_itself_unless_it_is_asked_for_in_another_look()
         assert truth is not None
         assert [GOALS[goal] for goal in made.goals] == [truth.goal_red, truth.goal_green]
         assert RELATIONS[made.relation] == truth.relation
-        seen = frame_graphs(event.scene, event.observation, "extended")
-        for one, other in zip(made.graphs, seen, strict=True):
+        for one, other in zip(made.graphs, graphs("extended", event), strict=True):
             np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("look", range(len(LOOKS)))
 def test_goals_follow_what_is_seen_in_every_look(look: int) -> None:
-    made = Examples([walk(2, 1, n_frames=9, with_item=True)], "message_passing")(0, look)
+    made = Examples([BRINGING], "message_passing")(0, look)
     red, green = (GOALS[goal] for goal in made.goals)
     end = made.graphs.nodes[-1]
     for goal in (red, green):
@@ -230,28 +233,21 @@ def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str)
 @needs_torch
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_arrays_of_a_network_are_those_that_files_hold(variant: Variant) -> None:
-    from phase_ppl.models.socialgnn.network import SocialGNN
-
-    network = SocialGNN(variant)
-    assert {n: tuple(a.shape) for n, a in network.state_dict().items()} == shapes(variant)
+    arrays = SocialGNN(variant).state_dict()
+    assert {n: tuple(a.shape) for n, a in arrays.items()} == shapes(variant)
 
 
 @needs_torch
 def test_the_lstm_of_the_original_reads_edges_side_by_side_and_zeros() -> None:
-    import torch
-
-    from phase_ppl.models.socialgnn.graphs import batch
-    from phase_ppl.models.socialgnn.network import SocialGNN
-
-    network, found = SocialGNN("original"), graphs("original")
-    seen = network._frames(batch([found])).detach().numpy().reshape(9, 12, 64)
+    made, found = SocialGNN("original"), graphs("original")
+    seen = made._frames(batch([found])).detach().numpy().reshape(9, 12, 64)
     joined = edges(found, CONTACT)
     assert joined
     for frame in range(9):
         for (one, other), slot in np.ndenumerate(edge_slots("original")):
             if (frame, one, other) in joined:
                 told = [found.nodes[frame, one], found.nodes[frame, other], found.context]
-                wanted = network.edge(torch.from_numpy(np.concatenate(told))).detach().numpy()
+                wanted = made.edge(torch.from_numpy(np.concatenate(told))).detach().numpy()
                 np.testing.assert_allclose(seen[frame, slot], wanted, rtol=1e-3, atol=1e-4)
             elif slot >= 0:
                 assert not seen[frame, slot].any()
@@ -260,8 +256,6 @@ def test_the_lstm_of_the_original_reads_edges_side_by_side_and_zeros() -> None:
 @needs_torch
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
-    from phase_ppl.models.socialgnn.network import Ensemble, fit
-
     events = eight()
     examples = Examples(events, variant)
     fitted = fit(examples, examples, dataclasses.replace(SETTINGS, variant=variant), seed=0)
@@ -279,10 +273,6 @@ def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
 
 @needs_torch
 def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
-    import torch
-
-    from phase_ppl.models.socialgnn.network import fit
-
     settings = TrainingSettings(epochs=2)
     examples = Examples(eight(), "message_passing")
     one = fit(examples, examples, settings, seed=3)
@@ -298,16 +288,10 @@ def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
 
 @needs_torch
 def test_it_stops_when_the_validation_gets_no_better() -> None:
-    from phase_ppl.models.socialgnn.network import fit
-
     events = eight()
     settings = dataclasses.replace(SETTINGS, epochs=400, patience=3)
-    fitted = fit(
-        Examples(events[:4], "message_passing"),
-        Examples(events[4:], "message_passing"),
-        settings,
-        seed=0,
-    )
+    some, others = (Examples(events[part], "message_passing") for part in np.s_[:4, 4:])
+    fitted = fit(some, others, settings, seed=0)
     losses = fitted.curves["validation"]
     assert len(losses) == fitted.best + 1 + 3 < 400
     assert min(losses) == losses[fitted.best]
@@ -315,8 +299,6 @@ def test_it_stops_when_the_validation_gets_no_better() -> None:
 
 @needs_torch
 def test_training_that_leads_nowhere_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from phase_ppl.models.socialgnn import network
-
     right = network.loss
     monkeypatch.setattr(network, "loss", lambda *given: right(*given) * float("nan"))
     examples = Examples(eight(), "original")
@@ -326,25 +308,19 @@ def test_training_that_leads_nowhere_says_so(monkeypatch: pytest.MonkeyPatch) ->
 
 @needs_torch
 def test_rare_relations_weigh_more_and_events_one_on_average() -> None:
-    from phase_ppl.models.socialgnn.network import class_weights
-
     relations = [0, 0, 0, 0, 1, 2, 2, 2]
-    weights = class_weights(relations).numpy()
+    weights = network.class_weights(relations).numpy()
     np.testing.assert_allclose(weights, [8 / 12, 8 / 3, 8 / 9])
     assert weights[relations].mean() == pytest.approx(1)
-    np.testing.assert_allclose(class_weights([0, 0, 2]).numpy(), [0.75, 1, 1.5])
+    np.testing.assert_allclose(network.class_weights([0, 0, 2]).numpy(), [0.75, 1, 1.5])
 
 
 @needs_torch
 def test_the_loss_is_that_of_the_relation_and_of_each_agents_goal() -> None:
-    import torch
-
-    from phase_ppl.models.socialgnn.network import Outputs, loss
-
     examples = [Examples([walk(0, 1)], "extended")(0)]
-    even = Outputs(torch.zeros(1, 3), torch.zeros(1, 2, 36))
-    assert loss(even, examples).item() == pytest.approx(np.log(3) + 2 * np.log(36))
-    assert loss(even._replace(goals=None), examples).item() == pytest.approx(np.log(3))
+    even = network.Outputs(torch.zeros(1, 3), torch.zeros(1, 2, 36))
+    assert network.loss(even, examples).item() == pytest.approx(np.log(3) + 2 * np.log(36))
+    assert network.loss(even._replace(goals=None), examples).item() == pytest.approx(np.log(3))
 
 
 # --- answers -----------------------------------------------------------------------------------
@@ -359,10 +335,7 @@ def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float
 
 
 def answers(trained: Trained) -> dict[str, NDArray[np.float64]]:
-    from phase_ppl.models.socialgnn.network import Ensemble
-
-    event = walk(2, 0, with_item=True)
-    return Ensemble(trained)(event.scene, event.observation)
+    return Ensemble(trained)(BRINGING.scene, BRINGING.observation)
 
 
 @needs_torch
@@ -376,11 +349,6 @@ def test_networks_together_say_the_mean_of_their_probabilities() -> None:
 
 @needs_torch
 def test_an_event_of_any_length_gets_the_answer_that_it_gets_among_others() -> None:
-    import torch
-
-    from phase_ppl.models.socialgnn.graphs import batch
-    from phase_ppl.models.socialgnn.network import Ensemble
-
     ensemble = Ensemble(Trained("extended", (random_member("extended"),)))
     events = [walk(2, 0, 3), walk(1, 0, 150, with_item=True), walk(0, 3, 2)]
     together = batch([frame_graphs(e.scene, e.observation, "extended") for e in events])
@@ -395,8 +363,6 @@ def test_an_event_of_any_length_gets_the_answer_that_it_gets_among_others() -> N
 
 @needs_torch
 def test_nobody_near_and_nobody_touching_is_answered_too() -> None:
-    from phase_ppl.models.socialgnn.network import Ensemble
-
     start = START.copy()
     start[:, :2] = [[14, 15], [18, 15], [14, 9], [18, 9]]
     scene = Scene(start, np.full(4, 0.8))

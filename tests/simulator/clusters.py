@@ -15,14 +15,11 @@ import distributed
 
 
 @contextlib.contextmanager
-def local_cluster(
-    n_workers: int = 2,
-) -> Iterator[tuple[Any, Any]]:
+def local_cluster(n_workers: int = 2) -> Iterator[tuple[Any, Any]]:
     """Yield a cluster on this machine, and its client."""
+    of: Any = {"threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with (
-        distributed.LocalCluster(
-            n_workers=n_workers, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
+        distributed.LocalCluster(n_workers=n_workers, **of) as cluster,
         distributed.Client(cluster) as client,
     ):
         yield cluster, client

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import sys
 from collections.abc import Iterator
@@ -29,14 +30,9 @@ def battery() -> Iterator[ModuleType]:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "carry_together_weak",
-        "bring_through_door",
-        "tug_of_war_opposing",
-        "chase",
-        pytest.param("flight", marks=pytest.mark.slow),
-    ],
-)
+    ["carry_together_weak", "bring_through_door", "tug_of_war_opposing", "chase",
+     pytest.param("flight", marks=pytest.mark.slow)],
+)  # fmt: skip
 def test_a_pair_shows_the_behaviour(battery: ModuleType, name: str) -> None:
     assert any(battery.attempt(battery.Try(name, seed, PLANNER)) for seed in range(2))
 
@@ -45,12 +41,7 @@ def test_two_too_weak_for_it_do_not_move_an_item(battery: ModuleType) -> None:
     together = importlib.import_module("behaviours.together")
     episode_of = importlib.import_module("behaviours.episode")
     (trial,) = together.lift(together.np.random.default_rng(0))
-    weak = ppl.Hypothesis(
-        trial.hypothesis.goal_red,
-        trial.hypothesis.goal_green,
-        strength_red=150.0,
-        strength_green=150.0,
-    )
+    weak = dataclasses.replace(trial.hypothesis, strength_red=150.0, strength_green=150.0)
     episode = episode_of.record(trial.scene, weak, PLANNER, 0, 60)
     both = episode.both_hold(episode_of.BLUE)
     assert both.any()

@@ -18,13 +18,7 @@ from tests.simulator.clusters import local_cluster, note, processes, the_third_k
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills a process")
 
-OPTIONS: dict[str, Any] = {
-    "kernel": "prior_mh",
-    "chains": 4,
-    "iterations": 2,
-    "seed": 3,
-    "progress": False,
-}
+OPTIONS: Any = {"kernel": "prior_mh", "chains": 4, "iterations": 2, "seed": 3, "progress": False}
 
 
 class SlowWalkers:
@@ -65,14 +59,9 @@ def test_a_cluster_that_is_closed_ends_the_run(tmp_path: Path) -> None:
                 time.sleep(0.01)
             cluster.close()
 
-        closer = threading.Thread(target=close)
+        closer, model = threading.Thread(target=close), ppl.Model(simulator=simulator)
         closer.start()
         with pytest.raises(SimulationError, match="the executor takes no more work") as caught:
-            ppl.infer(
-                walking_event(),
-                ppl.Model(simulator=simulator),
-                executor=client.get_executor(),
-                **OPTIONS,
-            )
+            ppl.infer(walking_event(), model, executor=client.get_executor(), **OPTIONS)
         closer.join()
     assert caught.value.posterior is not None

@@ -21,6 +21,7 @@ from phase_ppl.world.names import STOP
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
 
 QUICK = ppl.PlannerConfig(simulations=150)
+RED_LANDMARK = scene().landmark_centres[2], scene().landmark_half_width
 GO = ppl.Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
 CARRY = ppl.Hypothesis("Get blue item to red lm", "Get green agent to green lm")
 
@@ -43,14 +44,9 @@ def test_warming_up_calls_all_that_simulating_calls(monkeypatch: pytest.MonkeyPa
     assert called == {*names}
 
 
-def test_the_first_frame_is_the_start() -> None:
-    where = scene()
-    first = next(JointSimulator(QUICK)(where, GO, np.random.default_rng(0)))
-    np.testing.assert_array_equal(first, where.start)
-
-
-def test_the_same_seed_gives_the_same_event_and_another_seed_another() -> None:
+def test_the_same_seed_gives_the_same_event_from_the_start_and_another_seed_another() -> None:
     first, again, other = (frames(scene(), GO, 12, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first[0], scene().start)
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -58,39 +54,32 @@ def test_the_same_seed_gives_the_same_event_and_another_seed_another() -> None:
 def test_an_agent_reaches_its_landmark_and_stops_there() -> None:
     where = scene(red=(23.5, 16.0, math.pi), green=(9.0, 18.0, 0.0))
     path = frames(where, GO, 40)
-    assert is_on(path[-1, 0, :2], where.landmark_centres[2], where.landmark_half_width)
+    assert is_on(path[-1, 0, :2], *RED_LANDMARK)
     assert np.abs(np.diff(path[-5:, 0, :2], axis=0)).max() < 0.3
 
 
 def test_an_agent_carries_an_item_to_its_landmark() -> None:
     where = scene(red=(18.0, 8.0, math.pi), blue=(18.0, 5.0), green=(23.5, 19.0, 0.0))
     path = frames(where, CARRY, 60)
-    assert not is_on(path[0, 2, :2], where.landmark_centres[2], where.landmark_half_width)
-    assert is_on(path[-1, 2, :2], where.landmark_centres[2], where.landmark_half_width)
+    assert not is_on(path[0, 2, :2], *RED_LANDMARK)
+    assert is_on(path[-1, 2, :2], *RED_LANDMARK)
 
 
 def test_agents_that_are_reset_reach_their_goals_more_slowly() -> None:
     where = scene(red=(23.5, 14.0, math.pi), green=(9.0, 18.0, 0.0))
     reset = dataclasses.replace(where, resets_velocity=True)
-    landmark = where.landmark_centres[2], where.landmark_half_width
     arrival = [
-        next(t for t, frame in enumerate(frames(one, GO, 60)) if is_on(frame[0, :2], *landmark))
+        next(t for t, frame in enumerate(frames(one, GO, 60)) if is_on(frame[0, :2], *RED_LANDMARK))
         for one in (where, reset)
     ]
     assert arrival[0] < arrival[1]
 
 
 def test_an_agent_finds_an_item_that_it_cannot_see_at_first() -> None:
-    where = scene(
-        red=(14.0, 18.0, 0.0),
-        blue=(8.0, 8.0),
-        pink=(24.0, 10.0),
-        green=(24.0, 20.0, 0.0),
-        walls=[FULL_WALL_UP, HALF_WALL_LEFT],
-    )
-    path = frames(
-        where, ppl.Hypothesis("Get blue item to yellow lm", "Get green agent to green lm"), 80
-    )
+    places: Any = {"red": (14, 18, 0.0), "blue": (8, 8), "pink": (24, 10), "green": (24, 20, 0.0)}
+    where = scene(**places, walls=[FULL_WALL_UP, HALF_WALL_LEFT])
+    goals = ppl.Hypothesis("Get blue item to yellow lm", "Get green agent to green lm")
+    path = frames(where, goals, 80)
     gap = np.linalg.norm(path[:, 0, :2] - path[:, 2, :2], axis=1)
     assert gap.min() < 2.5
 
@@ -106,10 +95,10 @@ def test_a_chaser_closes_in_on_one_that_stands_still() -> None:
     assert np.linalg.norm(before - before[0], axis=1).max() < 0.1
 
 
-@pytest.mark.parametrize("goals", [("get away from green agent", "get to red agent")])
-def test_frames_stay_finite_and_inside_the_arena(goals: tuple[str, str]) -> None:
+def test_frames_stay_finite_and_inside_the_arena() -> None:
     where = scene(red=(9.0, 8.0, 0.0), green=(12.0, 8.0, 1.0), walls=[FULL_WALL_UP])
-    path = frames(where, ppl.Hypothesis(*goals, strength_red=600.0, strength_green=600.0), 60)
+    chase = ppl.Hypothesis("get away from green agent", "get to red agent", (0, 0), 600.0, 600.0)
+    path = frames(where, chase, 60)
     assert np.isfinite(path).all()
     x, y = path[..., 0], path[..., 1]
     assert ((x > 6) & (x < 26) & (y > 2) & (y < 22)).all()
@@ -149,16 +138,10 @@ def test_decisions_say_why() -> None:
         assert decision.root.actions[np.argmax(decision.root.visits)] == decision.action
 
 
-def test_a_simulated_event_carries_its_truth() -> None:
+def test_a_simulated_event_carries_its_truth_and_has_more_frames_than_one() -> None:
     event = ppl.simulate(scene(), GO, frames=3, planner=QUICK)
-    assert event.truth is not None
-    assert (event.truth.goal_red, event.truth.scenario) == (
-        "Get red agent to red lm",
-        "independent",
-    )
+    truth = event.truth
+    assert (truth.goal_red, truth.scenario) == ("Get red agent to red lm", "independent")
     assert event.observation.n_frames == 3
-
-
-def test_a_single_frame_is_refused() -> None:
     with pytest.raises(InvalidSettingError, match="frames=1"):
         ppl.simulate(scene(), GO, frames=1)

@@ -6,6 +6,7 @@ import concurrent.futures as futures
 import re
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pytest
 from phase_ppl.simulator import processes
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.processes import OwnWorkers
-from phase_ppl.simulator.runner import Runner
+from phase_ppl.simulator.runner import Runner, fresh_seed
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from phase_ppl.world.event import Observation
 from tests.simulator import toys
@@ -36,16 +37,18 @@ def assert_same(first: list[SimulationResult], second: list[SimulationResult]) -
 # --- on any workers --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("simulator", [toys.drift, toys.fails_for_weak])
-def test_results_do_not_depend_on_the_number_of_workers(simulator: Any) -> None:
-    with runner(simulator, workers=1) as one, runner(simulator, workers=2) as two:
+def test_results_do_not_depend_on_the_number_of_workers() -> None:
+    one, two = (runner(toys.fails_for_weak, workers=n) for n in (1, 2))
+    with one, two:
         alone, together = one.run(*REQUESTS), two.run(*REQUESTS)
         assert_same(alone, together)
         assert_same(alone, two.run(*REQUESTS))
         assert {r.completed for r in alone} == {True, False}
 
 
-def test_results_come_in_the_order_of_the_requests(tmp_path: Path) -> None:
+def test_results_come_in_the_order_of_requests_and_are_told_of_as_they_finish(
+    tmp_path: Path,
+) -> None:
     marker = tmp_path / "one is done"
 
     def the_first_waits(scene: Any, hypothesis: Any, rng: Any) -> Any:
@@ -53,12 +56,16 @@ def test_results_come_in_the_order_of_the_requests(tmp_path: Path) -> None:
             time.sleep(0.01)
         yield from toys.drift(scene, hypothesis, rng)
 
+    def note(result: SimulationResult) -> None:
+        finished.append((result.hypothesis, threading.current_thread()))
+        marker.touch()
+
     finished: list[Any] = []
     with runner(the_first_waits, workers=2) as two:
-        two.on_result = lambda result: (finished.append(result.hypothesis), marker.touch())
+        two.on_result = note
         results = two.run([GO, WEAK], [1, 2])
     assert [r.hypothesis for r in results] == [GO, WEAK]
-    assert finished == [WEAK, GO]
+    assert finished == [(WEAK, threading.current_thread()), (GO, threading.current_thread())]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -156,11 +163,8 @@ def test_what_an_executor_loses_is_run_again_once(losses: int, failures: int) ->
 def test_an_executor_that_is_shut_down_is_an_error_of_the_run() -> None:
     executor = futures.ThreadPoolExecutor(1)
     executor.shutdown()
-    with (
-        runner(toys.drift, executor=executor) as other,
-        pytest.raises(SimulationError, match="the executor takes no more work"),
-    ):
-        other.run([GO], [1])
+    with pytest.raises(SimulationError, match="the executor takes no more work"):
+        runner(toys.drift, executor=executor).run([GO], [1])
 
 
 # --- counting --------------------------------------------------------------------------------
@@ -176,20 +180,10 @@ def test_everything_is_counted(workers: int) -> None:
     assert [r.failure is not None for r in results] == [False, False, True, False]
     assert len(seen) == statistics.simulations == 3
     assert {id(r) for r in seen} == {id(r) for r in results}
-    assert statistics.frames == N_FRAMES
-    assert statistics.frames_saved == N_FRAMES
-    assert statistics.failures == 1
-    assert statistics.retries == 0
+    assert statistics.frames == statistics.frames_saved == N_FRAMES
+    assert (statistics.failures, statistics.retries) == (1, 0)
     assert statistics.seconds_simulating == pytest.approx(sum(r.seconds for r in seen))
     assert statistics.seconds_waiting > 0
-
-
-def test_results_are_announced_in_the_calling_thread() -> None:
-    threads = []
-    with runner(toys.drift, workers=2) as two:
-        two.on_result = lambda result: threads.append(threading.current_thread())
-        two.run([GO, WEAK], [1, 2])
-    assert threads == [threading.current_thread()] * 2
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -239,11 +233,9 @@ def test_what_cannot_be_simulated_is_refused_before_the_run() -> None:
 
 
 def test_a_simulator_that_workers_cannot_load_is_an_error_of_the_run(tmp_path: Path) -> None:
-    with (
-        runner(toys.Slips(tmp_path, loads=False), workers=2) as two,
-        pytest.raises(SimulationError, match="ImportError: no such engine here"),
-    ):
-        two.run([GO, WEAK], [1, 2])
+    slips = runner(toys.Slips(tmp_path, loads=False), workers=2)
+    with slips, pytest.raises(SimulationError, match="ImportError: no such engine here"):
+        slips.run([GO, WEAK], [1, 2])
 
 
 # --- stopping --------------------------------------------------------------------------------
@@ -316,9 +308,9 @@ def keeps_python_busy(scene: Any, hypothesis: Any, rng: Any) -> Any:
 @pytest.mark.parametrize("how", ["here", "workers", "executor"])
 def test_a_simulation_that_hangs_is_a_counted_failure(how: str, simulator: Any) -> None:
     with futures.ThreadPoolExecutor(1) as threads:
-        where = {"here": {"workers": 1}, "workers": {"workers": 2}, "executor": {}}[how]
-        executor = threads if how == "executor" else None
-        with runner(simulator, simulation_seconds=0.4, executor=executor, **where) as limited:
+        where: Any = {"here": {"workers": 1}, "workers": {"workers": 2}}.get(how)
+        where = where or {"executor": threads}
+        with runner(simulator, simulation_seconds=0.4, **where) as limited:
             results = limited.run([GO, WEAK, HELP], [1, 2, 3])
     assert [r.completed for r in results] == [True, False, True]
     assert results[1].failure == "it took longer than the 0.4 s that a simulation may take"
@@ -375,3 +367,88 @@ def test_there_are_never_more_workers_than_there_is_to_do() -> None:
         assert many._pool.slots == 2
         assert_same(results, many.run([GO, WEAK, HELP], [1, 2, 3])[:2])
         assert many._pool.slots == 3
+
+
+# --- what fails ------------------------------------------------------------------------------
+
+
+def unlucky(scene: Any, hypothesis: Any, rng: np.random.Generator) -> Iterator[Any]:
+    """Fail for two seeds of three."""
+    if rng.integers(3):
+        raise ValueError("out of luck")
+    yield from toys.drift(scene, hypothesis, rng)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_raise_names_hypothesis_and_seed(workers: int) -> None:
+    with runner(toys.fails_for_weak, workers=workers, on_failure="raise") as strict:
+        assert strict.run([GO], [1])[0].completed
+        with pytest.raises(SimulationError, match=r"150.* with seed 2 failed: ValueError: too w"):
+            strict.run([GO, WEAK, GO], [1, 2, 3])
+
+
+def test_retried_simulations_have_the_frames_of_a_fresh_seed_under_their_own() -> None:
+    with (
+        runner(unlucky, workers=1, on_failure="retry", retries=20) as patient,
+        runner(unlucky, workers=1) as plain,
+    ):
+        results = patient.run([GO] * 12, range(12))
+        assert [r.seed for r in results if r.completed] == list(range(12))
+        attempts = 0
+        for seed, result in enumerate(results):
+            alone = plain.run([GO] * 21, [seed, *(fresh_seed(seed, k) for k in range(1, 21))])
+            first = next(k for k, r in enumerate(alone) if r.completed)
+            np.testing.assert_array_equal(result.trajectory, alone[first].trajectory)
+            attempts += first
+    assert patient.statistics.retries == patient.statistics.failures == attempts > 0
+    assert patient.statistics.simulations == 12 + attempts
+    assert patient.statistics.frames == 12 * N_FRAMES
+
+
+def test_retries_give_the_same_on_any_workers_and_are_announced_once() -> None:
+    seen: list[Any] = []
+    one, other = (runner(unlucky, workers=n, on_failure="retry", retries=2) for n in (1, 2))
+    with one, other:
+        other.on_result = seen.append
+        alone, found = one.run([GO] * 20, range(20)), other.run([GO] * 20, range(20))
+    assert_same(alone, found)
+    assert {a.completed for a in alone} == {True, False}
+    assert len(seen) == 20
+    assert one.statistics.retries == other.statistics.retries
+
+
+def test_what_always_fails_is_rejected_after_the_retries() -> None:
+    with runner(toys.fails_for_weak, workers=1, on_failure="retry") as patient:
+        (result, again) = patient.run([WEAK, WEAK], [7, 7])
+    assert result is again
+    assert (result.seed, str(result.failure)[:10]) == (7, "ValueError")
+    assert (patient.statistics.failures, patient.statistics.retries) == (4, 3)
+
+
+def test_a_batch_is_tried_again_only_where_it_failed() -> None:
+    class Unlucky(toys.Batched):
+        def simulate_batch(self, scene: Any, hypotheses: Any, *given: Any) -> Any:
+            frames = super().simulate_batch(scene, hypotheses, *given)
+            weak = [h.strength_red < 300 and len(self.sizes) == 1 for h in hypotheses]
+            frames[weak] = np.nan
+            return frames
+
+    batched = Unlucky()
+    with runner(batched, on_failure="retry") as patient:
+        results = patient.run([GO, WEAK, HELP, WEAK, GO, WEAK], [1, 2, 3, 4, 5, 2])
+    assert all(r.completed for r in results)
+    assert batched.sizes == [5, 2]
+
+
+def test_what_kills_its_worker_is_tried_with_fresh_seeds_too(tmp_path: Any) -> None:
+    killer = toys.KillsItsWorker(tmp_path, times=4)  # twice under each of two seeds
+    with runner(killer, workers=2, on_failure="retry", retries=3) as patient:
+        (result,) = patient.run([WEAK], [1])
+    assert result.completed
+    assert (patient.statistics.retries, patient.statistics.failures) == (4, 2)
+
+
+def test_fresh_seeds_are_seeds_and_all_different() -> None:
+    seeds = [fresh_seed(seed, attempt) for seed in range(30) for attempt in range(1, 30)]
+    assert len({*seeds, *range(30)}) == 30 * 30
+    assert all(0 <= seed < 2**31 for seed in seeds)

@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import phase_ppl
 from phase_ppl.simulator.contract import Cancelled
 from tests.simulator import toys
+from tests.simulator.test_runner import assert_same
 from tests.simulator.toys import GO, HELP, WEAK, runner
 
 ROOT = Path(phase_ppl.__file__).parents[1]
@@ -46,24 +46,18 @@ SLEEPER = """
 """
 
 
-def script(text: str, folder: Path) -> list[str]:
-    """Write a script without a guard around its main part; return the command that runs it."""
+@contextlib.contextmanager
+def started(text: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """Run a script without a guard around its main part."""
     path = folder / "script.py"
     path.write_text(textwrap.dedent(text))
-    return [sys.executable, str(path), str(folder)]
-
-
-@contextlib.contextmanager
-def started(text: str, folder: Path, **more: Any) -> Iterator[subprocess.Popen[str]]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
-        script(text, folder),
-        env=environment,
+        [sys.executable, str(path), str(folder)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        **more,
     )
     try:
         yield process
@@ -103,10 +97,9 @@ def test_what_a_dead_worker_lost_is_run_again(tmp_path: Path) -> None:
         runner(toys.KillsItsWorker(tmp_path, times=1), workers=2) as two,
     ):
         requests = [WEAK, GO, HELP, GO, GO], [1, 2, 3, 4, 5]
-        for a, b in zip(two.run(*requests), sound.run(*requests), strict=True):
-            assert b.completed
-            assert a.failure is None
-            np.testing.assert_array_equal(a.errors, b.errors)
+        found = two.run(*requests)
+        assert_same(found, sound.run(*requests))
+        assert all(result.completed for result in found)
         assert len(list(tmp_path.iterdir())) == 1
         assert two.statistics.retries >= 1
         assert two.statistics.failures == 0
@@ -120,8 +113,7 @@ def test_only_the_simulation_that_kills_its_worker_fails(tmp_path: Path) -> None
     assert [(r.hypothesis, r.seed) for r in results if r.failure] == [(WEAK, s) for s in (2, 3, 4)]
     assert results[0].completed
     assert "worker process died" in str(results[1].failure)
-    assert two.statistics.failures == 3
-    assert two.statistics.simulations == 4
+    assert (two.statistics.failures, two.statistics.simulations) == (3, 4)
 
 
 def test_a_killer_is_tried_again_once(tmp_path: Path) -> None:
@@ -142,7 +134,7 @@ def test_a_worker_that_died_between_two_runs_is_replaced() -> None:
 
 
 def test_an_exception_is_not_tried_again(tmp_path: Path) -> None:
-    def raises(scene: Any, hypothesis: Any, rng: Any) -> Any:
+    def raises(*given: Any) -> Any:
         (tmp_path / f"{len(list(tmp_path.iterdir()))}").touch()
         raise ValueError("always")
 
@@ -159,8 +151,7 @@ def test_closing_leaves_no_worker() -> None:
     with runner(toys.drift, workers=2) as two:
         two.run([GO, GO], [1, 2])
         workers = multiprocessing.active_children()
-        assert len(workers) == 2
-    assert not any(is_alive(worker.pid or 0) for worker in workers)
+    assert [is_alive(worker.pid or 0) for worker in workers] == [False, False]
     assert multiprocessing.active_children() == []
 
 
@@ -184,8 +175,7 @@ def test_cancelling_leaves_no_worker_not_even_busy_ones(
         with pytest.raises(Cancelled):
             two.run([GO, WEAK], [1, 2])
         other.join()
-        assert len(workers) == 2
-        assert not any(is_alive(worker.pid) for worker in workers)
+        assert [is_alive(worker.pid) for worker in workers] == [False, False]
 
 
 def test_what_a_simulator_has_started_ends_with_its_worker(tmp_path: Path) -> None:
@@ -206,10 +196,8 @@ def test_ctrl_c_ends_a_script_and_its_workers_without_a_word_from_them(
     tmp_path: Path, after: str
 ) -> None:
     with started(SLEEPER, tmp_path) as process:
-        if after == "all workers began":
-            wait_until(lambda: len(workers_in(tmp_path)) == 2)
-        else:
-            wait_until(lambda: _children(process.pid))
+        began = after == "all workers began"
+        wait_until(lambda: len(workers_in(tmp_path)) == 2 if began else _children(process.pid))
         os.killpg(process.pid, signal.SIGINT)
         _, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == -signal.SIGINT
@@ -277,8 +265,7 @@ def test_a_simulator_defined_in_a_script_runs_on_workers_without_a_guard(tmp_pat
         output, errors = process.communicate(timeout=PATIENCE)
     assert errors == ""
     lines = output.splitlines()
-    assert len(lines) == 4
-    assert len(set(lines)) == 1
+    assert lines == [lines[0]] * 4
     assert lines[0].endswith("None None")
 
 

@@ -35,7 +35,7 @@ def runner(simulator: Any, **more: Any) -> Runner:
     return Runner(simulator, SCENE, AT_REST, **more)
 
 
-def drift(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+def drift(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     """Wander about at random; what is wanted sets the pace."""
     frame = scene.start.copy()
     pace = 0.01 + 0.01 * hypothesis.goal_green
@@ -44,7 +44,7 @@ def drift(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Ite
         frame += pace * rng.normal(size=frame.shape)  # in place, as a careless user would
 
 
-def slide(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+def slide(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     """Move the red agent by 1 per frame: the error of frame k is k."""
     frame = scene.start.copy()
     while True:
@@ -52,22 +52,22 @@ def slide(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Ite
         frame[0, 0] += 1.0
 
 
-def ends_early(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+def ends_early(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     for _ in range(3):
         yield scene.start
 
 
-def not_finite(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+def not_finite(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     yield scene.start
     yield scene.start * np.nan
 
 
-def wrong_shape(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+def wrong_shape(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     while True:
         yield scene.start[:2]
 
 
-def raises(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+def raises(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     yield scene.start
     raise ZeroDivisionError("no way to divide")
 
@@ -77,25 +77,21 @@ class UnprintableError(Exception):
         raise RuntimeError
 
 
-def raises_unprintable(
-    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-) -> Iterator[Frame]:
+def raises_unprintable(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     yield scene.start
     raise UnprintableError
 
 
-def exits(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+def exits(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     yield scene.start
     sys.exit("enough")
 
 
-def forgets_to_yield(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Any:
+def forgets_to_yield(scene: Any, hypothesis: Any, rng: Any) -> Any:
     return None
 
 
-def fails_for_weak(
-    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-) -> Iterator[Frame]:
+def fails_for_weak(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     if hypothesis.strength_red < 300:
         raise ValueError("too weak")
     yield from drift(scene, hypothesis, rng)
@@ -107,9 +103,7 @@ class Sleeps:
     def __init__(self, marker: Path, seconds: float = 100.0) -> None:
         self.marker, self.seconds = marker, seconds
 
-    def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-    ) -> Iterator[Frame]:
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         yield scene.start
         self.marker.touch()
         time.sleep(self.seconds)
@@ -122,9 +116,7 @@ class KillsItsWorker:
     def __init__(self, folder: Path, times: int, seconds_of_others: float = 0.0) -> None:
         self.folder, self.times, self.seconds_of_others = folder, times, seconds_of_others
 
-    def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-    ) -> Iterator[Frame]:
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         deaths = len(list(self.folder.iterdir()))
         if hypothesis.strength_red < 300 and deaths < self.times:
             (self.folder / str(deaths)).touch()
@@ -139,9 +131,7 @@ class CountsRuns:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-    ) -> Iterator[Frame]:
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         number = rng.bit_generator.seed_seq.generate_state(1)[0]  # type: ignore[attr-defined]
         (self.folder / f"{number}-{time.monotonic_ns()}").touch()
         yield from drift(scene, hypothesis, rng)
@@ -159,9 +149,7 @@ class Slips:
             raise ImportError("no such engine here")
         (self.folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
 
-    def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-    ) -> Iterator[Frame]:
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         yield from drift(scene, hypothesis, rng)
 
 
@@ -171,9 +159,7 @@ class WarmsUp(CountsRuns):
     def warm_up(self) -> None:
         (self.folder / f"warm-{time.monotonic_ns()}").touch()
 
-    def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-    ) -> Iterator[Frame]:
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         assert list(self.folder.glob("warm-*"))
         yield from drift(scene, hypothesis, rng)
 
@@ -184,30 +170,16 @@ class Batched:
     def __init__(self) -> None:
         self.sizes: list[int] = []
 
-    def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-    ) -> Iterator[Frame]:
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         raise AssertionError("a batch was possible")
 
-    def simulate_batch(
-        self,
-        scene: Scene,
-        hypotheses: list[Hypothesis],
-        rngs: list[np.random.Generator],
-        n_frames: int,
-    ) -> NDArray[np.float64]:
+    def simulate_batch(self, scene: Any, hypotheses: Any, rngs: Any, n_frames: int) -> Any:
         self.sizes.append(len(hypotheses))
-        return np.array(
-            [
-                [f.copy() for f in itertools.islice(drift(scene, h, rng), n_frames)]
-                for h, rng in zip(hypotheses, rngs, strict=True)
-            ]
-        )
+        runs = [drift(scene, h, rng) for h, rng in zip(hypotheses, rngs, strict=True)]
+        return np.array([[frame.copy() for frame in itertools.islice(r, n_frames)] for r in runs])
 
 
-def tells_its_process(
-    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-) -> Iterator[Frame]:
+def tells_its_process(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     """Fail with what a process has imported, its threads, and whether Ctrl-C reaches it."""
     heavy = {"arviz", "jax", "matplotlib", "numpyro", "pytest", "torch", "xarray"}
     threads = {os.environ.get(f"{name}_NUM_THREADS") for name in ("OMP", "NUMBA", "OPENBLAS")}

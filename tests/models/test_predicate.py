@@ -1,0 +1,448 @@
+"""Predicate inverse planning: from tracks to predicates, the forward model, its inversion."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.symbols import Facts, describe
+from phase_ppl.agents.world_model import WorldModel
+from phase_ppl.evaluation.models.predicate import marginals, prior_in
+from phase_ppl.models.predicate import (
+    FACTOR,
+    INDEPENDENT,
+    CostToGo,
+    ForwardModel,
+    Rationality,
+    SymbolicState,
+    Thresholds,
+    log_prior_of_pairs,
+    own_changes,
+    posterior,
+    symbolic_trajectory,
+    without_physics,
+)
+from phase_ppl.physics import compiled
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.event import Observation, State
+from phase_ppl.world.geometry import GRAB_REACH
+from phase_ppl.world.goals import effective_goal, goal_index, goal_literal, possible_goals
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Roles, all_ways
+from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.scene import LANDMARK_CENTRES
+from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
+
+BLUE, GREEN, RED, YELLOW = range(4)
+"""Rooms. Landmarks of neighbouring rooms are 15 apart where there are no walls."""
+
+BLUE_ROOM_SHUT = [FULL_WALL_UP, [[16.0, 12.0], [6.0, 12.0]]]
+GIVEN = Rationality(rationality=0.1, operator_frames=4.0, wait_cost=6.0, lapse=0.04)
+MODEL = ForwardModel(scene(), GIVEN)
+H = 1 / 4
+
+
+def state(
+    rooms: tuple[int, ...] = (BLUE, RED, RED, RED),
+    held: tuple[int, int] = (NOTHING, NOTHING),
+    near: tuple[tuple[int, int], ...] = (),
+    placed: tuple[int, ...] = (),
+) -> SymbolicState:
+    """Return a state: red alone in the blue room, nobody at anything, unless given."""
+    return SymbolicState(
+        rooms,
+        held,
+        tuple(tuple((agent, e) in near for e in range(4)) for agent in range(2)),
+        tuple(rooms[e] if e in placed else NOTHING for e in range(4)),
+    )
+
+
+def go(agent: int, room: int) -> Literal:
+    return Literal(Predicate.CLOSE, agent, room)
+
+
+def cost(goal: str, agent: int, where: ppl.Scene, given: SymbolicState) -> float:
+    """Return what is left to do of an agent's goal, units of way."""
+    literal = goal_literal(where.world.goal_index(goal), agent, where.world)
+    to_go = CostToGo(without_physics(where), agent, literal)
+    return to_go(to_go.node(given))
+
+
+ARRIVE = Literal(Predicate.ON, 0, BLUE)
+TO_BLUE, TO_GREEN = (goal_index(f"Get red agent to {name} lm") for name in ("blue", "green"))
+
+
+def softmax(costs: dict[Literal, float]) -> dict[Literal, float]:
+    total = sum(math.exp(-0.1 * cost) for cost in costs.values())
+    return {o: 0.96 * math.exp(-0.1 * c) / total + 0.04 / len(costs) for o, c in costs.items()}
+
+
+TOWARDS_BLUE = softmax({ARRIVE: 3.0, go(0, GREEN): 33.0, go(0, YELLOW): 33.0, STOP: 9.0})
+TOWARDS_GREEN = softmax({ARRIVE: 21.0, go(0, GREEN): 18.0, go(0, YELLOW): 48.0, STOP: 24.0})
+"""Cost of each operator, by hand: its own, then ways of 15 and 3 to arrive; waiting costs 6 more
+than what is left."""
+
+
+def test_the_policy_is_a_softmax_over_the_cost_to_go() -> None:
+    assert MODEL.policy(state(), 0, TO_BLUE) == pytest.approx(TOWARDS_BLUE)
+    assert MODEL.policy(state(), 0, TO_GREEN) == pytest.approx(TOWARDS_GREEN)
+
+
+def test_a_trajectory_is_as_probable_as_its_operators_and_pauses() -> None:
+    start, arrived = state(), state(placed=(0,))
+    found = MODEL.log_likelihood([start, start, arrived])
+    for goal, policy in ((TO_BLUE, TOWARDS_BLUE), (TO_GREEN, TOWARDS_GREEN)):
+        by_hand = math.log(1 - H + H * policy[STOP]) + math.log(H * policy[ARRIVE])
+        assert found[0, goal] == pytest.approx(by_hand)
+
+
+def test_the_posterior_is_bayes_rule_over_pairs_of_goals() -> None:
+    likelihood = MODEL.log_likelihood([state(), state(placed=(0,))])
+    found = posterior(likelihood, log_prior_of_pairs(INDEPENDENT))
+    red, green = found["goal_red"], found["goal_green"]
+    odds = red[TO_BLUE] / red[TO_GREEN]
+    assert odds == pytest.approx(TOWARDS_BLUE[ARRIVE] / TOWARDS_GREEN[ARRIVE])
+    assert red.argmax() == TO_BLUE
+    relation = np.bincount(RELATION_TABLE.ravel(), np.outer(red, green).ravel())
+    assert found["relation"] == pytest.approx(relation)
+
+
+def test_pure_chance_says_nothing_about_goals() -> None:
+    model = ForwardModel(scene(), Rationality(rationality=0.0))
+    likelihood = model.log_likelihood([state(), state(placed=(0,))])
+    prior = np.exp(log_prior_of_pairs("uniform"))
+    found = posterior(likelihood, log_prior_of_pairs("uniform"))
+    assert found["goal_red"] == pytest.approx(prior.sum(axis=1))
+    relation = np.bincount(RELATION_TABLE.ravel(), prior.ravel())
+    assert found["relation"] == pytest.approx(relation)
+
+
+@pytest.mark.parametrize("goal", ["Get red agent to blue lm", "Get blue item to red lm"])
+def test_what_is_touched_can_be_gripped_and_is_not_touched_anew(goal: str) -> None:
+    beside_both = state(rooms=(BLUE, BLUE, BLUE, BLUE), near=((0, 1), (0, 2)))
+    known = MODEL.policy(beside_both, 0, goal_index(goal))
+    touching = [o.target for o in known if o.predicate is Predicate.TOUCH]
+    assert touching == [3]
+    gripping = [o for o in known if o.predicate is Predicate.ATTACH]
+    assert gripping == [Literal(Predicate.ATTACH, 0, 2)]
+
+
+def test_to_grip_is_to_touch() -> None:
+    before = state(rooms=(BLUE, RED, BLUE, RED))
+    done = [literal for _, literal in own_changes(before, before._replace(held=(2, NOTHING)), 0)]
+    assert done == [Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ATTACH, 0, 2)]
+
+
+def test_what_is_left_behind_is_touched_no_more() -> None:
+    before = state(rooms=(BLUE, RED, GREEN, BLUE), near=((0, 3),))
+    after = state(rooms=(GREEN, RED, GREEN, BLUE), near=((0, 2),))
+    (_, going), (there, touching) = own_changes(before, after, 0)
+    assert (going, touching) == (go(0, GREEN), Literal(Predicate.TOUCH, 0, 2))
+    assert not any(there.near[0])
+
+
+def test_what_no_operator_brings_about_has_the_lapse_only() -> None:
+    jumped = state(rooms=(RED, RED, RED, RED))  # to the room diagonally opposite, at once
+    found = MODEL.log_likelihood([state(), jumped])
+    assert found[0, TO_BLUE] == pytest.approx(math.log(H * 0.04 / 4))
+
+
+def test_an_agent_that_has_arrived_may_rest_for_nothing() -> None:
+    resting = MODEL.policy(state(placed=(0,)), 0, TO_BLUE)[STOP]
+    assert resting > 0.75 > MODEL.policy(state(placed=(0,)), 0, TO_GREEN)[STOP]
+
+
+@pytest.mark.parametrize(
+    ("goal", "units"),
+    [
+        ("Get red agent to blue lm", 3),
+        ("Get red agent to red lm", 33),
+        ("Get blue item to red lm", 30 + 3 + 0.5 + 3),  # there, touch, grip, place
+        ("Get blue item to green lm", 30 + 3 + 0.5 + 15 + 3),
+        ("get to green agent", 33),
+        ("Get green agent to blue lm", 0),  # it goes by itself
+        ("Get red agent away from red lm", 0),  # it is as far away as it can be
+        ("Get red agent away from green lm", 15),
+        ("get away from green agent", 0),
+        ("Get blue item away from blue lm", 30 + 3 + 0.5),
+        ("Get green agent away from red lm", 33),
+    ],
+)
+def test_costs_to_go_of_red_alone_in_the_blue_room(goal: str, units: float) -> None:
+    assert cost(goal, 0, scene(), state()) == pytest.approx(units)
+
+
+def test_bodies_make_no_difference() -> None:
+    trajectory = [state(), state(rooms=(YELLOW, RED, RED, RED)), state(rooms=(RED,) * 4)]
+    walls = [NARROW_WALL_DOWN]
+    found = [
+        ForwardModel(scene(walls=walls, radius=[radius] * 4)).log_likelihood(trajectory)
+        for radius in (0.8, 1.6)
+    ]
+    assert np.array_equal(*found)
+
+
+@pytest.mark.parametrize("rationality", [0.0, 0.8])
+def test_a_room_without_a_way_is_nobodys_to_reach(rationality: float) -> None:
+    model = ForwardModel(scene(walls=BLUE_ROOM_SHUT), Rationality(rationality))
+    there, away = (goal_index(f"Get red agent {way} red lm") for way in ("to", "away from"))
+    for goal in (there, away):
+        policy = model.policy(state(), 0, goal)
+        assert sum(policy.values()) == pytest.approx(1)
+        assert min(policy.values()) > 0
+    assert len(set(model.policy(state(), 0, there).values())) == 1
+
+
+@pytest.mark.parametrize("goal", ["Get red agent away from red lm", "get away from green agent"])
+def test_nothing_is_farther_than_a_room_without_a_way(goal: str) -> None:
+    where = scene(walls=BLUE_ROOM_SHUT)
+    assert cost(goal, 0, where, state()) == 0
+    assert 15 <= cost(goal, 0, where, state(rooms=(RED,) * 4)) < 20, "one room on"
+
+
+def test_an_agent_that_carries_goes_and_arrives_with_its_item() -> None:
+    before = state(rooms=(BLUE, RED, BLUE, RED), near=((0, 2),))
+    gripped = before._replace(held=(2, NOTHING))
+    carried = gripped._replace(rooms=(GREEN, RED, GREEN, RED))
+    arrived = carried._replace(on=(NOTHING, NOTHING, GREEN, NOTHING))
+    done = state(rooms=(GREEN, RED, GREEN, RED), near=((0, 2),), placed=(2,))
+    found = [
+        [literal for _, literal in own_changes(one, two, 0)]
+        for one, two in ((before, gripped), (gripped, carried), (carried, arrived), (arrived, done))
+    ]
+    assert found == [
+        [Literal(Predicate.ATTACH, 0, 2)],
+        [go(2, GREEN)],
+        [Literal(Predicate.ON, 2, GREEN)],
+        [Literal(Predicate.ATTACH, 0, 2, positive=False)],
+    ]
+    assert not list(own_changes(gripped, carried, 1))
+
+
+def test_a_delivered_item_tells_its_goal_and_that_both_share_it() -> None:
+    rooms = (BLUE, BLUE, BLUE, RED)
+    near = ((0, 2), (1, 2))
+    start = state(rooms=rooms)
+    at_item = state(rooms=rooms, near=near)
+    gripped = at_item._replace(held=(2, 2))
+    carried = gripped._replace(rooms=(GREEN, GREEN, GREEN, RED))
+    arrived = carried._replace(on=(NOTHING, NOTHING, GREEN, NOTHING))
+    trajectory = [start, at_item, gripped, carried, *[arrived] * 30]
+    likelihood = ForwardModel(scene()).log_likelihood(trajectory)
+    found = posterior(likelihood, log_prior_of_pairs("uniform"))
+    goal = goal_index("Get blue item to green lm")
+    assert found["goal_red"].argmax() == found["goal_green"].argmax() == goal
+    assert found["relation"][RELATIONS.index("friendly")] > 0.9
+
+
+# --- priors ------------------------------------------------------------------------------------
+
+
+def test_simples_prior_has_uniform_goals_that_go_together() -> None:
+    prior = np.exp(log_prior_of_pairs("uniform"))
+    for axis in (0, 1):
+        marginal = prior.sum(axis=axis)
+        assert marginal[marginal > 0] == pytest.approx(1 / 34)
+    friendly, by_chance = (
+        np.bincount(RELATION_TABLE.ravel(), table.ravel())[RELATIONS.index("friendly")]
+        for table in (prior, np.exp(log_prior_of_pairs(INDEPENDENT)))
+    )
+    # one time in three somebody helps, in three somebody hinders, in three neither; to help one of
+    # 34, an agent that flees, is to flee from it too, which is no friendship
+    assert friendly == pytest.approx((33 / 34 + by_chance) / 3)
+
+
+def test_all_pairs_are_alike_under_the_independent_prior() -> None:
+    prior = np.exp(log_prior_of_pairs(INDEPENDENT))
+    assert prior[prior > 0] == pytest.approx(1 / 34**2)
+    assert (prior > 0).sum() == 34**2
+
+
+def test_an_unknown_prior_gets_close_names() -> None:
+    with pytest.raises(UnknownNameError, match="'independent'"):
+        log_prior_of_pairs("independnt")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"rationality": -1}, {"operator_frames": 1}, {"wait_cost": math.inf}, {"lapse": 1},
+     {"lapse": 0}, {"rationality": "high"}, {"rationality": False}, {"wait_cost": math.nan},
+     {"rationality": 10**400}],
+)  # fmt: skip
+def test_rationality_is_checked(wrong: dict[str, Any]) -> None:
+    (name,) = wrong
+    zero = name in ("rationality", "wait_cost")
+    expected = "number >= 0$" if zero else "number"
+    with pytest.raises(InvalidSettingError, match=f"{name}=.*, expected a.*{expected}"):
+        Rationality(**wrong)
+
+
+# --- from tracks to predicates --------------------------------------------------------------------
+
+
+def states(poses: Any, **changes: Any) -> Any:
+    trajectory = np.asarray(poses, float)
+    where = scene(red=tuple(trajectory[0, 0]), walls=changes.pop("walls", []))
+    return symbolic_trajectory(where, Observation(trajectory), Thresholds(**changes))
+
+
+def still(n: int = 8) -> np.ndarray:
+    return np.repeat(scene().start[None], n, axis=0)
+
+
+def test_close_is_being_in_a_landmarks_room_also_without_walls() -> None:
+    assert states(still())[0].rooms == (0, 1, 2, 3)
+
+
+def test_an_entity_is_on_a_landmark_within_the_threshold() -> None:
+    poses = still()
+    poses[:, 0, :2] = LANDMARK_CENTRES[0] + [1.0, 0.0]
+    assert states(poses, on_agent=1.1)[0].on[0] == 0
+    assert states(poses, on_agent=0.9)[0].on[0] == NOTHING
+
+
+def test_bodies_on_two_sides_of_a_wall_do_not_touch() -> None:
+    poses = still()
+    poses[:, 0], poses[:, 1] = (15.0, 20.0, 0.0), (17.0, 20.0, 0.0)
+    for walls in ([], [FULL_WALL_UP]):
+        assert not states(poses, walls=walls)[0].near[0][1]
+    poses[:, 1] = (13.0, 20.0, 0.0)
+    first = states(poses)[0]
+    assert first.near[0][1]
+    assert first.near[1][0]
+
+
+def test_an_item_that_stays_in_front_of_its_holder_is_attached() -> None:
+    poses = still(10)
+    poses[:, 0, 0] += 0.4 * np.arange(10)
+    poses[:, 0, 2] = -math.pi / 2
+    poses[:, 2, :2] = poses[:, 0, :2] + [1.6, 0.0]
+    assert {state.held for state in states(poses)} == {(2, NOTHING)}
+    poses[:, 2, 0] += 0.3
+    assert {state.held for state in states(poses)} == {(NOTHING, NOTHING)}
+
+
+def test_what_does_not_last_does_not_count() -> None:
+    poses = still(9)
+    poses[4:6, 0, :2] = LANDMARK_CENTRES[0]
+    assert sum(state.on[0] == 0 for state in states(poses, on_agent=0.5, lasting=2)) == 2
+    assert not any(state.on[0] == 0 for state in states(poses, on_agent=0.5, lasting=3))
+
+
+def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
+    rng = np.random.default_rng(0)
+    n = 40
+    poses = np.repeat(scene(walls=[FULL_WALL_UP]).start[None], n, axis=0)
+    poses[:, :, :2] = rng.uniform([7, 13], [11, 17], (n, 4, 2))  # all in one room
+    poses[:, :2, 2] = rng.uniform(-3, 3, (n, 2))
+    where = scene(walls=[FULL_WALL_UP])
+    model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
+    facts, costs = np.zeros((n, Facts(4, 2).size), np.int8), np.zeros((1, n))
+    held = np.full((n, 2), NOTHING)
+    bodies = np.array(
+        [
+            compiled.from_state(
+                State(pose, np.zeros((4, 2)), np.zeros(4), held[0], np.zeros((2, 3))), where.radius
+            )[0]
+            for pose in poses
+        ]
+    )
+    goal, done = np.array([[0, 0, 0, 1]]), np.zeros((1, n), np.bool_)
+    describe(bodies, held, 0, goal, model.params, model.layout, facts, done, costs)
+    found = symbolic_trajectory(
+        where, Observation(poses), Thresholds(touch_item=GRAB_REACH, lasting=1)
+    )
+    near = [[*state.near[0][2:], *state.near[1][2:]] for state in found]
+    assert np.array_equal(near, facts[:, 6:10])
+    assert 10 < np.sum(near) < 150
+    assert np.array_equal([state.rooms for state in found], facts[:, :4])
+
+
+def test_the_defaults_are_wider_than_the_planners_only_where_they_say_so() -> None:
+    assert Thresholds().touch_item == pytest.approx(FACTOR * GRAB_REACH)
+    assert Thresholds().touch_agent == pytest.approx(0.1 * 20 * math.sqrt(2))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("on_agent", 0), ("on_item", -1.0), ("attach", math.nan), ("touch_item", "1"), ("lasting", 0),
+     ("lasting", 1.5), ("touch_agent", True)],
+)  # fmt: skip
+def test_thresholds_are_positive(name: str, value: Any) -> None:
+    with pytest.raises(InvalidSettingError, match=f"{name}="):
+        Thresholds(**{name: value})
+
+
+# --- other casts and floor plans than PHASE's -----------------------------------------------------
+
+
+PHASE, SOLO, TRIO = ppl.worlds.PHASE, ppl.worlds.SOLO, ppl.worlds.TRIO
+THREE = ppl.World(["ann", "bob", "cy"], [], {"home": (3, 3)}, arena=(0, 12, 0, 12), name="three")
+
+
+@pytest.mark.parametrize("name", ["uniform", "sparse_social", "independent"])
+def test_two_agents_are_inverted_as_pairs_of_phase_are(name: str) -> None:
+    likelihood = np.random.default_rng(0).normal(0, 3, (2, len(PHASE.goals)))
+    pairs = posterior(likelihood, log_prior_of_pairs(name))
+    found = marginals(likelihood, prior_in(PHASE, name), PHASE)
+    for question, shares in pairs.items():
+        np.testing.assert_allclose(found[question], shares, atol=1e-6)
+
+
+def test_three_agents_are_summed_over_as_if_all_roles_were_listed() -> None:
+    likelihood = np.random.default_rng(1).normal(0, 2, (3, len(THREE.goals)))
+    prior = prior_in(THREE, "uniform")
+    expected = {"goal_ann": np.zeros(len(THREE.goals)), "relation_ann_cy": np.zeros(3)}
+    relations: dict[tuple[int, ...], int] = {}
+    for number, way in enumerate(all_ways(3)):
+        own = [possible_goals(a, THREE) if one is None else [0] for a, one in enumerate(way)]
+        for stated in itertools.product(*own):
+            goals = tuple(effective_goal(stated, a, one, THREE) for a, one in enumerate(way))
+            log_p = prior.company[number] + likelihood[range(3), goals].sum()
+            log_p += sum(prior.goals[a, stated[a]] for a, one in enumerate(way) if one is None)
+            if (goals[0], goals[2]) not in relations:
+                roles = Roles(THREE, goals, (None,) * 3, (450.0,) * 3)
+                name = roles.relation_between("ann", "cy")
+                relations[goals[0], goals[2]] = RELATIONS.index(name)
+            expected["goal_ann"][goals[0]] += np.exp(log_p)
+            expected["relation_ann_cy"][relations[goals[0], goals[2]]] += np.exp(log_p)
+    found = marginals(likelihood, prior, THREE)
+    for question, values in expected.items():
+        np.testing.assert_allclose(found[question], values / values.sum(), atol=1e-5)
+    assert all(shares.sum() == pytest.approx(1) for shares in found.values())
+
+
+def test_of_two_landmarks_in_a_room_the_goals_is_the_one_to_be_on() -> None:
+    where, barn = SOLO.random_scene(0), SOLO.landmark_names.index("barn")
+    state = SymbolicState((1, 1, 0), (NOTHING,), ((False, True, False),), (NOTHING, barn, NOTHING))
+    assert cost("ball to barn", 0, where, state) == 0
+    assert cost("ball to field", 0, where, state) == pytest.approx(0.5 + 3)  # grip, place
+    assert cost("get to ball", 0, where, state) == 0
+    assert cost("get away from ball", 0, where, state) > 10  # to the other room
+    assert cost("box to home", 0, where, state) > 10 + 3 + 0.5
+
+
+def test_what_is_left_to_do_of_goals_about_two_others() -> None:
+    where, rooms, nobody = TRIO.random_scene(0), (0, 0, 1, 0, 2), (False,) * 5
+    near = (nobody, nobody, nobody)
+    state = SymbolicState(rooms, (NOTHING,) * 3, near, (NOTHING,) * 5)
+    purple = TRIO.agent("purple agent")
+    assert cost("red agent to blue ball", purple, where, state) == 0  # it is in its room
+    assert cost("green agent to red agent", purple, where, state) == 0  # they go by themselves
+    assert cost("green agent away from red agent", purple, where, state) >= 12 + 3
+    there = state._replace(near=(nobody, nobody, (False, True, False, False, False)))
+    assert cost("green agent away from red agent", purple, where, there) == 0
+    assert cost("red agent to pink ball", purple, where, state) > 12 + 3 + 0.5
+
+
+def test_a_delivered_item_tells_the_goal() -> None:
+    event = ppl.simulate(
+        SOLO.random_scene(1), goals={"red agent": "ball to home"}, frames=60, seed=1, id="solo"
+    )
+    found = ppl.evaluate([event], "predicate", workers=1, progress=False).predictions["solo"]
+    assert found.answers["goal_red"] == "Get ball to home"
