@@ -43,6 +43,12 @@ def remembered(most: int) -> Callable[[Callable[..., Result]], Callable[..., Res
     return decorate
 
 
+def traced(program: Program, key: jax.Array, given: Sites | None = None, *args: Any) -> Any:
+    """Return the trace of a run of ``program(*args)`` with a key, the values of sites if given."""
+    with_values = handlers.substitute(program, data=dict(given or {}))
+    return handlers.trace(handlers.seed(with_values, key)).get_trace(*args)
+
+
 def latent_sites(trace: Mapping[str, Any]) -> dict[str, Any]:
     """Return the sites of a trace that a program samples without observing them."""
     return {
@@ -57,8 +63,8 @@ def site_shapes(program: Program) -> dict[str, tuple[int, ...]]:
     found: dict[str, tuple[int, ...]] = {}
 
     def run() -> None:
-        trace = handlers.trace(handlers.seed(program, jax.random.key(0))).get_trace()
-        found.update({name: jnp.shape(s["value"]) for name, s in latent_sites(trace).items()})
+        latent = latent_sites(traced(program, jax.random.key(0)))
+        found.update({name: jnp.shape(site["value"]) for name, site in latent.items()})
 
     jax.eval_shape(run)
     return found
@@ -77,8 +83,7 @@ def single_sites(program: Program) -> dict[str, Site]:
     found: dict[str, Site] = {}
 
     def run(key: jax.Array) -> jax.Array:
-        trace = handlers.trace(handlers.seed(program, key)).get_trace()
-        for name, site in latent_sites(trace).items():
+        for name, site in latent_sites(traced(program, key)).items():
             if jnp.shape(site["value"]) == ():
                 discrete, values = bool(site["fn"].support.is_discrete), None
                 if discrete and site["fn"].has_enumerate_support:
@@ -94,8 +99,8 @@ def single_sites(program: Program) -> dict[str, Site]:
 
 def draw(program: Program, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
     """Return values of all latent sites of ``program(*args)``."""
-    trace = handlers.trace(handlers.seed(program, key)).get_trace(*args)
-    return {name: site["value"] for name, site in latent_sites(trace).items()}
+    latent = latent_sites(traced(program, key, None, *args))
+    return {name: site["value"] for name, site in latent.items()}
 
 
 def log_density(program: Program, sites: Sites, *args: Any) -> jax.Array:

@@ -19,7 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
-from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models.density import (
@@ -30,6 +29,7 @@ from phase_ppl.models.density import (
     remembered,
     single_sites,
     trace_log_density,
+    traced,
 )
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
@@ -130,8 +130,7 @@ def _density(prior: Program, names: tuple[str, ...]) -> Callable[[dict[str, jax.
     """Return the log density of sites that depend on no others than those they are given with."""
 
     def given(z: dict[str, jax.Array]) -> jax.Array:
-        program = handlers.seed(handlers.substitute(prior, z), jax.random.key(0))
-        trace = handlers.trace(program).get_trace()
+        trace = traced(prior, jax.random.key(0), z)
         return trace_log_density({name: trace[name] for name in names})
 
     return Hosted(jax.vmap(given))
@@ -157,8 +156,7 @@ def _averaged(
     def given(key: jax.Array, own: dict[str, jax.Array], z: dict[str, jax.Array]) -> jax.Array:
         # own sites are drawn given the hypothesis sites before them and weighted by those after
         # them, which averages to the marginal density wherever they stand in a hierarchy
-        program = handlers.seed(handlers.substitute(prior, {**z, **own}), key)
-        trace = handlers.trace(program).get_trace()
+        trace = traced(prior, key, {**z, **own})
         return trace_log_density({name: trace[name] for name in (*names, *own)})
 
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
@@ -251,7 +249,7 @@ def prior_table(prior: Program, levels: tuple[float, ...], own: Values = ()) -> 
     the values that each can take.
     """
     strengths = np.array(levels)
-    trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
+    trace = traced(prior, jax.random.key(0))
     apart = strengths_apart(prior)
     of_example = _NODES_VARYING if apart else _NODES
     nodes = [
@@ -394,7 +392,7 @@ def drawn_beside(
         log_prior: table of log masses (goal_red, goal_green, alpha, strength_red, strength_green).
         places: of the rows in that table.
         levels: (n,) of strength, each of which stands for its cell.
-        seed: the same seed gives the same draws.
+        seed: of the draws.
     """
     n = len(places[0])
     given: dict[str, NDArray[Any]] = {
@@ -408,7 +406,7 @@ def drawn_beside(
         rng = np.random.default_rng(seed)
         log_own, log_volume = log_prior[places], np.zeros(n)
         for name, place in zip(STRENGTH_SITES, places[3:], strict=True):
-            given[name], log_width = _within(prior, name, levels, place, rng)
+            given[name], log_width = _within(single_sites(prior)[name], levels, place, rng)
             log_volume = log_volume + log_width
     names = tuple(further_sites(prior))
     keys = jax.random.split(jax.random.key(seed), n)
@@ -421,26 +419,19 @@ def drawn_beside(
 @remembered(_PRIORS_KEPT)
 def _beside(prior: Program, given: tuple[str, ...], names: tuple[str, ...]) -> Callable[..., Any]:
     def one(key: jax.Array, z: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], jax.Array]:
-        program = handlers.seed(handlers.substitute(prior, data=z), key)
-        trace = handlers.trace(program).get_trace()
-        return {name: trace[name]["value"] for name in names}, trace_log_density(
-            {name: trace[name] for name in given}
-        )
+        trace = traced(prior, key, z)
+        log_density = trace_log_density({name: trace[name] for name in given})
+        return {name: trace[name]["value"] for name in names}, log_density
 
     return compiled_quickly(jax.vmap(one))
 
 
 def _within(
-    prior: Program,
-    name: str,
-    levels: FloatArray,
-    place: NDArray[np.int64],
-    rng: np.random.Generator,
+    site: Site, levels: FloatArray, place: NDArray[np.int64], rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], FloatArray]:
     """Return strengths drawn evenly from the cells of levels, and the logs of the cells' sizes."""
-    edges = cells(levels)
-    site = single_sites(prior)[name]
     if site.values is None:
+        edges = cells(levels)
         low, high = edges[place], edges[place + 1]
         return np.asarray(rng.uniform(low, high), np.float32), np.log(high - low)
     values = np.array(site.values)

@@ -67,12 +67,6 @@ class InNats:
         return self.log_prob(log_floor)
 
 
-def _log_normaliser(beta: float, d: int) -> float:
-    """Return log Z of exp(-beta ||x||) in d dimensions."""
-    sphere = math.log(2) + d / 2 * math.log(math.pi) - math.lgamma(d / 2)
-    return sphere + math.lgamma(d) - d * math.log(beta)
-
-
 @dataclasses.dataclass(frozen=True)
 class RadialLikelihood:
     """exp(-beta ||s_t - s^_t||) / Z in every frame.
@@ -96,13 +90,20 @@ class RadialLikelihood:
         """Numbers per frame, d: x and y of each entity."""
         return 2 * self.n_entities
 
+    @property
+    def _log_normaliser(self) -> float:
+        """Log Z of exp(-beta ||x||) in d dimensions."""
+        d = self.n_coordinates
+        sphere = math.log(2) + d / 2 * math.log(math.pi) - math.lgamma(d / 2)
+        return sphere + math.lgamma(d) - d * math.log(self.beta)
+
     def log_prob(self, errors: _Array) -> _Array:
         """Return the log density of each frame from its error, units; -inf for an infinite one."""
-        return -self.beta * errors - _log_normaliser(self.beta, self.n_coordinates)  # type: ignore[operator,return-value]
+        return -self.beta * errors - self._log_normaliser  # type: ignore[operator,return-value]
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
         """Return the summed error at which the log density of all frames is ``log_floor``."""
-        spent = n_frames * _log_normaliser(self.beta, self.n_coordinates)
+        spent = n_frames * self._log_normaliser
         return -(log_floor + spent) / self.beta  # type: ignore[operator,return-value]
 
     def replicate(

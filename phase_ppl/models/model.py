@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 from jax import random
-from numpyro import handlers
 
 from phase_ppl.models import priors
 from phase_ppl.models.density import (
@@ -25,6 +24,7 @@ from phase_ppl.models.density import (
     log_density,
     remembered,
     site_shapes,
+    traced,
 )
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
 from phase_ppl.models.roles import (
@@ -38,7 +38,7 @@ from phase_ppl.models.roles import (
     space_of_prior,
 )
 from phase_ppl.models.sites import HYPOTHESIS_SITES
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import HypothesisSpace
@@ -133,8 +133,7 @@ class Model(Generic[Kind]):
     def __post_init__(self) -> None:
         if isinstance(self.prior, str):
             object.__setattr__(self, "prior", priors.named(self.prior))
-        if self.noise not in ("fresh", "fixed"):
-            raise unknown_name("noise", self.noise, ("fresh", "fixed"))
+        check_name("noise", self.noise, ("fresh", "fixed"))
         if self.simulator is None:
             object.__setattr__(self, "planner", self.planner_config())
         elif not callable(self.simulator):
@@ -297,7 +296,7 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     if isinstance(prior, WorldPrior):
         masses_of(prior)
     try:
-        trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
+        trace = traced(prior, random.key(0))
     except Exception as error:  # whatever a user's program does
         raise refused(name, f"cannot be run: {in_one_line(error)}") from error
     space = space_of_prior(prior)
@@ -377,7 +376,7 @@ def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]
             raise refused(name, f"samples {site!r}, {why} with log_prob") from error
 
     def drawn(key: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
-        latent = latent_sites(handlers.trace(handlers.seed(prior, key)).get_trace())
+        latent = latent_sites(traced(prior, key))
         values = {site: entry["value"] for site, entry in latent.items()}
         return values, {site: log_prob(site, entry) for site, entry in latent.items()}
 

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from phase_ppl.dataset.motion import items_held, moves_to_the_end
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import nonnegative_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
@@ -167,9 +167,9 @@ def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
 
     ``toward`` has nats per unit of ``values``, (event,) or a number; other relations get 0.
     """
-    nats = jnp.array([toward.pop(relation, 0.0) for relation in RELATIONS])
-    if toward:
-        raise unknown_name("relation", next(iter(toward)), RELATIONS)
+    for relation in toward:
+        check_name("relation", relation, RELATIONS)
+    nats = jnp.array([toward.get(relation, 0.0) for relation in RELATIONS])
     return jnp.asarray(values)[..., None] * nats[evidence.answers["relation"]]
 
 
@@ -315,10 +315,8 @@ def cues(**toward: str) -> Part:
     common scale ``cue_scale`` is inferred, so that useless ones shrink together.
     """
     for name, relation in toward.items():
-        if name not in CUES:
-            raise unknown_name("cue", name, CUES)
-        if relation not in RELATIONS:
-            raise unknown_name("relation", relation, RELATIONS)
+        check_name("cue", name, CUES)
+        check_name("relation", relation, RELATIONS)
 
     def part(belief: Belief, evidence: Evidence) -> Belief:
         scale = numpyro.sample("cue_scale", dist.HalfNormal(2.0))
@@ -424,8 +422,7 @@ OBSERVERS: Final[Mapping[str, Observer]] = {
 
 def observer_named(name: str) -> Observer:
     """Return a ready-made observer."""
-    if name not in OBSERVERS:
-        raise unknown_name("observer", name, OBSERVERS)
+    check_name("observer", name, OBSERVERS)
     return OBSERVERS[name]
 
 

@@ -28,7 +28,7 @@ from phase_ppl.agents.world_model import Abilities
 from phase_ppl.dataset.motion import HELD_WITHIN, items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.event import Observation
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, possible_goals
@@ -508,8 +508,7 @@ def log_prior_of_pairs(name: str) -> FloatArray:
     if name != INDEPENDENT:
         from phase_ppl.models import priors
 
-        if not isinstance(name, str) or name not in priors.available():
-            raise unknown_name("prior", name, [INDEPENDENT, *priors.available()])
+        check_name("prior", name, [INDEPENDENT, *priors.available()])
     return _log_prior_of_pairs(name)
 
 

@@ -31,7 +31,6 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 from numpy.typing import NDArray
-from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 from scipy.special import softmax
 
@@ -169,7 +168,7 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
     name, space = qualified_name(prior), space_of(world)
     wanted = (*space.goal_sites, COMPANY_SITE, *space.strength_sites)
     try:
-        trace = handlers.trace(handlers.seed(program, jax.random.key(0))).get_trace()
+        trace = density.traced(program, jax.random.key(0))
         depends = get_dependencies(program)["prior_dependencies"]
     except Exception as error:  # whatever a user's program does
         raise refused(name, f"cannot be run: {in_one_line(error)}") from error

@@ -33,7 +33,7 @@ from phase_ppl.simulator.processes import (
 )
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_name, shown
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.scene import Scene
@@ -51,8 +51,7 @@ _STREAM: Final = 0xFA11
 
 def n_retries(policy: str, retries: int | None) -> int:
     """Return how often a failed simulation is run again under a policy, one of ``POLICIES``."""
-    if policy not in POLICIES:
-        raise unknown_name("on_failure", policy, POLICIES)
+    check_name("on_failure", policy, POLICIES)
     if policy != "retry":
         if retries is not None:
             raise InvalidSettingError(

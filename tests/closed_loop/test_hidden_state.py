@@ -22,7 +22,6 @@ from phase_ppl.closed_loop.hidden_state import (
 from phase_ppl.physics import inverse
 from phase_ppl.physics.actions import ACTION_NAMES, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.scene import Scene
 from tests.agents.scenes import scene
 
@@ -209,19 +208,3 @@ def test_noisier_positions_are_followed_less() -> None:
     assert (exact[:2] >= rough[:2]).all()
     assert (rough[:2] > blurred[:2]).all()
     assert 0 < blurred[1] < blurred[0] < 0.3
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"strengths": (100.0,)}, r"expected newtons in \[150, 600\]"),
-        ({"strengths": (300, 300)}, "named twice"),
-        ({"states": 0}, "states=0"),
-        ({"strength_weight": 0.0}, "strength_weight=0.0"),
-        ({"scale": float("nan")}, "scale=nan"),
-        ({"noise": -1.0}, "noise=-1.0"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(values: Any, message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        dataclasses.replace(Tracking(), **values)

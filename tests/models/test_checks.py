@@ -44,28 +44,16 @@ def prior_with(site: str, statement: Statement) -> Callable[[], None]:
     return changed
 
 
-def in_plate(name: str) -> None:
-    with numpyro.plate("agents", 1):
-        usual(name)
+def within(context: Callable[[], Any]) -> Statement:
+    def statement(name: str) -> None:
+        with context():
+            usual(name)
+
+    return statement
 
 
-def masked(name: str) -> None:
-    with handlers.mask(mask=False):
-        usual(name)
-
-
-def scaled(name: str) -> None:
-    with handlers.scale(scale=0.5):
-        usual(name)
-
-
-def hidden(name: str) -> None:
-    with handlers.block():
-        usual(name)
-
-
-def conditioned(name: str) -> None:
-    handlers.condition(usual, {name: jnp.array(1)})(name)
+def also(statement: Callable[[], Any]) -> Callable[[], None]:
+    return prior_with("also", lambda name: statement())
 
 
 class NoDensity(dist.Distribution):
@@ -84,11 +72,14 @@ ANY_SITE: dict[str, tuple[Statement, str]] = {
     "missing": (lambda name: None, "does not sample"),
     "deterministic": (lambda name: numpyro.deterministic(name, jnp.array(1)), "does not sample"),
     "a parameter": (lambda name: numpyro.param(name, jnp.array(1.0)), "does not sample"),
-    "hidden": (hidden, "does not sample"),
-    "in a plate of one": (in_plate, "plate 'agents'"),
-    "masked": (masked, "mask"),
-    "scaled": (scaled, "scale"),
-    "conditioned": (conditioned, "conditions on"),
+    "hidden": (within(handlers.block), "does not sample"),
+    "in a plate of one": (within(lambda: numpyro.plate("agents", 1)), "plate 'agents'"),
+    "masked": (within(lambda: handlers.mask(mask=False)), "mask"),
+    "scaled": (within(lambda: handlers.scale(scale=0.5)), "scale"),
+    "conditioned": (
+        lambda name: handlers.condition(usual, {name: jnp.array(1)})(name),
+        "conditions on",
+    ),
     "a vector": (sampled(dist.Uniform(1.0, 2.0).expand([3])), r"shape \(3,\)"),
     "any real number": (sampled(dist.Normal(300.0, 1.0)), "support"),
     "fixed": (sampled(dist.Delta(3.0)), "support"),
@@ -119,60 +110,35 @@ def test_nasty_statement_of_any_hypothesis_site_is_refused_by_name(site: str, ki
     if not message.startswith("cannot be run"):
         assert repr(site) in str(caught.value)
     if message in ("does not sample", "support"):
-        assert f"sites.{'alpha' if site == 'alpha' else site.split('_')[0] + 's'}" in str(
-            caught.value
-        )
+        statement_of = "alpha" if site == "alpha" else site.split("_")[0] + "s"
+        assert f"sites.{statement_of}" in str(caught.value)
+
+
+def from_a_low_end(name: str) -> None:
+    low = numpyro.sample("low", dist.Normal(0.0, 100.0))
+    numpyro.sample(name, dist.Uniform(low, low + 10.0))
 
 
 def branching() -> None:
     if numpyro.sample("mood", dist.Bernoulli(0.5)) == 1:
         numpyro.sample("more", dist.Normal())
-    priors.uniform()
 
 
-def own_randomness() -> Callable[[], None]:
-    own = np.random.default_rng(0)
-
-    def drifting() -> None:
-        numpyro.sample("mood", dist.Normal(own.normal(), 1.0))
-        priors.uniform()
-
-    return drifting
-
-
-def changing_sites() -> Callable[[], None]:
-    count = itertools.count()
-
-    def changing() -> None:
-        numpyro.sample(f"own_{next(count)}", dist.Normal())
-        priors.uniform()
-
-    return changing
-
-
-def sometimes_negative() -> None:
-    low = numpyro.sample("low", dist.Normal(0.0, 100.0))
-    numpyro.sample("strength_red", dist.Uniform(low, low + 10.0))
-    numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
-    sites.goals()
-    sites.alpha()
-
-
-def real_codes() -> None:
-    numpyro.sample("alpha", sites.OneOf([0.0, 1.0]))
-    sites.goals()
-    sites.strengths()
-
-
-def also(statement: Callable[[], Any]) -> Callable[[], None]:
-    return prior_with("also", lambda name: statement())
-
-
+RNG, COUNT = np.random.default_rng(0), itertools.count()
 WHOLE: dict[str, tuple[Callable[[], Any], str]] = {
-    "python branches": (branching, "cannot be compiled.*jnp.where"),
-    "randomness of its own": (own_randomness(), "numpyro.sample"),
-    "other sites each time": (changing_sites(), "'own_1' in some runs"),
-    "strength that may be negative": (sometimes_negative, "strength_red"),
+    "python branches": (also(branching), "cannot be compiled.*jnp.where"),
+    "randomness of its own": (
+        also(lambda: numpyro.sample("also", dist.Normal(RNG.normal(), 1.0))),
+        "changes from run to run.*numpyro.sample",
+    ),
+    "other sites each time": (
+        also(lambda: numpyro.sample(f"own_{next(COUNT)}", dist.Normal())),
+        "'own_1' in some runs",
+    ),
+    "strength that may be negative": (
+        prior_with("strength_red", from_a_low_end),
+        "strength_red",
+    ),
     "nan density": (also(lambda: numpyro.sample("also", Nan())), "'also'.*nan"),
     "no density": (also(lambda: numpyro.sample("also", NoDensity())), "'also'.*no density"),
     "nan parameter": (
@@ -180,7 +146,10 @@ WHOLE: dict[str, tuple[Callable[[], Any], str]] = {
         "cannot be run: ValueError: Normal",
     ),
     "slash in a name": (also(lambda: numpyro.sample("my/own", dist.Normal())), "'my/own'.*'/'"),
-    "codes that are no integers": (real_codes, "'alpha' of type float32"),
+    "codes that are no integers": (
+        prior_with("alpha", sampled(sites.OneOf([0.0, 1.0]))),
+        "'alpha' of type float32",
+    ),
     "no name": (also(lambda: numpyro.sample("", dist.Normal())), "expected a name"),
     "reserved": (also(lambda: numpyro.sample("weight", dist.Normal())), "'weight', a reserved"),
     "twice": (also(lambda: sites.alpha()), "cannot be run.*alpha"),
@@ -207,25 +176,20 @@ def test_codes_are_accepted_just_if_all_of_them_mean_something(site: str) -> Non
 # --- what may be unusual and works -------------------------------------------------------------
 
 
-def alpha_after_beta() -> None:
+def alpha_after_beta(name: str) -> None:
     social = numpyro.sample("social", dist.Beta(2.0, 5.0))
-    probs = jnp.stack([1 - social, *[social / 4] * 4])
-    numpyro.sample("alpha", dist.Categorical(probs=probs))
-    sites.goals()
-    sites.strengths()
+    numpyro.sample(name, dist.Categorical(probs=jnp.stack([1 - social, *[social / 4] * 4])))
 
 
-def plated_traits() -> None:
+def plated_traits(name: str) -> None:
     with numpyro.plate("traits", 3):
         trait = numpyro.sample("trait", dist.Normal())
-    numpyro.sample("alpha", dist.Categorical(logits=jnp.append(trait, jnp.zeros(2))))
-    sites.goals()
-    sites.strengths()
+    numpyro.sample(name, dist.Categorical(logits=jnp.append(trait, jnp.zeros(2))))
 
 
 UNUSUAL: dict[str, tuple[Callable[[], Any], dict[str, tuple[int, ...]]]] = {
-    "hierarchy": (alpha_after_beta, {"social": ()}),
-    "plate around own sites": (plated_traits, {"trait": (3,)}),
+    "hierarchy": (prior_with("alpha", alpha_after_beta), {"social": ()}),
+    "plate around own sites": (prior_with("alpha", plated_traits), {"trait": (3,)}),
     "few goals": (prior_with("goal_red", sampled(dist.DiscreteUniform(2, 4))), {}),
     "heavy tail": (prior_with("strength_red", sampled(dist.LogNormal(6.0, 0.5))), {}),
     "levels": (prior_with("strength_green", sampled(sites.OneOf([200.0, 700.0]))), {}),

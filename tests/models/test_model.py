@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
@@ -25,8 +24,7 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.hypothesis import ALPHAS
 from tests.inference.toy import (
     N_FRAMES,
     TableRunner,
@@ -36,11 +34,6 @@ from tests.inference.toy import (
     walking_event,
 )
 from tests.models.test_checks import also
-
-
-def still(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Any]:
-    while True:
-        yield scene.start
 
 
 @pytest.mark.parametrize(
@@ -53,7 +46,7 @@ def still(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Ite
         ({"likelihood": object()}, "lacks log_prob or max_total_error"),
         ({"planner": "papr"}, "papr"),
         ({"noise": "none"}, "noise"),
-        ({"simulator": still, "planner": "paper"}, "joint simulator"),
+        ({"simulator": never_called, "planner": "paper"}, "joint simulator"),
     ],
 )
 def test_what_makes_no_model_is_refused(options: dict[str, Any], said: str) -> None:
@@ -89,9 +82,9 @@ def test_fingerprint_tells_models_apart() -> None:
     def other() -> None:
         sites.strengths(), sites.goals(), sites.alpha()
 
-    prints = [Model(prior=prior, simulator=still).fingerprint() for prior in (one, other)]
+    prints = [Model(prior=prior, simulator=never_called).fingerprint() for prior in (one, other)]
     assert prints[0]["prior_source"] != prints[1]["prior_source"]
-    assert prints[0]["simulator"].endswith("still")
+    assert prints[0]["simulator"].endswith("never_called")
     assert Model().fingerprint() != Model(planner="paper").fingerprint()
     assert Model(prior="relation_first").fingerprint()["prior"].endswith("relation_first")
 
@@ -134,12 +127,6 @@ def test_density_is_the_same_in_numpy_and_jax_and_zero_of_an_infinite_error() ->
     found = RadialLikelihood().log_prob(errors)
     np.testing.assert_allclose(found, RadialLikelihood().log_prob(jnp.asarray(errors)), 1e-6)
     assert found[-1] == -np.inf
-
-
-@pytest.mark.parametrize("beta", [0, -1.0, math.nan, math.inf, 10**400, "0.05", True])
-def test_beta_must_be_a_positive_number(beta: Any) -> None:
-    with pytest.raises(InvalidSettingError, match="beta"):
-        RadialLikelihood(beta)
 
 
 # --- bound to an event ----------------------------------------------------------------------------

@@ -144,7 +144,6 @@ def test_what_is_no_observer_is_refused() -> None:
         (lambda: observers.cues(distanze="neutral"), UnknownNameError, "cue 'distanze'"),
         (lambda: observers.cues(distance="hostile"), UnknownNameError, "relation 'hostile'"),
         (lambda: Observer("lapse"), InvalidSettingError, "no function"),  # type: ignore[arg-type]
-        (lambda: Perception(missed=1.0), InvalidSettingError, "missed=1"),
     ]
     for make, error, message in wrong:
         with pytest.raises(error, match=message):

@@ -29,7 +29,7 @@ from phase_ppl.models.predicate import (
     without_physics,
 )
 from phase_ppl.physics import compiled
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import UnknownNameError
 from phase_ppl.world.event import Observation, State
 from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.goals import effective_goal, goal_index, goal_literal, possible_goals
@@ -268,20 +268,6 @@ def test_an_unknown_prior_gets_close_names() -> None:
         log_prior_of_pairs("independnt")
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"rationality": -1}, {"operator_frames": 1}, {"wait_cost": math.inf}, {"lapse": 1},
-     {"lapse": 0}, {"rationality": "high"}, {"rationality": False}, {"wait_cost": math.nan},
-     {"rationality": 10**400}],
-)  # fmt: skip
-def test_rationality_is_checked(wrong: dict[str, Any]) -> None:
-    (name,) = wrong
-    zero = name in ("rationality", "wait_cost")
-    expected = "number >= 0$" if zero else "number"
-    with pytest.raises(InvalidSettingError, match=f"{name}=.*, expected a.*{expected}"):
-        Rationality(**wrong)
-
-
 # --- from tracks to predicates --------------------------------------------------------------------
 
 
@@ -366,16 +352,6 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
 def test_the_defaults_are_wider_than_the_planners_only_where_they_say_so() -> None:
     assert Thresholds().touch_item == pytest.approx(FACTOR * GRAB_REACH)
     assert Thresholds().touch_agent == pytest.approx(0.1 * 20 * math.sqrt(2))
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("on_agent", 0), ("on_item", -1.0), ("attach", math.nan), ("touch_item", "1"), ("lasting", 0),
-     ("lasting", 1.5), ("touch_agent", True)],
-)  # fmt: skip
-def test_thresholds_are_positive(name: str, value: Any) -> None:
-    with pytest.raises(InvalidSettingError, match=f"{name}="):
-        Thresholds(**{name: value})
 
 
 # --- other casts and floor plans than PHASE's -----------------------------------------------------

@@ -25,15 +25,33 @@ from tests.simulator.toys import AT_REST, GO, HELP, N_FRAMES, SCENE, START, WEAK
 
 OBSERVED = AT_REST.positions
 
-BAD = [
-    (toys.ends_early, 3, "SimulationError: the simulator ended after 3 of 8 frames"),
-    (toys.not_finite, 1, "SimulationError: frame 1 holds a value that is not finite"),
-    (toys.wrong_shape, 0, r"SimulationError: frame 0 has shape \(2, 3\), expected \(4, 3\)"),
-    (toys.raises, 1, r"ZeroDivisionError: no way to divide \(toys.py, line \d+, in raises\)"),
-    (toys.raises_unprintable, 1, "UnprintableError: .*"),
-    (toys.exits, 1, "SystemExit: enough .*"),
-    (toys.forgets_to_yield, 0, "SimulationError: the simulator returned None, expected frames.*"),
-]
+
+class UnprintableError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
+def raises(error: BaseException) -> Callable[..., Any]:
+    def simulator(*given: Any) -> Iterator[Any]:
+        yield START
+        raise error
+
+    return simulator
+
+
+WHERE = r"\(test_contract.py, line \d+, in simulator\)"
+BAD: list[tuple[Callable[..., Any], int, str]] = [
+    (lambda *_: [START] * 3, 3, "SimulationError: the simulator ended after 3 of 8 frames"),
+    (lambda *_: [START, START * np.nan], 1,
+     "SimulationError: frame 1 holds a value that is not finite"),
+    (lambda *_: [START[:2]], 0,
+     r"SimulationError: frame 0 has shape \(2, 3\), expected \(4, 3\)"),
+    (raises(ZeroDivisionError("no way to divide")), 1,
+     f"ZeroDivisionError: no way to divide {WHERE}"),
+    (raises(UnprintableError()), 1, "UnprintableError: .*"),
+    (raises(SystemExit("enough")), 1, "SystemExit: enough .*"),
+    (lambda *_: None, 0, "SimulationError: the simulator returned None, expected frames.*"),
+]  # fmt: skip
 
 
 def simulate(simulator: Any, hypothesis: Hypothesis = GO, seed: int = 1, **more: Any) -> Any:
@@ -62,11 +80,8 @@ class Watched:
 
 
 def test_the_error_of_a_frame_is_the_distance_over_all_four_entities() -> None:
-    def beside(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
-        while True:
-            yield scene.start + np.array([3.0, 4.0, 100.0])  # 5 away each, whatever the angle
-
-    np.testing.assert_allclose(simulate(beside).errors, math.sqrt(4 * 25))
+    beside = [START + np.array([3.0, 4.0, 100.0])] * N_FRAMES  # 5 away each, whatever the angle
+    np.testing.assert_allclose(simulate(lambda *_: beside).errors, math.sqrt(4 * 25))
 
 
 def test_frame_zero_is_compared_with_observed_frame_zero() -> None:
@@ -146,7 +161,7 @@ def test_it_goes_on_at_the_ceiling_and_is_complete_beyond_it_in_its_last_frame(
 
 @pytest.mark.parametrize("ceiling", [-1.0, -np.inf])
 def test_below_zero_nothing_is_simulated(ceiling: float) -> None:
-    result = simulate(toys.raises, error_ceiling=ceiling)
+    result = simulate(raises(ValueError()), error_ceiling=ceiling)
     assert (result.frames_simulated, result.completed, result.failure) == (0, False, None)
 
 
@@ -196,12 +211,12 @@ def test_whatever_goes_wrong_is_a_failed_result_or_an_error_of_that_hypothesis_a
 
 
 def test_an_error_on_closing_is_a_failure_too() -> None:
-    def clings(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+    def clings(*given: Any) -> Iterator[Any]:
         while True:
             try:
-                yield scene.start
+                yield START
             except GeneratorExit:
-                yield scene.start
+                yield START
 
     assert simulate(clings).failure.startswith("RuntimeError: generator ignored GeneratorExit")
 

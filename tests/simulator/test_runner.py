@@ -68,11 +68,8 @@ def test_results_come_in_the_order_of_requests_and_are_told_of_as_they_finish(
     assert finished == [(WEAK, threading.current_thread()), (GO, threading.current_thread())]
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_identical_requests_are_run_once_and_share_their_result(
-    workers: int, tmp_path: Path
-) -> None:
-    with runner(toys.CountsRuns(tmp_path), workers=workers) as one:
+def test_identical_requests_are_run_once_and_share_their_result(tmp_path: Path) -> None:
+    with runner(toys.CountsRuns(tmp_path), workers=1) as one:
         results = one.run([GO, GO, WEAK, GO, GO], [1, 1, 1, 2, 1], [5, 5, 5, 5, 6])
     assert results[0] is results[1]
     assert results[0] is not results[4]
@@ -379,9 +376,8 @@ def unlucky(scene: Any, hypothesis: Any, rng: np.random.Generator) -> Iterator[A
     yield from toys.drift(scene, hypothesis, rng)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_raise_names_hypothesis_and_seed(workers: int) -> None:
-    with runner(toys.fails_for_weak, workers=workers, on_failure="raise") as strict:
+def test_raise_names_hypothesis_and_seed() -> None:
+    with runner(toys.fails_for_weak, workers=2, on_failure="raise") as strict:
         assert strict.run([GO], [1])[0].completed
         with pytest.raises(SimulationError, match=r"150.* with seed 2 failed: ValueError: too w"):
             strict.run([GO, WEAK, GO], [1, 2, 3])

@@ -52,45 +52,6 @@ def slide(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         frame[0, 0] += 1.0
 
 
-def ends_early(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-    for _ in range(3):
-        yield scene.start
-
-
-def not_finite(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-    yield scene.start
-    yield scene.start * np.nan
-
-
-def wrong_shape(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-    while True:
-        yield scene.start[:2]
-
-
-def raises(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-    yield scene.start
-    raise ZeroDivisionError("no way to divide")
-
-
-class UnprintableError(Exception):
-    def __str__(self) -> str:
-        raise RuntimeError
-
-
-def raises_unprintable(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-    yield scene.start
-    raise UnprintableError
-
-
-def exits(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-    yield scene.start
-    sys.exit("enough")
-
-
-def forgets_to_yield(scene: Any, hypothesis: Any, rng: Any) -> Any:
-    return None
-
-
 def fails_for_weak(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
     if hypothesis.strength_red < 300:
         raise ValueError("too weak")
@@ -103,11 +64,11 @@ class Sleeps:
     def __init__(self, marker: Path, seconds: float = 100.0) -> None:
         self.marker, self.seconds = marker, seconds
 
-    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-        yield scene.start
+    def __call__(self, *given: Any) -> Iterator[Frame]:
+        yield START
         self.marker.touch()
         time.sleep(self.seconds)
-        yield scene.start
+        yield START
 
 
 class KillsItsWorker:
@@ -149,8 +110,8 @@ class Slips:
             raise ImportError("no such engine here")
         (self.folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
 
-    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
-        yield from drift(scene, hypothesis, rng)
+    def __call__(self, *given: Any) -> Iterator[Frame]:
+        yield from drift(*given)
 
 
 class WarmsUp(CountsRuns):
@@ -159,9 +120,9 @@ class WarmsUp(CountsRuns):
     def warm_up(self) -> None:
         (self.folder / f"warm-{time.monotonic_ns()}").touch()
 
-    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
+    def __call__(self, *given: Any) -> Iterator[Frame]:
         assert list(self.folder.glob("warm-*"))
-        yield from drift(scene, hypothesis, rng)
+        yield from drift(*given)
 
 
 class Batched:
@@ -170,7 +131,7 @@ class Batched:
     def __init__(self) -> None:
         self.sizes: list[int] = []
 
-    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
+    def __call__(self, *given: Any) -> Iterator[Frame]:
         raise AssertionError("a batch was possible")
 
     def simulate_batch(self, scene: Any, hypotheses: Any, rngs: Any, n_frames: int) -> Any:
@@ -179,7 +140,7 @@ class Batched:
         return np.array([[frame.copy() for frame in itertools.islice(r, n_frames)] for r in runs])
 
 
-def tells_its_process(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
+def tells_its_process(*given: Any) -> Any:
     """Fail with what a process has imported, its threads, and whether Ctrl-C reaches it."""
     heavy = {"arviz", "jax", "matplotlib", "numpyro", "pytest", "torch", "xarray"}
     threads = {os.environ.get(f"{name}_NUM_THREADS") for name in ("OMP", "NUMBA", "OPENBLAS")}
@@ -188,4 +149,3 @@ def tells_its_process(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         f"heavy {sorted(heavy & set(sys.modules))}, threads {sorted(map(str, threads))}, "
         f"interrupts blocked {blocked}"
     )
-    yield scene.start

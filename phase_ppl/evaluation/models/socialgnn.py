@@ -73,11 +73,10 @@ def socialgnn(
         member: the answers of this network alone, from 0, instead of the mean over all seeds.
         threads: of PyTorch.
     """
-    from phase_ppl.models.socialgnn.graphs import checked_variant
     from phase_ppl.models.socialgnn.store import load, shipped
 
     if weights is None:
-        trained = shipped(checked_variant(variant or "extended"))
+        trained = shipped(variant or "extended")
     elif variant is None:
         trained = load(weights)
     else:

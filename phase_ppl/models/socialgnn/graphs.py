@@ -18,7 +18,7 @@ from phase_ppl.dataset.generation.making import Recording, recoloured, reflected
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, unknown_name
+from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT, touches
 from phase_ppl.world.goals import goal_index
@@ -76,13 +76,6 @@ class Batch(NamedTuple):
     context: SingleArray  # (event, number)
     event: IntArray  # (frame,) event that a frame belongs to
     lengths: IntArray  # (event,) frames
-
-
-def checked_variant(variant: str) -> Variant:
-    """Return ``variant``; raise UnknownNameError if it is none of :data:`VARIANTS`."""
-    if variant not in VARIANTS:
-        raise unknown_name("variant", variant, VARIANTS)
-    return variant  # type: ignore[return-value]
 
 
 def n_nodes(variant: Variant) -> int:

@@ -27,13 +27,12 @@ from phase_ppl.models.socialgnn.graphs import (
     N_FEATURES,
     VARIANTS,
     Variant,
-    checked_variant,
     edge_slots,
     n_context,
     n_nodes,
 )
 from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
@@ -107,7 +106,7 @@ class TrainingSettings:
     threads: int = 1  # of PyTorch; the result depends on it
 
     def __post_init__(self) -> None:
-        checked_variant(self.variant)
+        check_name("variant", self.variant, VARIANTS)
         for name in ("epochs", "batch", "threads"):
             whole_number(name, getattr(self, name))
         whole_number("patience", self.patience, 0)
@@ -227,8 +226,9 @@ def load(path: str | os.PathLike[str]) -> Trained:
 
 
 @functools.cache
-def shipped(variant: Variant) -> Trained:
-    """Return the networks that come with the package."""
+def shipped(variant: str) -> Trained:
+    """Return the networks that come with the package; UnknownNameError: of no such variant."""
+    check_name("variant", variant, VARIANTS)
     with resources.as_file(_WEIGHTS / f"{variant}.npz") as file:
         return load(file)
 
