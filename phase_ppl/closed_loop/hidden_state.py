@@ -191,9 +191,14 @@ class HiddenState:
         self._n_agents = n_agents
         self.combinations = balanced(tracking.strengths, n_agents)
         n = len(self.combinations)
-        start = compiled.from_state(State.at_start(scene), scene.radius)
-        states = (np.repeat(part[None], n, axis=0) for part in start)
-        self.beam = Beam(*states, np.arange(n), np.zeros(n))
+        bodies, held, weld = compiled.from_state(State.at_start(scene), scene.radius)
+        self.beam = Beam(
+            np.repeat(bodies[None], n, axis=0),
+            np.repeat(held[None], n, axis=0),
+            np.repeat(weld[None], n, axis=0),
+            np.arange(n),
+            np.zeros(n),
+        )
         self._evidence = np.zeros(n)  # log, of each combination of strengths
         # each part of the beam has a work space; its forces are overwritten state by state
         strongest = (max(tracking.strengths),) * n_agents

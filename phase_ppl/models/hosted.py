@@ -176,7 +176,8 @@ class Hosted:
         """Return what an earlier process has made, if it is still there."""
         if (name := self._name(kind)) is None or (outline := read(name)) is None:
             return None
-        codes = [read_code(one.code, len(one.inputs), len(one.outputs)) for one in outline.pieces]
+        shapes = [(one.code, len(one.inputs), len(one.outputs)) for one in outline.pieces]
+        codes: list[Any] = [read_code(*shape) for shape in shapes]
         return None if None in codes else functools.partial(_run, outline, codes)
 
     def _make(self, args: tuple[Any, ...], kind: Any) -> Callable[..., Any]:
