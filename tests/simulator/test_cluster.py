@@ -33,35 +33,33 @@ class SlowWalkers:
         yield from walkers(scene, hypothesis, rng)
 
 
-def test_a_cluster_that_loses_a_worker_gives_the_same_posterior(tmp_path: Path) -> None:
-    event, simulator = walking_event(), SlowWalkers(tmp_path)
+def test_a_cluster_may_lose_a_worker_and_ends_the_run_when_it_is_closed(tmp_path: Path) -> None:
+    event, folders = walking_event(), [tmp_path / name for name in ("loses", "closes")]
+    for folder in folders:
+        folder.mkdir()
+    simulator, others = map(SlowWalkers, folders)
     model = ppl.Model(simulator=simulator)
-    with local_cluster() as (_, client), the_third_killed(tmp_path):
-        post = ppl.infer(event, model, executor=client.get_executor(), **OPTIONS)
-    used = processes(tmp_path)
+    with local_cluster() as (cluster, client):
+        executor = client.get_executor()
+        with the_third_killed(folders[0]):
+            post = ppl.infer(event, model, executor=executor, **OPTIONS)
+
+        def close() -> None:
+            while len(list(folders[1].iterdir())) < 6:  # 4 to begin with, then an iteration
+                time.sleep(0.01)
+            cluster.close()
+
+        closer = threading.Thread(target=close)
+        closer.start()
+        with pytest.raises(SimulationError, match="the executor takes no more work") as caught:
+            ppl.infer(event, ppl.Model(simulator=others), executor=executor, **OPTIONS)
+        closer.join()
+    assert caught.value.posterior is not None
+    assert len(processes(folders[0])) == 3  # two, and the one that took the dead one's place
     simulator.seconds = 0.0
     alone = ppl.infer(event, model, workers=1, **OPTIONS)
-    assert len(used) == 3  # two, and the one that took the dead one's place
     for group in ("posterior", "sample_stats", "simulated", "simulations"):
         for name, values in alone.tree[group].dataset.items():
             assert values.equals(post.tree[group].dataset[name]), f"{group}/{name}"
     assert post.cost["simulations"] == alone.cost["simulations"] >= 12
-    assert post.cost["failures"] == 0
-    assert post.cost["workers"] is None
-
-
-def test_a_cluster_that_is_closed_ends_the_run(tmp_path: Path) -> None:
-    simulator = SlowWalkers(tmp_path)
-    with local_cluster(1) as (cluster, client):
-
-        def close() -> None:
-            while len(list(tmp_path.iterdir())) < 6:  # 4 to begin with, then an iteration
-                time.sleep(0.01)
-            cluster.close()
-
-        closer, model = threading.Thread(target=close), ppl.Model(simulator=simulator)
-        closer.start()
-        with pytest.raises(SimulationError, match="the executor takes no more work") as caught:
-            ppl.infer(walking_event(), model, executor=client.get_executor(), **OPTIONS)
-        closer.join()
-    assert caught.value.posterior is not None
+    assert (post.cost["failures"], post.cost["workers"]) == (0, None)
