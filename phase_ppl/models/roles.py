@@ -47,6 +47,8 @@ from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import COMPANY_SITE, HypothesisSpace, space_of
 
+__all__ = ["company", "draw", "goals", "strengths", "uniform"]
+
 _DRAWS: Final = 1000  # of roles, until all can act on their goals
 _PRIORS_KEPT: Final = 8
 

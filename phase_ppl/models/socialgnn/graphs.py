@@ -7,6 +7,7 @@ from the arena's centre in halves of its width, so that the arena is [-1, 1] x [
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
@@ -247,16 +248,14 @@ class Examples:
         """Relation of each event, as an index."""
         self._touching = [touching(e.scene, e.observation, variant) for e in events]
         self._variant = variant
-        self._made: dict[tuple[int, int], Example] = {}
+        self._kept = functools.cache(self._make)
 
     def __len__(self) -> int:
         return len(self._recordings)
 
     def __call__(self, event: int, look: int = AS_IT_IS) -> Example:
         """Return an event in one of :data:`LOOKS`."""
-        if (event, look) not in self._made:
-            self._made[event, look] = self._make(event, LOOKS[look])
-        return self._made[event, look]
+        return self._kept(event, LOOKS[look])
 
     def _make(self, event: int, look: Look) -> Example:
         seen = self._recordings[event]
