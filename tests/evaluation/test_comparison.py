@@ -31,6 +31,7 @@ from tests.evaluation.judged import (
     shares,
 )
 from tests.evaluation.test_figures import shown_in
+from tests.evaluation.toys import changed
 from tests.world.examples import DEV, needs_dev
 
 WRITTEN = {"name": "x", "kind": "model", "predictions": [], "settings": {}, "failures": {},
@@ -442,8 +443,7 @@ def test_a_comparison_is_saved_and_read_again(crowd: ppl.ModelComparison, tmp_pa
 )  # fmt: skip
 def test_a_damaged_file_is_refused(field: str, value: Any, message: str, tmp_path: Path) -> None:
     compare(evaluation(of=EVENTS[:2]), resamples=5).save(tmp_path)
-    file = tmp_path / "comparison.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), field: value}))
+    changed(tmp_path / "comparison.json", **{field: value})
     with pytest.raises(InvalidEventError, match=message):
         ppl.ModelComparison.load(tmp_path)
     with pytest.raises(InvalidEventError, match="holds no comparison"):

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import signal
-import subprocess
-import sys
-import textwrap
-import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,11 +17,7 @@ from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Truth
 from tests.evaluation import toys
 from tests.evaluation.toys import EVENTS, Counted, FailsAt, guesses, several, still
-
-ROOT = Path(ppl.__file__).parents[1]
-PATIENCE = 60.0
-IN_ROOT: dict[str, Any] = {"cwd": ROOT, "env": {**os.environ, "PYTHONPATH": str(ROOT)}}
-"""How scripts are run."""
+from tests.simulator.test_runner_processes import PATIENCE, is_alive, started, wait_until
 
 
 def evaluate(model: Any, events: Any = EVENTS, **more: Any) -> ppl.Evaluation:
@@ -145,32 +135,14 @@ def test_a_model_that_cannot_be_loaded_there_is_refused() -> None:
         evaluate(CannotLoad())
 
 
-def test_a_script_without_a_guard_works_and_leaves_nothing_behind(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(
-        textwrap.dedent("""
-        import phase_ppl as ppl
-        from phase_ppl.world.progress import Progress
-        from tests.evaluation.toys import several
-
-        def has_a_bar(scene, observation, seed):
-            with Progress(1, shown=False):
-                return {"relation": "friendly"}
-
-        print(len(ppl.evaluate(several(4), has_a_bar, workers=2, progress=False).predictions))
-        """)
-    )
-    command = [sys.executable, str(script)]
-    done = subprocess.run(command, **IN_ROOT, capture_output=True, text=True, timeout=PATIENCE)
-    assert (done.stdout, done.stderr) == ("4\n", "")
-
-
 # --- -9 and Ctrl-C -----------------------------------------------------------------------------
 
+# without a guard, so that a worker that imported it would start it again
 SCRIPT = """
     import sys, time
     from pathlib import Path
     import phase_ppl as ppl
+    from phase_ppl.world.progress import Progress
     from tests.evaluation.toys import Counted, several, guesses
 
     folder = Path(sys.argv[1])
@@ -179,22 +151,12 @@ SCRIPT = """
         # events of fewer frames come later, and wait
         while observation.n_frames < 5 and not (folder / "go").exists():
             time.sleep(0.05)
-        return guesses(scene, observation, seed)
+        with Progress(1, shown=False):
+            return guesses(scene, observation, seed)
 
     ppl.evaluate(several(4), Counted(folder / "calls", slow), out=folder / "out",
                  workers=2, resume=True, progress=False)
 """
-
-
-def started(folder: Path) -> subprocess.Popen[str]:
-    """Start the script; return it once two events are finished and others have begun."""
-    (folder / "script.py").write_text(textwrap.dedent(SCRIPT))
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    command = [sys.executable, str(folder / "script.py"), str(folder)]
-    run = subprocess.Popen(command, **IN_ROOT, **pipes, text=True, start_new_session=True)
-    wait_until(lambda: run.poll() is not None or (finished(folder) == 2 and begun(folder) > 2))
-    assert run.poll() is None, run.communicate()[1]
-    return run
 
 
 def finished(folder: Path) -> int:
@@ -202,36 +164,25 @@ def finished(folder: Path) -> int:
 
 
 def begun(folder: Path) -> int:
-    return len(list((folder / "calls").iterdir()))
-
-
-def wait_until(happened: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not happened():
-        assert time.monotonic() < end
-        time.sleep(0.05)
-
-
-def is_gone(pid: int) -> bool:
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, 0)
-        return Path(f"/proc/{pid}/stat").read_text().split()[2] == "Z"
-    return True
+    return len(list(folder.glob("calls/*")))
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
 @pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGINT])
-def test_a_run_that_is_stopped_goes_on_without_repeating_what_is_finished(
+def test_a_script_that_is_stopped_goes_on_without_repeating_what_is_finished(
     signal_: signal.Signals, tmp_path: Path
 ) -> None:
-    run = started(tmp_path)
-    os.kill(run.pid, signal_)
-    _, errors = run.communicate(timeout=PATIENCE)
+    """And leaves nothing behind, nor has its workers print anything."""
+    with started(SCRIPT, tmp_path) as run:
+        wait_until(lambda: run.poll() is not None or begun(tmp_path) > finished(tmp_path) == 2)
+        assert run.poll() is None, run.communicate()[1]
+        os.kill(run.pid, signal_)
+        _, errors = run.communicate(timeout=PATIENCE)
     assert run.returncode != 0
     if signal_ == signal.SIGINT:
         assert "EvaluationInterrupted: the evaluation was interrupted; 2 of 4 events" in errors
     processes = {int(path.name.split("-")[2]) for path in (tmp_path / "calls").iterdir()}
-    wait_until(lambda: all(map(is_gone, processes)))
+    wait_until(lambda: not any(map(is_alive, processes)))
     assert finished(tmp_path) == 2
     assert not (tmp_path / "out" / "metrics.json").exists()
 
@@ -239,7 +190,8 @@ def test_a_run_that_is_stopped_goes_on_without_repeating_what_is_finished(
     model = Counted(tmp_path / "calls", guesses)
     before = model.calls()
     assert (before[6], before[5]) == (1, 1)
-    subprocess.run(run.args, **IN_ROOT, check=True)
+    with started(SCRIPT, tmp_path) as again:
+        assert (*again.communicate(timeout=PATIENCE), again.returncode) == ("", "", 0)
     after = model.calls()
     assert (after[6], after[5]) == (1, 1)
     assert (after[4], after[3]) == (before.get(4, 0) + 1, before.get(3, 0) + 1)

@@ -23,6 +23,7 @@ from phase_ppl.models.socialgnn.store import TrainingSettings, load, shipped
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
+from tests.evaluation.toys import changed
 from tests.models.walks import eight, make_set, needs_torch, walk
 
 QUICK = TrainingSettings.of("extended", epochs=3)
@@ -243,7 +244,7 @@ def test_what_is_no_set_to_learn_from_is_refused(data: Path, tmp_path: Path) -> 
         ppl.train_socialgnn(only, tmp_path / "out")
     manifest = data.parent / "damaged" / "manifest.json"
     shutil.copytree(data, manifest.parent)
-    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "plan": 3}))
+    changed(manifest, plan=3)
     with pytest.raises(InvalidEventError, match=r"manifest\.json: plan is 3, not an object"):
         ppl.train_socialgnn(manifest.parent, tmp_path / "out")
 

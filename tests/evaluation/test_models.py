@@ -1,4 +1,4 @@
-"""The baselines: the last frame, on scenes worked out by hand, and the one that does not look."""
+"""Models by name: the baselines, on scenes worked out by hand, and predicate inverse planning."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.models.baselines import goal_shares, last_frame
+from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.registry import ready
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
-from phase_ppl.world.goals import GOALS, is_self_referring
+from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
+from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.evaluation.toys import START, right, several, still
 from tests.world.examples import DEV, needs_dev
@@ -20,19 +22,19 @@ from tests.world.examples import DEV, needs_dev
 BLUE, GREEN, RED, YELLOW = LANDMARK_CENTRES
 
 
-def answer(**ends: object) -> tuple[str, str, str]:
+def answer(start: Any = START, **ends: object) -> tuple[str, str, str]:
     """Return what it says where entities (by number, as ``_2=(x, y)``) end somewhere else."""
-    end = START.copy()
+    end = start.copy()
     for name, place in ends.items():
         end[int(name[1:]), :2] = place
-    scene = still().scene
-    found = last_frame()(scene, Observation(np.stack([START, START, end])), 0)
+    scene = ppl.Scene(start, still().scene.radius)
+    found = last_frame()(scene, Observation(np.stack([start, start, end])), 0)
     return found.answers["goal_red"], found.answers["goal_green"], found.answers["relation"]
 
 
 def test_an_item_that_moved_to_a_landmark_is_what_both_want() -> None:
-    goals = answer(_2=RED)
-    assert goals == ("Get blue item to red lm", "Get blue item to red lm", "friendly")
+    goal = "Get blue item to red lm"
+    assert answer(_2=RED) == (goal, goal, "friendly")
 
 
 def test_an_agent_nearer_to_a_landmark_than_any_moved_item_wants_to_be_there() -> None:
@@ -40,23 +42,12 @@ def test_an_agent_nearer_to_a_landmark_than_any_moved_item_wants_to_be_there() -
     assert goals == ("Get red agent to yellow lm", "Get blue item to red lm", "neutral")
 
 
-def test_an_item_that_lay_at_a_landmark_all_along_is_nobodys_goal() -> None:
-    scene = still().scene
+def test_an_item_that_was_only_nudged_or_lay_at_a_landmark_all_along_is_nobodys_goal() -> None:
     start = START.copy()
     start[3, :2] = GREEN
-    resting = ppl.Scene(start, scene.radius)
-    found = last_frame()(resting, Observation(np.stack([start, start])), 0)
-    assert found.answers["goal_red"].startswith("Get red agent to")
-
-
-def test_an_item_that_was_only_nudged_did_not_move() -> None:
-    start, scene = START.copy(), still().scene
-    start[3, :2] = GREEN
-    for nudge, moved in ((0.79, False), (0.81, True)):
-        end = start.copy()
-        end[3, 0] += nudge  # the radius is 0.8
-        found = last_frame()(ppl.Scene(start, scene.radius), Observation(np.stack([start, end])), 0)
-        assert (found.answers["goal_red"] == "Get pink item to green lm") is moved
+    for nudge, moved in ((0.0, False), (0.79, False), (0.81, True)):  # the radius is 0.8
+        red, *_ = answer(start, _3=GREEN + np.array([nudge, 0]))
+        assert red.startswith("Get pink item to green lm" if moved else "Get red agent to")
 
 
 def test_ties_go_to_the_own_body_and_to_the_first_landmark() -> None:
@@ -96,6 +87,40 @@ def test_goals_are_as_frequent_as_their_types_in_the_original_events(agent: int)
     assert not np.any([shares[g] for i, g in enumerate(GOALS) if is_self_referring(i, agent)])
 
 
+# --- predicate inverse planning -------------------------------------------------------------------
+
+
+def test_predicates_tell_goals_and_relation_of_a_bundled_event() -> None:
+    event = ppl.load_event("collaborate")
+    given = ppl.evaluate(event, "predicate", workers=1).predictions[event.id]
+    assert given.answers == {name: getattr(event.truth, name) for name in QUESTIONS}
+    assert set(given.probabilities) == set(given.answers)
+    possible = np.array([not is_self_referring(goal, 0) for goal in range(N_GOALS)])
+    assert np.array_equal(given.probabilities["goal_red"] > 0, possible)
+
+
+def test_options_of_predicates_are_thresholds_and_rationality_and_are_kept() -> None:
+    made = ready("predicate", {"on_item": 2.0, "rationality": 0.4, "prior": "independent"})
+    kept = made.record["model_settings"]
+    assert (kept["on_item"], kept["rationality"], kept["prior"]) == (2.0, 0.4, "independent")
+
+
+@pytest.mark.parametrize("n_frames", [2, 3])
+def test_a_video_in_which_next_to_nothing_happens_has_an_answer(n_frames: int) -> None:
+    event = still(n_frames=n_frames)
+    given = ppl.evaluate(event, "predicate", workers=1, prior="independent").predictions[event.id]
+    for question, labels in QUESTIONS.items():
+        assert given.probabilities[question].shape == (len(labels),)
+    assert given.probabilities["relation"].argmax() == RELATIONS.index("neutral")
+
+
+@needs_dev
+def test_predicates_tell_most_goals_of_some_real_videos() -> None:
+    found = ppl.evaluate(DEV, "predicate", limit=12, workers=1, progress=False).metrics
+    assert found["goal_accuracy"]["value"] > 0.6
+    assert found["relation_accuracy"]["value"] > 0.5
+
+
 # --- models by name -------------------------------------------------------------------------------
 
 
@@ -113,11 +138,6 @@ def test_a_registered_model_is_made_with_its_options_and_asked_by_name() -> None
     assert found.settings["options"] == {"answer": "adversarial"}
 
 
-def test_an_option_that_a_model_does_not_have_is_refused() -> None:
-    with pytest.raises(InvalidSettingError, match=r"'last_frame'.*planner"):
-        ready("last_frame", {"planner": "fast"})
-
-
 @pytest.mark.usefixtures("own_models")
 def test_what_a_model_needs_is_said_with_the_extra_that_brings_it() -> None:
     needs = ("numpy", "no_such_module", "no_such_package.module")
@@ -133,13 +153,20 @@ def two(scene: Any, observation: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("model", "options", "message"),
+    ("model", "options", "error", "message"),
     [
-        (3, {}, "neither a name"),
-        (two, {}, "cannot be called as"),
-        (right, {"chains": 3}, "chains: options are for models given by name"),
+        (3, {}, InvalidSettingError, "neither a name"),
+        (two, {}, InvalidSettingError, "cannot be called as"),
+        (right, {"chains": 3}, InvalidSettingError, "chains: options are for models given by name"),
+        ("last_frame", {"planner": "fast"}, InvalidSettingError, r"'last_frame'.*planner"),
+        ("predicate", {"planner": "fast"}, InvalidSettingError, "planner is no.*rationality"),
+        ("predicate", {"on_item": -1}, InvalidSettingError, "on_item=-1"),
+        ("predicate", {"prior": "unifrom"}, UnknownNameError, "'uniform'"),
+        ("predicate", {"prior": ["uniform"]}, UnknownNameError, "'uniform'"),
     ],
 )
-def test_what_is_no_model_is_refused(model: Any, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
+def test_what_is_no_model_and_no_option_is_refused(
+    model: Any, options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
         ready(model, options)
