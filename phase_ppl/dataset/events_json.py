@@ -119,15 +119,20 @@ _LINE_CHARACTERS = 100
 # --- reading ---------------------------------------------------------------------------------
 
 
-def read_one(document: Mapping[str, Any]) -> Entries:
-    """Return the one event of a document in :data:`EVENT_FORMAT`, not yet read."""
-    return [(event_id(document), functools.partial(event_from_record, document))]
-
-
-def read_many(document: Mapping[str, Any]) -> Entries:
-    """Return the events of a document in :data:`EVENTS_FORMAT`, not yet read."""
-    only(document, ("format", "events"), "a file of events")
-    return _entries_of(document, "events", event_from_record)
+def read(document: Mapping[str, Any]) -> Entries:
+    """Return the events of a document in one of these formats, each still to be read."""
+    tag = document.get("format")
+    if tag == EVENT_FORMAT:
+        return [(event_id(document), functools.partial(event_from_record, document))]
+    if tag == EVENTS_FORMAT:
+        only(document, ("format", "events"), "a file of events")
+        return _entries_of(document, "events", event_from_record)
+    if tag == VIDEOS_FORMAT:
+        return _entries_of(document, "videos", functools.partial(_event_of_video, head=document))
+    known = ", ".join(map(repr, (EVENT_FORMAT, EVENTS_FORMAT, VIDEOS_FORMAT)))
+    if tag is None:
+        raise InvalidEventError(f"is not an event file: it has no format, such as {known}")
+    raise InvalidEventError(f"has format {shown(tag)}, expected one of {known}")
 
 
 def _entries_of(
@@ -318,11 +323,6 @@ def _layout(value: Any, indent: int) -> str:
 
 _AUTHORS_DOCUMENTS: Final = {"judgments": "human", "predictions": "models"}
 """What the package calls them -> what the authors do."""
-
-
-def read_videos(document: Mapping[str, Any]) -> Entries:
-    """Return the videos of a document in :data:`VIDEOS_FORMAT`, not yet read."""
-    return _entries_of(document, "videos", functools.partial(_event_of_video, head=document))
 
 
 def _event_of_video(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Event:

@@ -15,7 +15,7 @@ from phase_ppl.dataset import events_json
 from phase_ppl.dataset.documents import check_ids, naming, parse_document, read_document
 from phase_ppl.dataset.events_json import Entries, event_from_record, turned
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
@@ -123,13 +123,7 @@ def _entries(path: PathLike, format: str | None) -> Entries:
         return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]
     from phase_ppl.dataset.hdf5 import is_hdf5
 
-    readers: Mapping[str, Callable[[Mapping[str, Any]], Entries]] = {
-        events_json.EVENT_FORMAT: events_json.read_one,
-        events_json.EVENTS_FORMAT: events_json.read_many,
-        events_json.VIDEOS_FORMAT: events_json.read_videos,
-    }
     with naming(path):
-        entries: Entries
         if format:
             # brings the simulator, by way of the reflections
             from phase_ppl.dataset.authors import videos
@@ -141,13 +135,7 @@ def _entries(path: PathLike, format: str | None) -> Entries:
 
             entries = events_netcdf.read(path)
         else:
-            document = read_document(path)
-            tag, known = document.get("format"), ", ".join(map(repr, readers))
-            if tag is None:
-                raise InvalidEventError(f"is not an event file: it has no format, such as {known}")
-            if not isinstance(tag, str) or tag not in readers:
-                raise InvalidEventError(f"has format {shown(tag)}, expected one of {known}")
-            entries = readers[tag](document)
+            entries = events_json.read(read_document(path))
         check_ids([name for name, _ in entries])
     return entries
 

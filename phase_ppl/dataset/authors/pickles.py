@@ -88,15 +88,16 @@ class _Effect(NamedTuple):
     puts: int
 
 
-def _effect(opcode: pickletools.OpcodeInfo) -> _Effect:
-    marks = pickletools.markobject, pickletools.stackslice
-    below = [kind for kind in opcode.stack_before if kind not in marks]
-    return _Effect(
-        opcode.name, marks[0] in opcode.stack_before, len(below), len(opcode.stack_after)
+_MARKS: Final = (pickletools.markobject, pickletools.stackslice)
+_EFFECTS: Final = {
+    op.code.encode("latin-1"): _Effect(
+        op.name,
+        pickletools.markobject in op.stack_before,
+        len([kind for kind in op.stack_before if kind not in _MARKS]),
+        len(op.stack_after),
     )
-
-
-_EFFECTS: Final = {op.code.encode("latin-1"): _effect(op) for op in pickletools.opcodes}
+    for op in pickletools.opcodes
+}
 _READERS: Final[Mapping[bytes, Callable[[io.BytesIO], Any] | None]] = {
     **{op.code.encode("latin-1"): op.arg.reader if op.arg else None for op in pickletools.opcodes},
     # their readers know ASCII only, and undo escapes
@@ -169,7 +170,12 @@ def _check_opcodes(content: bytes) -> None:
     marks: list[int] = []  # how long the stack was
     memo: dict[int, int] = {}
     for (name, marked, below, puts), argument in _opcodes(content):
-        _check_argument(name, argument)
+        if name == "PROTO" and argument > _PROTOCOL:
+            raise InvalidEventError(
+                f"is a pickle of protocol {argument}, expected at most {_PROTOCOL}"
+            )
+        if name in _INTEGERS and not -(2**63) <= argument < 2**64:
+            raise InvalidEventError("holds a whole number of more than 64 bits")
         start = len(stack)
         if marked:
             if not marks:
@@ -211,13 +217,6 @@ def _check_opcodes(content: bytes) -> None:
         raise InvalidEventError(_DAMAGED)
 
 
-def _check_argument(name: str, argument: Any) -> None:
-    if name == "PROTO" and argument > _PROTOCOL:
-        raise InvalidEventError(f"is a pickle of protocol {argument}, expected at most {_PROTOCOL}")
-    if name in _INTEGERS and not -(2**63) <= argument < 2**64:
-        raise InvalidEventError("holds a whole number of more than 64 bits")
-
-
 # --- what stands in for what it asks for -----------------------------------------------------
 
 _NDARRAY: Final = object()  # stands for the class of arrays
@@ -255,15 +254,18 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _Function:
-    """Stands for a function; called with a tuple of arguments as found in the file."""
+    """Stands for a function; called with the arguments that the file gives it."""
 
     __slots__ = ("_call", "_reader")
 
-    def __init__(self, call: Callable[[_Unpickler, tuple[Any, ...]], Any], reader: _Unpickler):
+    def __init__(self, call: Callable[..., Any], reader: _Unpickler):
         self._call, self._reader = call, reader
 
     def __call__(self, *arguments: Any) -> Any:
-        return self._call(self._reader, arguments)
+        try:
+            return self._call(self._reader, *arguments)
+        except TypeError:  # too few of them, or too many
+            raise InvalidEventError(_NO_ARRAY) from None
 
     def __setstate__(self, state: object) -> None:
         raise InvalidEventError("sets the state of what is no array")
@@ -333,18 +335,16 @@ def _array(
     return array
 
 
-def _reconstruct(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
-    if len(arguments) != 3 or arguments[0] is not _NDARRAY:
+def _reconstruct(reader: _Unpickler, kind: object, shape: object, letter: object) -> _Array:
+    if kind is not _NDARRAY:
         raise InvalidEventError(_NO_ARRAY)
     return _Array(reader)
 
 
-def _from_buffer(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
-    """Arguments: bytes, data type, shape, order "C", "F" or "K", and for "K" that of the axes."""
-    if len(arguments) not in (4, 5):
-        raise InvalidEventError(_NO_ARRAY)
-    content, dtype, shape, order, *rest = arguments
-    axes = rest[0] if rest else None
+def _from_buffer(
+    reader: _Unpickler, content: object, dtype: object, shape: object, order: Any, axes: Any = None
+) -> _Array:
+    """Return an array in the order "C", "F" or "K", for which that of the axes is given."""
     if order not in ("C", "F", "K") or (order == "K") != (axes is not None):
         raise InvalidEventError(_NO_ARRAY)
     array = _array(reader, content, dtype, shape, order)
@@ -359,40 +359,29 @@ def _from_buffer(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
     return _Array(reader, array.transpose(axes))
 
 
-def _scalar(reader: _Unpickler, arguments: tuple[Any, ...]) -> Any:
-    if len(arguments) != 2:
-        raise InvalidEventError(_NO_ARRAY)
-    return _array(reader, arguments[1], arguments[0], (), "C").item()
+def _scalar(reader: _Unpickler, dtype: object, content: object) -> Any:
+    return _array(reader, content, dtype, (), "C").item()
 
 
-def _dtype(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Dtype:
-    spelling = arguments[0] if arguments else None
+def _dtype(reader: _Unpickler, spelling: object = None, *_: object) -> _Dtype:
     match = _DTYPE.fullmatch(spelling) if isinstance(spelling, str) else None
     if match is None:
         raise InvalidEventError(_NO_NUMBERS)
     return _Dtype(match.group(0))
 
 
-def _encode(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes | bytearray:
+def _encode(reader: _Unpickler, text: object, codec: object) -> bytes | bytearray:
     """Return a text as bytes: the way of old protocols to write bytes."""
-    match arguments:
-        case (str() as text, "latin1" | "latin-1"):
-            return reader.raw(text)
-    raise InvalidEventError(_NO_ARRAY)
-
-
-def _no_bytes(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes:
-    if arguments:
+    if not isinstance(text, str) or codec not in ("latin1", "latin-1"):
         raise InvalidEventError(_NO_ARRAY)
-    return b""
+    return reader.raw(text)
 
 
 _STAND_INS: Final[Mapping[tuple[str, str], Callable[..., Any] | object]] = {
     ("numpy", "ndarray"): _NDARRAY,
     ("numpy", "dtype"): _dtype,
     ("_codecs", "encode"): _encode,
-    ("__builtin__", "bytes"): _no_bytes,
-    ("builtins", "bytes"): _no_bytes,
+    **dict.fromkeys((("__builtin__", "bytes"), ("builtins", "bytes")), lambda reader: b""),
     **{
         (f"numpy.{core}.{module}", name): function
         for core in ("core", "_core")  # before and since NumPy 2
@@ -450,7 +439,11 @@ class _Finished:
         self._open.add(id(value))
         parts, size = [], 1
         if type(value) is dict:
-            size += sum(self._size_of_key(key) for key in value)
+            for key in value:
+                parts_of_key = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
+                if any(type(part) not in (str, int) for part in parts_of_key):
+                    raise InvalidEventError(_NO_KEY)
+                size += sum(1 + len(p) if isinstance(p, str) else 1 for p in parts_of_key)
         for item in value.values() if type(value) is dict else value:
             part = self.of(item, depth + 1)
             parts.append(part)
@@ -464,9 +457,3 @@ class _Finished:
         height = 1 + max((part.height for part in parts), default=0)
         made = dict(zip(value, values, strict=True)) if type(value) is dict else type(value)(values)
         return _Part(made, size, height)
-
-    def _size_of_key(self, key: object) -> int:
-        parts = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
-        if any(type(part) not in (str, int) for part in parts):
-            raise InvalidEventError(_NO_KEY)
-        return sum(1 + len(part) if isinstance(part, str) else 1 for part in parts)

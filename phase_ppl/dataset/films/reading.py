@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from phase_ppl.dataset.films.bodies import REACH, SEEN, Bodies
@@ -70,16 +69,13 @@ class VideoReading:
         Outlines are the bodies as read, in magenta where the confidence is below 0.5; lines are
         the ways since the picture before. Below stand the frame and the least confidence in it.
         """
-        with atomic_output(path, (".png",)) as part:
-            self._drawn().save(part, "PNG")
-
-    def _drawn(self) -> Image.Image:
         painter, frames = Painter(self.event.scene), sorted(self._pictures)
-        panels = [
-            self._panel(painter, frame, before)
-            for before, frame in zip([0, *frames[:-1]], frames, strict=True)
-        ]
-        return side_by_side(panels, 4, _COLUMNS)
+        with atomic_output(path, (".png",)) as part:
+            panels = [
+                self._panel(painter, frame, before)
+                for before, frame in zip([0, *frames[:-1]], frames, strict=True)
+            ]
+            side_by_side(panels, 4, _COLUMNS).save(part, "PNG")
 
     def _panel(self, painter: Painter, frame: int, before: int) -> Image.Image:
         drawn = self._pictures[frame]
@@ -289,16 +285,11 @@ def _follow(
         pose = poses[at].copy()
         if part:
             step = poses[at + 1] - pose
-            step[:, 2] = _turn(step[:, 2])
+            step[:, 2] = (step[:, 2] + np.pi) % (2 * np.pi) - np.pi  # the shorter way round
             pose[:, :3] += part * step[:, :3]
             pose[:, 3] = np.minimum(pose[:, 3], poses[at + 1][:, 3])
         rows.append(pose)
     return np.array(rows), pictures
-
-
-def _turn(angle: NDArray[np.float64]) -> FloatArray:
-    """Return the same angle between -pi and pi."""
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _closed(
