@@ -67,6 +67,7 @@ WITHOUT_KERNELS = ("models", "analysis")
 
 WITH_KERNELS = (
     "test_plots.py",
+    "test_predicate.py",
     "test_stepwise_worlds.py",
     "test_what_if.py",
     "test_what_if_worlds.py",
