@@ -17,7 +17,7 @@ from jax.extend import core
 from jax.interpreters import batching, mlir
 from numpy.typing import NDArray
 
-from phase_ppl.models.density import NO_DENSITY, Sites
+from phase_ppl.models.density import NO_DENSITY
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.world.scene import PHASE
 from phase_ppl.world.space import HypothesisSpace, space_of
@@ -68,7 +68,7 @@ class SimulatorBridge:
         space: what values of sites stand for; by default that of PHASE.
 
     Attributes:
-        handle: number by which compiled code knows this bridge (:func:`request_errors`).
+        handle: number by which compiled code knows this bridge (``EventProgram``).
         records: every simulation so far.
         iteration: what new records are labelled with.
         failure: the exception that ended a call, if one did. It waits for whoever drives the chain,
@@ -93,7 +93,7 @@ class SimulatorBridge:
         """Return the errors (..., time) that a batch (...) of requests asks for.
 
         The numbers are log_prior, seed, error_ceiling, log_proposal and log_bound of each, as of
-        :func:`request_errors`.
+        :meth:`phase_ppl.models.program.EventProgram.simulate`.
         """
         if self.failure is None:
             try:
@@ -160,30 +160,6 @@ class SimulatorBridge:
 
 _handles: Final = itertools.count()
 _open: Final[weakref.WeakValueDictionary[int, SimulatorBridge]] = weakref.WeakValueDictionary()
-
-
-def request_errors(
-    handle: jax.Array | int,
-    n_frames: int,
-    sites: Sites,
-    log_prior: jax.Array,
-    seed: jax.Array,
-    error_ceiling: jax.Array | float = np.inf,
-    log_proposal: jax.Array | float = np.nan,
-    log_bound: jax.Array | float = np.inf,
-) -> jax.Array:
-    """Return per-frame errors (time,) of a simulation, units; float32; inside compiled code.
-
-    The bridge is named by a number, so that one compiled program serves many events. Errors are inf
-    from where the simulation was stopped, once their sum exceeds the ceiling; all inf for a failed
-    simulation and for hypotheses without prior mass, which are not simulated. ``log_proposal`` and
-    ``log_bound`` are kept with the simulation, see :class:`Record`.
-    """
-    names = tuple(sorted(sites))
-    numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
-    arguments = (handle, log_prior, seed, *numbers, *(sites[name] for name in names))
-    return request_p.bind(*map(jnp.asarray, arguments), names=names, n_frames=n_frames)
-
 
 request_p: Final = core.Primitive("phase_ppl_request")
 """Stands for a simulation in a traced program: (handle, log_prior, seed, error_ceiling,

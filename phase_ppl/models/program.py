@@ -12,7 +12,7 @@ import numpyro
 from jax import random
 from numpyro import handlers
 
-from phase_ppl.models.bridge import request_errors
+from phase_ppl.models.bridge import request_p
 from phase_ppl.models.density import Sites, draw, latent_sites, log_density, trace_log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import space_of_prior
@@ -99,11 +99,18 @@ class EventProgram:
         log_proposal: jax.Array | float = np.nan,
         log_bound: jax.Array | float = np.inf,
     ) -> jax.Array:
-        """Return (time,) the errors of a simulation; see :func:`request_errors`."""
-        kept = log_proposal, log_bound
-        return request_errors(
-            self.bridge, self.n_frames, sites, log_prior, seed, error_ceiling, *kept
-        )
+        """Return (time,) the errors of a simulation, units; float32; inside compiled code.
+
+        The bridge is named by a number, so that one compiled program serves many events. Errors are
+        inf from where the simulation was stopped, once their sum exceeds the ceiling; all inf for a
+        failed simulation and for hypotheses without prior mass, which are not simulated; 0 beyond
+        the observation. ``log_proposal`` and ``log_bound`` are kept with the simulation, see
+        :class:`~phase_ppl.models.bridge.Record`.
+        """
+        names = tuple(sorted(sites))
+        numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
+        given = (self.bridge, log_prior, seed, *numbers, *(sites[name] for name in names))
+        return request_p.bind(*map(jnp.asarray, given), names=names, n_frames=self.n_frames)
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
         """Return the seed, int32, with which a proposed hypothesis is simulated.

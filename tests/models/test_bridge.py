@@ -8,12 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from phase_ppl.models.bridge import SimulatorBridge, request_errors
+from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import EventProgram
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 
 N_FRAMES = 4
+MODEL = Model()
 
 
 class Counting:
@@ -61,7 +64,7 @@ def ask(bridge: Any, sites: Any, seeds: Any, log_prior: Any = -1.0, ceiling: Any
 @jax.jit  # the handle is an argument, so that all tests share the compiled program
 def requested(handle: Any, sites: Any, seeds: Any, log_prior: Any, ceiling: Any) -> jax.Array:
     def one(z: Any, seed: Any, prior: Any, limit: Any) -> jax.Array:
-        return request_errors(handle, N_FRAMES, z, prior, seed, limit)
+        return EventProgram(MODEL, handle, N_FRAMES).simulate(z, prior, seed, limit)
 
     return jax.vmap(one)(sites, seeds, log_prior, ceiling)
 
@@ -78,11 +81,12 @@ def test_fifteen_particles_arrive_in_one_call() -> None:
 def test_any_leading_shape_is_answered() -> None:
     bridge = SimulatorBridge(Counting(), N_FRAMES)
     z = {name: values[0] for name, values in sites_of(1).items()}
-    single = request_errors(bridge.handle, N_FRAMES, z, jnp.array(0.0), jnp.array(7))
+    program = EventProgram(MODEL, bridge.handle, N_FRAMES)
+    single = program.simulate(z, jnp.array(0.0), jnp.array(7))
     np.testing.assert_array_equal(single, np.full(N_FRAMES, 7))
 
     def inner(seed: jax.Array) -> jax.Array:
-        return request_errors(bridge.handle, N_FRAMES, z, jnp.array(0.0), seed)
+        return program.simulate(z, jnp.array(0.0), seed)
 
     grid = jax.vmap(jax.vmap(inner))(jnp.arange(6).reshape(3, 2))
     np.testing.assert_array_equal(grid[..., 0], np.arange(6).reshape(3, 2))

@@ -16,9 +16,10 @@ from jax import lax, random
 from jax.experimental.compilation_cache import compilation_cache
 
 from phase_ppl.models import density, hosted
-from phase_ppl.models.bridge import SimulatorBridge, request_errors
+from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.hosted import Hosted
-from tests.models.test_bridge import N_FRAMES, Counting, sites_of
+from phase_ppl.models.program import EventProgram
+from tests.models.test_bridge import MODEL, N_FRAMES, Counting, sites_of
 
 LENGTH = 6
 """Of the arrays of frames; the observation has fewer."""
@@ -43,7 +44,7 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def simulated(handle: Any, seed: Any) -> jax.Array:
     sites = {name: values[0] for name, values in sites_of(1).items()}
-    return request_errors(handle, LENGTH, sites, jnp.float32(0.0), seed)
+    return EventProgram(MODEL, handle, LENGTH).simulate(sites, jnp.float32(0.0), seed)
 
 
 def chain(keys: jax.Array, handle: Any) -> dict[str, jax.Array]:
