@@ -275,9 +275,9 @@ def test_conducts_are_compared_on_readings_that_are_kept(tmp_path: Path, figures
     keep = tmp_path / "kept"
     options = ("--limit", "4", "--keep", str(keep))
     report: dict[str, Any] = figures("stepwise.py", "fit", *options)
-    assert len(list(keep.glob("*.pkl"))) == 4
-    steady, wavering = report["4, 4, 0.2, 1e-06, 1, 1"], report["4, 4, 0.2, 0.1, 0.05, 1"]
-    assert wavering["end"]["relation_log_score"] > steady["end"]["relation_log_score"]
+    assert len(list(keep.glob("*.pkl"))) >= 4
+    steady, wavering = (report[f"4, 4, {lapse}, 1"]["half"] for lapse in (0.1, 0.3))
+    assert wavering["relation_log_score"] > steady["relation_log_score"]
     assert figures("stepwise.py", "fit", *options) == report
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from behaviours.battery import Behaviour, Trial
+from behaviours.battery import Behaviour, Trial, trial_of
 from behaviours.episode import BLUE, BOTTOM_RIGHT, GREEN, RED, Episode
 from behaviours.layouts import LARGE, SMALL, scene
 from phase_ppl.world.hypothesis import Hypothesis
@@ -24,24 +24,8 @@ STANDS = 12
 DOWN = 2
 
 
-def oppose(rng: np.random.Generator) -> tuple[Trial]:
-    where = scene(7, (8, 14), (14, 8), (9, 9), (24, 20), rng)
-    return (Trial(where, Hypothesis("Get blue item away from red lm", "Get blue item to red lm")),)
-
-
-def compete(rng: np.random.Generator) -> tuple[Trial]:
-    where = scene(7, (8, 14), (14, 8), (9, 9), (24, 20), rng)
-    return (Trial(where, Hypothesis("Get blue item to blue lm", "Get blue item to red lm")),)
-
-
 def tug(episode: Episode) -> bool:
     return bool(episode.both_hold(BLUE).sum() >= TUG)
-
-
-def near_and_far(rng: np.random.Generator) -> tuple[Trial]:
-    where = scene(7, (8, 14), (24, 20), (9, 9), (18, 16), rng)
-    goals = "Get blue item away from red lm", "Get blue item to red lm"
-    return (Trial(where, Hypothesis(*goals, strength_red=450.0, strength_green=300.0)),)
 
 
 def take_away(episode: Episode) -> bool:
@@ -54,13 +38,6 @@ def take_away(episode: Episode) -> bool:
         left[alone].max(initial=0.0) >= left[0] + TAKEN
         and not episode.is_on(BLUE, BOTTOM_RIGHT).any()
     )
-
-
-def item_behind_narrow_door(rng: np.random.Generator) -> tuple[Trial]:
-    sizes = (LARGE, SMALL, SMALL, SMALL)
-    where = scene(14, (13.5, 4), (8, 20), (20, 8), (24, 20), rng, sizes)
-    goals = "Get blue item away from green lm", "Get blue item to green lm"
-    return (Trial(where, Hypothesis(*goals, strength_red=600.0, strength_green=300.0)),)
 
 
 def stand_in_door(episode: Episode) -> bool:
@@ -88,12 +65,6 @@ def fill_door(episode: Episode) -> bool:
     return bool(closed.any() and episode.moved_while(BLUE, episode.holding(RED, BLUE)) > 1.0)
 
 
-def chase(rng: np.random.Generator) -> tuple[Trial]:
-    where = scene(7, (14, 8), (18, 16), (8, 20), (24, 4), rng)
-    goals = "get to green agent", "get away from red agent"
-    return (Trial(where, Hypothesis(*goals, strength_red=600.0, strength_green=300.0)),)
-
-
 def close_in(episode: Episode) -> bool:
     return bool(episode.touching(RED, GREEN).any())
 
@@ -114,17 +85,40 @@ def flee(flown: Episode, stood: Episode) -> bool:
     return bool(len(np.unique(flown.rooms(GREEN))) > 1 and farther)
 
 
+TO_RED = "Get blue item to red lm"
+FROM_RED = "Get blue item away from red lm"
+BESIDE = (8, 14), (14, 8), (9, 9), (24, 20)
+LONG = "both hold the item a second or longer"
 BEHAVIOURS = (
-    Behaviour("tug_of_war_opposing", "both hold the item a second or longer", oppose, tug),
-    Behaviour("tug_of_war_competing", "both hold the item a second or longer", compete, tug),
-    Behaviour("carry_away", "the hinderer takes the item away in time", near_and_far, take_away),
+    Behaviour("tug_of_war_opposing", LONG, trial_of(7, BESIDE, (FROM_RED, TO_RED)), tug),
+    Behaviour(
+        "tug_of_war_competing", LONG, trial_of(7, BESIDE, ("Get blue item to blue lm", TO_RED)), tug
+    ),
+    Behaviour(
+        "carry_away",
+        "the hinderer takes the item away in time",
+        trial_of(7, ((8, 14), (24, 20), (9, 9), (18, 16)), (FROM_RED, TO_RED), (450.0, 300.0)),
+        take_away,
+    ),
     Behaviour(
         "stand_in_door",
         "one too wide for a door keeps the opponent out",
-        item_behind_narrow_door,
+        trial_of(
+            14, ((13.5, 4), (8, 20), (20, 8), (24, 20)),
+            ("Get blue item away from green lm", "Get blue item to green lm"),
+            (600.0, 300.0), (LARGE, SMALL, SMALL, SMALL),
+        ),
         stand_in_door,
     ),
     Behaviour("fill_door", "an item closes the opponent's door", item_that_fills, fill_door),
-    Behaviour("chase", "the stronger one comes to touch the other", chase, close_in),
+    Behaviour(
+        "chase",
+        "the stronger one comes to touch the other",
+        trial_of(
+            7, ((14, 8), (18, 16), (8, 20), (24, 4)),
+            ("get to green agent", "get away from red agent"), (600.0, 300.0),
+        ),
+        close_in,
+    ),
     Behaviour("flight", "into other rooms, farther off than one that stands", flight, flee),
-)
+)  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from behaviours.episode import Episode, record
+from behaviours.layouts import SMALL, Place, scene
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
@@ -20,6 +21,25 @@ class Trial(NamedTuple):
     scene: Scene
     hypothesis: Hypothesis
     changes: dict[str, Any] = {}  # noqa: RUF012
+
+
+Draws = Callable[[np.random.Generator], tuple[Trial, ...]]
+
+
+def trial_of(
+    layout: int,
+    places: tuple[Place, Place, Place, Place],
+    goals: tuple[str, str],
+    strengths: tuple[float, float] = (450.0, 450.0),
+    sizes: tuple[float, float, float, float] = (SMALL,) * 4,
+) -> Draws:
+    """Return what draws one trial of red, green, blue and pink, whose agents look anywhere."""
+
+    def trials(rng: np.random.Generator) -> tuple[Trial]:
+        where = scene(layout, *places, rng, sizes)
+        return (Trial(where, Hypothesis(*goals, (0, 0), *strengths)),)
+
+    return trials
 
 
 class Behaviour(NamedTuple):
@@ -35,7 +55,7 @@ class Behaviour(NamedTuple):
 
     name: str
     shows: str
-    trials: Callable[[np.random.Generator], tuple[Trial, ...]]
+    trials: Draws
     seen: Callable[..., bool]
     steps: int = 100
 

@@ -21,7 +21,8 @@ from starlette.testclient import TestClient
 import phase_ppl as ppl
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.tables import true_answers
-from phase_ppl.study.clips import clips_of
+from phase_ppl.physics.actions import Action
+from phase_ppl.study.clips import CLIPS, Clip, clips_of
 from phase_ppl.study.study import Study
 from phase_ppl.world.hypothesis import Roles
 
@@ -45,6 +46,9 @@ JUDGED = {
     "goal_green": "get away from red agent",
     "relation": "neutral",
 }
+
+
+STILL = Clip(CLIPS["moving"].start, [(Action.NO_FORCE, 1)], [(Action.NO_FORCE, 1)])
 
 
 def short_events(n: int = 3) -> list[ppl.Event]:

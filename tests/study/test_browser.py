@@ -16,12 +16,12 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import tests.browser
 from phase_ppl.study import play
-from phase_ppl.study.clips import make_clips
+from phase_ppl.study.clips import CLIPS, make_clips
 from phase_ppl.study.simulate import serving
 from phase_ppl.study.study import Study
 from tests.browser import needs_browser, running_browser
 from tests.study import players
-from tests.study.studies import JUDGED, make_study, quiz, rows
+from tests.study.studies import JUDGED, STILL, make_study, quiz, rows
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text("utf-8")
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
@@ -36,9 +36,12 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Films of the introduction, made once."""
+    """Films of the introduction, all but the first of an instant."""
     folder = tmp_path_factory.mktemp("films") / "clips"
-    make_clips(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        short = {**dict.fromkeys(CLIPS, STILL), "moving": CLIPS["moving"]}
+        patch.setattr("phase_ppl.study.clips.CLIPS", short)
+        make_clips(folder)
     return folder
 
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.physics.actions import Action
-from phase_ppl.study.clips import CLIPS, Clip, make_clips
+from phase_ppl.study.clips import CLIPS, make_clips
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.world.scene import check_inside
-from tests.study.studies import NURSERY
+from tests.study.studies import NURSERY, STILL
 
 RED, GREEN, BLUE, PINK = range(4)
 TRACKS = {name: clip.trajectory(clip.scene()) for name, clip in CLIPS.items()}
@@ -55,9 +54,7 @@ def test_the_larger_item_is_harder_to_move() -> None:
 def test_every_page_has_a_film_that_there_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    short = [(Action.NO_FORCE, 1)]
-    still = Clip(CLIPS["moving"].start, short, short)
-    monkeypatch.setattr("phase_ppl.study.clips.CLIPS", dict.fromkeys(CLIPS, still))
+    monkeypatch.setattr("phase_ppl.study.clips.CLIPS", dict.fromkeys(CLIPS, STILL))
     make_clips(tmp_path / "clips")
     for kind in KINDS:
         for _, clip in Settings.parse(template(kind, "x")).tutorial:

@@ -28,27 +28,12 @@ from phase_ppl.world.errors import (
     OutputError,
     UnknownNameError,
 )
-from tests.study.studies import make_study, short_events, sure_of
+from tests.study.studies import PHASE, make_study, short_events, still_events, sure_of
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return make_study(tmp_path_factory.mktemp("made") / "study")
-
-
-def test_scripted_people_answer_as_the_model_believes(
-    study: Study, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    out, sure = tmp_path / "out", sure_of(study)
-    text = simulate(study, out, 8, predictions=sure, lapse=0, drop_outs=0, progress=False)
-    assert "goal_accuracy: 1.00" in text
-    events = ppl.load_events(out / "events.json")
-    found = ppl.load_judgments(out / "judgments.csv", events)
-    assert len(found.table) == 24
-    assert found.accuracy(events)["relation_accuracy"]["value"] == 1
-    assert study.status().counts["entered"] == 0, "the study itself stays as it is"
-    (note,) = capfd.readouterr().err.splitlines()
-    assert "who is responsible" in note, "nothing of anybody is in a log"
 
 
 def test_some_lapse_and_some_leave(study: Study, tmp_path: Path) -> None:
@@ -120,16 +105,17 @@ def test_without_the_extra_one_line_says_what_to_install(
     assert not (tmp_path / "s").exists()
 
 
+@pytest.mark.parametrize("world", [PHASE, ppl.worlds.TRIO], ids=lambda world: world.name)
 def test_commands_make_look_at_and_export_a_study(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    world: ppl.World, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     monkeypatch.setattr(study_module, "make_clips", lambda folder, world: None)
-    made = tmp_path / "made"
-    file = tmp_path / "short.json"
-    ppl.save_events(short_events(2), file)
+    made, file = tmp_path / "made", tmp_path / "short.json"
+    ppl.save_events(short_events(2) if world is PHASE else still_events(world), file)
     arguments = ["--kind", "tagging", "--trials", "1", "--workers", "1", "--quiet"]
     assert main(["study", "new", str(made), str(file), *arguments]) == 0
-    assert Study(made).settings.trials == 1
+    assert (Study(made).settings.trials, Study(made).settings.world) == (1, world)
     assert main(["study", "status", str(made)]) == 0
     assert "entered          0" in capsys.readouterr().out
     assert main(["study", "export", str(made), "--out", str(tmp_path / "out")]) == 0

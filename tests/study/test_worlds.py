@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
-from phase_ppl.cli import main
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.evaluation.tables import true_answers
 from phase_ppl.study import plan
@@ -189,18 +188,21 @@ def test_mistakes_are_named_in_the_worlds_words(line: str, message: str) -> None
 # --- what comes out -------------------------------------------------------------------------------
 
 
-@other_worlds
+@pytest.mark.parametrize("world", [PHASE, SOLO, TRIO, NURSERY], ids=lambda world: world.name)
 def test_scripted_people_answer_as_a_model_believes_in_the_worlds_names(
-    world: ppl.World, tmp_path: Path
+    world: ppl.World, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     study, out = make_study(tmp_path / "study", world=world), tmp_path / "out"
     sure = sure_of(study)
     text = simulate(study, out, 3, predictions=sure, lapse=0, drop_outs=0, progress=False)
     assert "goal_accuracy: 1.00" in text
     assert ("relation_accuracy: 1.00" in text) == (len(world.agents) > 1)
+    assert study.status().counts["entered"] == 0, "the study itself stays as it is"
+    (note,) = capfd.readouterr().err.splitlines()
+    assert "who is responsible" in note, "nothing of anybody is in a log"
     rows = table(out / "judgments.csv")
     columns = ["participant", "video", *questions_of(world), "response_time"]
-    assert [list(row) for row in rows] == [columns] * 6
+    assert [list(row) for row in rows] == [columns] * (3 * len(study.events))
     for row in rows:
         assert {q: row[q] for q in questions_of(world)} == dict(sure[row["video"]].answers)
     assert {row["video"] for row in rows} == set(study.events)
@@ -212,7 +214,7 @@ def test_scripted_people_answer_as_a_model_believes_in_the_worlds_names(
         assert true_answers(event) == true_answers(study.events[event.id])
 
 
-@other_worlds
+@pytest.mark.parametrize("world", [SOLO, TRIO], ids=lambda world: world.name)
 def test_likeness_is_asked_of_events_and_of_what_the_planner_makes_of_their_goals(
     world: ppl.World, tmp_path: Path
 ) -> None:
@@ -258,10 +260,7 @@ def test_scripted_people_tag_events_of_any_world(tmp_path: Path) -> None:
 
 @needs_browser
 def test_a_browser_goes_through_a_study_of_three_agents(tmp_path: Path) -> None:
-    file, folder = tmp_path / "trio.json", tmp_path / "study"
-    ppl.save_events(still_events(TRIO), file)
-    assert main(["study", "new", str(folder), str(file), "--workers", "1", "--quiet"]) == 0
-    study = Study(folder)
+    study = make_study(tmp_path / "study", world=TRIO)
     questions = plan.questions(study.settings, "trial-1")
     given: list[dict[str, str]] = []
     with running_browser() as browser, served(study) as address:
