@@ -36,8 +36,8 @@ from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     PhasePPLError,
+    check_name,
     shown,
-    unknown_name,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
@@ -303,8 +303,8 @@ def _checked(settings: Mapping[str, Any], compared: Sequence[Entry]) -> dict[str
         raise InvalidSettingError(f"margin={shown(margin)}, expected a number between 0 and 1")
     names = [one.name for one in compared]
     check_names(names)
-    if against is not None and against not in names:
-        raise unknown_name("model to compare with", against, names)
+    if against is not None:
+        check_name("model to compare with", against, names)
     return {
         "margin": float(margin),
         "against": against,
@@ -474,8 +474,7 @@ def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list
     if not isinstance(stored, Iterable):
         raise InvalidSettingError(f"stored={shown(stored)}, expected names of models, or {ALL!r}")
     for name in stored:
-        if name not in known:
-            raise unknown_name("stored model", name, known)
+        check_name("stored model", name, known)
     return list(dict.fromkeys(stored))
 
 

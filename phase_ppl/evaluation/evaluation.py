@@ -49,8 +49,8 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     OutputError,
     PhasePPLError,
+    check_name,
     shown,
-    unknown_name,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import refusing, writable_folder, write_json
@@ -285,8 +285,7 @@ def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
         InvalidEventError: a prediction cannot be read.
     """
     references = reference_predictions(events)
-    if name not in references:
-        raise unknown_name("reference model", name, references)
+    check_name("reference model", name, references)
     predictions = references[name]
     settings = {
         "model": name,

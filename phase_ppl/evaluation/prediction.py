@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, check_name, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
@@ -254,8 +254,7 @@ def probabilities_of(
 def labels_of(question: str, world: World = PHASE) -> tuple[str, ...]:
     """Return the possible answers to a question (UnknownNameError: there is no such question)."""
     questions = questions_of(world)
-    if question not in questions:
-        raise unknown_name("question", question, questions)
+    check_name("question", question, questions)
     return questions[question]
 
 
@@ -332,8 +331,7 @@ def _prediction(event_id: str, record: object, world: World) -> Prediction:
     own = any(name in given for name in ("probabilities", "answers"))
     allowed = _OWN_FIELDS if own or world != PHASE else _FIELDS
     for name in given:
-        if name not in allowed:
-            raise unknown_name("field", name, allowed)
+        check_name("field", name, allowed)
     if given.get("event", event_id) != event_id:
         raise InvalidEventError(f"is of the event {shown(given['event'])}")
     if not own:
@@ -353,6 +351,5 @@ def per_agent(field: str, record: object) -> dict[str, Any]:
     """Return question -> value from agent -> value, without those that are null."""
     values = {} if record is None else of_kind(field, record, dict)
     for agent in values:
-        if agent not in AGENTS:
-            raise unknown_name(f"agent in {field}", agent, AGENTS)
+        check_name(f"agent in {field}", agent, AGENTS)
     return {GOAL_QUESTIONS[agent]: value for agent, value in values.items() if value is not None}

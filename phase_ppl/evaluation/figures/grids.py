@@ -45,7 +45,7 @@ from phase_ppl.evaluation.tables import facts, kinds_of, said, true_answers, wor
 from phase_ppl.render.frames import draw_strip
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
@@ -427,7 +427,7 @@ def film_strips(source: Source, path: PathLike | None = None) -> Figure:
 
 # --- doubt ----------------------------------------------------------------------------------------
 
-_MARKS: Final = dict(zip(RELATIONS, ("o", "s", "^"), strict=True))
+_MARKS: Final = ("o", "s", "^")  # of the relations
 _MOST: Final = 6
 _PARTS: Final = ("relation_r", "relation_r_given_truth")
 
@@ -503,7 +503,7 @@ def _doubts(
 ) -> None:
     axes.plot(ends, ends, color="#bbbbbb", lw=0.7, zorder=0)
     style: dict[str, Any] = {"s": 13, "alpha": 0.65, "linewidths": 0, "clip_on": False}
-    for answer, mark in enumerate(_MARKS.values()):
+    for answer, mark in enumerate(_MARKS):
         axes.scatter(x[:, answer], y[:, answer], c=colours, marker=mark, **style)
     ticks = sorted({*ends, 0.0})
     axes.set(xlim=ends, ylim=ends, xticks=ticks, yticks=ticks)

@@ -20,7 +20,7 @@ from phase_ppl.analysis.figures.style import (
     written,
 )
 from phase_ppl.evaluation.answer_sets import AnswerSet
-from phase_ppl.evaluation.cells import number
+from phase_ppl.evaluation.cells import KIND_WORDS, number
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
 from phase_ppl.evaluation.experiments import (
@@ -46,7 +46,7 @@ PathLike: TypeAlias = str | os.PathLike[str]
 Results: TypeAlias = Evaluation | ModelComparison
 Source: TypeAlias = Results | PathLike
 
-KIND_TITLES: Final = {"goal": "Goals", "relation": "Relations"}
+KIND_TITLES: Final = {kind: words.capitalize() for kind, words in KIND_WORDS.items()}
 
 SCENARIO_COLOURS: Final = dict(
     zip(SCENARIOS, ("#009e73", "#4d6fb3", "#c98a00", "#b8336a"), strict=True)

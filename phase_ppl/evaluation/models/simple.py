@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from phase_ppl.evaluation.evaluation import POSTERIOR
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.registry import Answer, MoreOptions, Predict, register_model
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, unknown_name
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene
 
@@ -132,8 +132,8 @@ def simple(
     for name in options:
         if name in _NOT_OPTIONS:
             raise InvalidSettingError(f"{name} is no option of model 'simple'")
-    if weights is not None and weights not in WEIGHTINGS:
-        raise unknown_name("weights", weights, WEIGHTINGS)
+    if weights is not None:
+        check_name("weights", weights, WEIGHTINGS)
     known = _of_simple(options)
     for name in options:
         if known is not None and name not in known:

@@ -39,7 +39,7 @@ from phase_ppl.evaluation.tables import titles_of, true_answers, true_scenario
 from phase_ppl.render.frames import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, SCENARIOS, Roles
@@ -168,10 +168,9 @@ def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None 
 
 def page_of(evaluation: Evaluation, event_id: str) -> str:
     """Return the page of an event of an evaluation."""
-    event = next((event for event in evaluation.events if event.id == event_id), None)
-    if event is None:
-        raise unknown_name("event", event_id, [event.id for event in evaluation.events])
-    return event_page(event, evaluation.answers, _posterior(evaluation, event_id))
+    events = {event.id: event for event in evaluation.events}
+    check_name("event", event_id, events)
+    return event_page(events[event_id], evaluation.answers, _posterior(evaluation, event_id))
 
 
 def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str]:
