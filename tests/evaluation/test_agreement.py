@@ -161,9 +161,7 @@ def test_events_without_probabilities_or_judgments_do_not_count() -> None:
 
 def test_differences_of_agreement_are_paired() -> None:
     found = paired_difference(events(), model(PEOPLE.tolist()), model())["human"]
-    of_one, of_other = (
-        evaluate_predictions(events(), made)["human"] for made in (model(PEOPLE.tolist()), model())
-    )
+    of_one, of_other = human(model(PEOPLE.tolist())), human()
     for name in ("relation_r", "relation_r_given_truth", "log_score", "js"):
         expected = of_one[name]["value"] - of_other[name]["value"]
         assert found[name]["value"] == pytest.approx(expected, abs=1e-12)
@@ -230,14 +228,12 @@ def test_metrics_say_how_the_raters_were_split() -> None:
     found = human()
     assert found["split_half_by"] == "votes"
     assert found["split_half_r"]["ci_low"] < found["split_half_r"]["value"]
-    named = {
-        "responses": [
-            {"participant": who, "relation": answer}
-            for who, answer in (("a", "friendly"), ("b", "friendly"), ("c", "neutral"))
-        ]
-    }
-    watched = [make_event("0", judgments=named), make_event("1", judgments=named)]
-    assert evaluate_predictions(watched, model())["human"]["split_half_by"] == "participants"
-    watched[1] = make_event("1", COLLABORATIVE, VOTES[1])
-    assert evaluate_predictions(watched, model())["human"]["split_half_by"] == "votes"
-    assert evaluate_predictions([make_event("0")], model())["human"]["split_half_by"] is None
+    said = {"a": "friendly", "b": "friendly", "c": "neutral"}
+    named = {"responses": [{"participant": who, "relation": said[who]} for who in said]}
+    one, other = (make_event(name, judgments=named) for name in "01")
+    for watched, by in (
+        ([one, other], "participants"),
+        ([one, make_event("1", COLLABORATIVE, VOTES[1])], "votes"),
+        ([make_event("0")], None),
+    ):
+        assert evaluate_predictions(watched, model())["human"]["split_half_by"] == by

@@ -24,6 +24,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Roles
 from tests.evaluation.judged import values
+from tests.evaluation.test_simple import LESIONS
 
 TRIO, SOLO = ppl.worlds.TRIO, ppl.worlds.SOLO
 PAIRS = ("red & green", "red & purple", "green & purple")
@@ -194,10 +195,7 @@ def test_the_papers_numbers_and_trainings_are_of_phase(tmp_path: Path) -> None:
         ppl.train_socialgnn(tmp_path / "set", tmp_path / "gnn")
 
 
-LESIONS = ("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight")
-
-
-@pytest.mark.parametrize("model", [*LESIONS, "no_social_goals"])
+@pytest.mark.parametrize("model", LESIONS)
 def test_lesions_of_simple_are_asked_about_any_world(model: str) -> None:
     scene = SOLO.random_scene(0)
     event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=4, id="solo")
