@@ -31,46 +31,34 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 COMMANDS: Final = {
-    "infer": (
-        "infer",
-        "print, draw and save the posterior over goals, relation and strengths of an event",
-    ),
+    "infer": ("infer", "print, draw and save the posterior over goals, relation and strengths of "
+              "an event"),
     "resume": ("infer", "go on with an interrupted run, or extend one"),
     "goals": ("events", "list the goals that an agent can have, 36 in PHASE"),
     "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
     "read-video": ("events", "read an event back from a film of it"),
-    "compare": (
-        "infer",
-        "compare kernels on an event: same budget, several seeds, against a reference",
-    ),
-    "query": (
-        "results",
-        "ask a saved posterior, as in 'P(relation=friendly | goal_red=get to green agent)'",
-    ),
+    "compare": ("infer", "compare kernels on an event: same budget, several seeds, against a "
+                "reference"),
+    "query": ("results", "ask a saved posterior, as in 'P(relation=friendly | goal_red=get to "
+              "green agent)'"),
     "evaluate": ("evaluate", "ask a model about many events, and score what it answers"),
-    "compare-models": (
-        "evaluate",
-        "compare evaluations of several models, and people, on the same events",
-    ),
+    "compare-models": ("evaluate", "compare evaluations of several models, and people, on the same "
+                       "events"),
     "fit-people": ("evaluate", "fit an observer to people's judgments"),
     "reproduce": ("reproduce", "the paper's tables and figures, cell by cell"),
-    "report": (
-        "results",
-        "make one self-contained HTML page of a run, an evaluation or a comparison",
-    ),
+    "report": ("results", "make one self-contained HTML page of a run, an evaluation or a "
+               "comparison"),
     "diagnose": ("results", "say whether the chains of a posterior can be trusted"),
     "generate": ("generate", "make a data set of simulated social events"),
     "merge": ("generate", "put the shards of a data set, an evaluation or a comparison together"),
     "verify": ("generate", "compare a generated data set with its checksums"),
-    "describe": (
-        "events",
-        "print and draw the statistics of a set of events beside those of PHASE",
-    ),
-    "train": ("train", "train a model of social perception on a generated data set"),
+    "describe": ("events", "print and draw the statistics of a set of events beside those of "
+                 "PHASE"),
+    "train": ("generate", "train a model of social perception on a generated data set"),
     "study": ("study", "put events before people, in the browser"),
     "export": ("events", "write events in another format, or read the pickles of PHASE's authors"),
-}
+}  # fmt: skip
 """Command -> the module that adds it, which is imported where it is asked for; what it does."""
 
 FAILED: Final = 1

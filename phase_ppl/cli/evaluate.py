@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import phase_ppl
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
-from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 
@@ -138,8 +138,8 @@ def options_of(
     own: dict[str, dict[str, Any]] = {label: {} for label in models}
     for text, value in named:
         label, dot, name = text.rpartition(".")
-        if dot and label not in models:
-            raise unknown_name(f"model in --option {text}:", label, models)
+        if dot:
+            check_name(f"model in --option {text}:", label, models)
         place = own[label] if dot else shared
         if name in place or name in taken:
             why = "given twice" if name in place else "no option of a model"
@@ -273,8 +273,8 @@ def _check_several(
             ResultsFolder.open(options.out / label).check_same(settings)
     references = stored_names(named_references(options.stored), reference_predictions(chosen))
     known = [*models, *(stored_label(name, models) for name in references)]
-    if options.against is not None and options.against not in known:
-        raise unknown_name("model to compare with", options.against, known)
+    if options.against is not None:
+        check_name("model to compare with", options.against, known)
     if options.out is None:
         return
     if (options.out / SETTINGS).is_file():

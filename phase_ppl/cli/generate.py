@@ -1,4 +1,4 @@
-"""The commands ``generate``, ``verify`` and ``merge``."""
+"""The commands ``generate``, ``verify``, ``merge`` and ``train``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import functools
 import re
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Mapping
@@ -17,6 +18,10 @@ from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
+from phase_ppl.models.socialgnn.graphs import VARIANTS
+from phase_ppl.models.socialgnn.store import TrainingSettings
+from phase_ppl.world.errors import check_name
+from phase_ppl.world.files import writable_folder
 from phase_ppl.world.scene import TURNINGS
 
 VIDEOS: Final = "videos"
@@ -76,6 +81,27 @@ def add_to(commands: Any) -> None:
     )
     cli.add(merge, "folders DIR", "of each shard, in any order", Path, nargs="+")
     cli.add(merge, "--out DIR", "for the whole", Path, required=True)
+
+    train = cli.command(
+        commands,
+        "train",
+        _train,
+        "phase-ppl train socialgnn --data events --out gnn",
+        "Train a model of social perception on a generated data set: networks from several seeds, "
+        "whose answers are averaged. Needs the extra neural (PyTorch).",
+    )
+    cli.add(train, "model", choices=("socialgnn",))
+    says = "the folder of a generated set, with the splits train and validation"
+    cli.add(train, "--data SET", says, Path, required=True)
+    cli.add(train, "--out DIR", type=Path, required=True)
+    cli.add(train, "--seeds K", "networks; default 5", cli.whole(1), 5)
+    cli.add(train, "--seed N", "first one; default 0", cli.whole(0), 0)
+    cli.add(train, "--variant", choices=VARIANTS, default=VARIANTS[0])
+    cli.add_options(
+        train, "how to train, such as epochs=100 or looks=false; may be given several times"
+    )
+    cli.add(train, "--resume", "go on with what DIR holds")
+    cli.share(train, "progress")
 
 
 def _generate(options: argparse.Namespace) -> int:
@@ -177,3 +203,44 @@ def _cell(text: str) -> tuple[str, int]:
     if not (name and equals):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form FAMILY=N")
     return name, cli.whole(1)(number)
+
+
+def _train(options: argparse.Namespace) -> int:
+    given = cli.once(options.option)
+    for name in given:
+        check_name("option", name, [f.name for f in dataclasses.fields(TrainingSettings)][1:])
+    settings = TrainingSettings.of(options.variant, **given)
+    writable_folder(options.out)
+    try:
+        arguments = cli.arguments(phase_ppl.train_socialgnn, options, settings=settings)
+        report = phase_ppl.train_socialgnn(**arguments)
+    except KeyboardInterrupt:
+        print("phase-ppl: interrupted; go on with the same command and --resume", file=sys.stderr)
+        return cli.INTERRUPTED
+    _print_scores(report)
+    print(f"\nKept in {options.out}; to ask them: phase-ppl evaluate EVENTS --model socialgnn "
+          f"--weights {shlex.quote(str(options.out))}")  # fmt: skip
+    return 0
+
+
+def _print_scores(report: dict[str, Any]) -> None:
+    """Print the accuracies of each network and of all together, by split."""
+    splits = list(report["together"])
+    print("right answers, %" + "".join(f"{split:>24}" for split in splits))
+    print(" " * 16 + f"{'goals':>12}{'relation':>12}" * len(splits) + f"{'epochs':>8}{'CPU s':>8}")
+    for member in report["members"]:
+        scores = "".join(_cells(member["accuracy"][split]) for split in splits)
+        print(
+            f"seed {member['seed']:<11}{scores}{member['epochs']:>8}{member['cpu_seconds']:>8.0f}"
+        )
+    print("all together    " + "".join(_cells(report["together"][split]) for split in splits))
+
+
+def _cells(scores: dict[str, Any]) -> str:
+    """Return goals and relation as two columns."""
+    cells = ""
+    for name in ("goal_accuracy", "relation_accuracy"):
+        figure = scores.get(name)
+        value = figure["value"] if isinstance(figure, dict) else figure
+        cells += f"{'-' if value is None else f'{100 * value:.0f}':>12}"
+    return cells

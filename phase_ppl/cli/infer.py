@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 
 CHECKPOINT: Final = "run.ckpt"  # the file in the folder of results that holds an unfinished run
 _SAMPLED: Final = (cli.POSTERIOR, "summary.json", "posterior.png", "replay.mp4")
-_STEPWISE: Final = (
-    *(cli.POSTERIOR, "summary.json", "posterior.png"),
-    *("over_time.png", "why.png", "watch.mp4"),
-)
+_STEPWISE: Final = (*_SAMPLED[:-1], "over_time.png", "why.png", "watch.mp4")
 """Files of results, by kind of posterior."""
 
 _RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
@@ -227,17 +224,11 @@ def _finish(
         _write_results(post, event, out, **told)
     if kept is not None and kept.exists():
         if code:
-            again = own.given_again(options, "kernel") if _has_own(options) else ""
+            again = own.given_again(options)
             print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}{again}")
         elif not options.keep_checkpoint:
             kept.unlink()
     return code
-
-
-def _has_own(options: argparse.Namespace) -> bool:
-    """Return whether a file cannot hold all of a run: parts out of a file, or its likelihood."""
-    given = (options.prior, options.simulator, options.kernel, options.likelihood)
-    return any(text is not None and (".py:" in text or "stepwise" in text) for text in given)
 
 
 def _write_results(
@@ -395,12 +386,6 @@ def _compare(options: argparse.Namespace) -> int:
         kept = options.checkpoint.resolve()
         names = [name for name in names if (options.out / name).resolve() != kept]
     with cli.results_folder(options.out, names, options.overwrite) as out:
-        return _compared(event, out, options)
-
-
-def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> int:
-    interrupted = False
-    try:
         arguments = cli.arguments(
             phase_ppl.compare,
             options,
@@ -409,6 +394,12 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
             kernels=_kernels(options.kernels),
             reference=_reference(options.reference),
         )
+        return _compared(arguments, out)
+
+
+def _compared(arguments: Mapping[str, Any], out: Path | None) -> int:
+    interrupted = False
+    try:
         found = phase_ppl.compare(**arguments)
     except phase_ppl.ComparisonInterrupted as stopped:
         if stopped.comparison is None:

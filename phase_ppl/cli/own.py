@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, unknown_name
 from phase_ppl.world.files import existing_file
 
 if TYPE_CHECKING:
@@ -64,11 +64,12 @@ def model(
     return phase_ppl.Model(planner=planner, **given)
 
 
-def given_again(options: argparse.Namespace, *more: str) -> str:
-    """Return those of the options that are of one's own, to be given to another command."""
-    found = {name: getattr(options, name, None) for name in (*PARTS, *more)}
-    words = (f" --{name} {shlex.quote(str(value))}" for name, value in found.items() if value)
-    return "".join(words)
+def given_again(options: argparse.Namespace) -> str:
+    """Return the options that ``resume`` needs again, where a file cannot hold all of a run."""
+    found = cli.given(options, *PARTS, "kernel")
+    if not any(".py:" in text or "stepwise" in text for text in found.values()):
+        return ""
+    return "".join(f" --{name} {shlex.quote(text)}" for name, text in found.items())
 
 
 def taken(text: str, what: str, named: bool = True) -> Any:
@@ -136,8 +137,7 @@ def likelihood(text: str, more: Mapping[str, Any]) -> Any:
         if isinstance(found, type) or settings:
             return _made(name, found, settings)
         return found
-    if name not in LIKELIHOODS:
-        raise unknown_name("likelihood", name, [*LIKELIHOODS, "FILE.py:NAME"])
+    check_name("likelihood", name, [*LIKELIHOODS, "FILE.py:NAME"])
     if name == "radial":
         return _made(name, phase_ppl.RadialLikelihood, settings)
     tracking = {key: settings.pop(key) for key in _fields(phase_ppl.Tracking) if key in settings}
