@@ -35,33 +35,15 @@ import pandas as pd
 from phase_ppl.evaluation.csv_file import read_columns
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
 
 LABELS: Final = (
-    "not interacting",
-    "interacting unintentionally",
-    "chasing",
-    "running away",
-    "stalking",
-    "approaching",
-    "avoiding",
-    "meeting",
-    "gathering together",
-    "guiding",
-    "following the lead (of another agent)",
-    "playing a game of tag",
-    "blocking",
-    "fighting",
-    "competing",
-    "stealing",
-    "protecting an object",
-    "attacking",
-    "hindering",
-    "bullying",
-    "playing tug of war",
-    "helping",
-    "collaborating",
-)
+    "not interacting", "interacting unintentionally", "chasing", "running away", "stalking",
+    "approaching", "avoiding", "meeting", "gathering together", "guiding",
+    "following the lead (of another agent)", "playing a game of tag", "blocking", "fighting",
+    "competing", "stealing", "protecting an object", "attacking", "hindering", "bullying",
+    "playing tug of war", "helping", "collaborating",
+)  # fmt: skip
 """The paper's 23 labels, in its order and words (Appendix A.1)."""
 
 MAJORITY: Final = 0.5  # share of the viewers of a video from which on it has a category (paper)
@@ -173,8 +155,7 @@ class Likeness:
         return {group: found[group].to_numpy(float) for group in self.groups}
 
     def _means(self, by: By) -> pd.Series[float]:
-        if by not in _COLUMN:
-            raise unknown_name("by", by, _COLUMN)
+        check_name("by", by, _COLUMN)
         return self.table.groupby(["group", _COLUMN[by]])["rating"].mean()
 
     def summary(self) -> pd.DataFrame:

@@ -38,7 +38,13 @@ from phase_ppl.evaluation.prediction import checked_answer, questions_of, refere
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, UnknownNameError, shown, unknown_name
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    UnknownNameError,
+    check_name,
+    shown,
+    unknown_name,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, World
 
@@ -124,8 +130,8 @@ def load_judgments(
 
     def check(cells: dict[str, str]) -> dict[str, Any]:
         row = _row(cells, world)
-        if videos is not None and row["video"] not in videos:
-            raise unknown_name("video", row["video"], videos)
+        if videos is not None:
+            check_name("video", row["video"], videos)
         return row
 
     check_header = functools.partial(_check_header, world, events is not None)

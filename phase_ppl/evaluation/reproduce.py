@@ -52,7 +52,7 @@ from phase_ppl.evaluation.paper import (
 from phase_ppl.evaluation.registry import model_info, not_installed
 from phase_ppl.inference.settings import simulations
 from phase_ppl.world.checks import number_of_workers, whole_number
-from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, OutputError, check_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
@@ -85,20 +85,6 @@ class Asked(NamedTuple):
     whose: str = ""  # as which of the paper's models its numbers count
 
 
-_FEW: Final = {"budget": simulations(30)}  # quick: 15 particles, one iteration
-_LESIONS: Final = (
-    *("no_physics", "noisy_physics", "full_observation", "true_state", "no_cost_weight"),
-    "no_social_goals",
-)
-
-_CHEAP: Final = {
-    "predicate_as_printed": Asked("predicate", 0.1, {"preset": "as_printed"}, PREDICATE),
-    "predicate": Asked("predicate", 0.1, whose=PREDICATE),
-    "socialgnn": Asked("socialgnn", 0.05, whose=SOCIALGNN),
-    "socialgnn_original": Asked("socialgnn", 0.05, {"variant": "original"}, SOCIALGNN),
-}
-
-
 def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[str, Asked]:
     """Return label -> model of a profile.
 
@@ -106,14 +92,13 @@ def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[st
     printed and as intended, and as it is here; "full": and all lesions, and what is beyond the
     paper.
     """
-    if profile not in PROFILES:
-        raise unknown_name("profile", profile, PROFILES)
+    check_name("profile", profile, PROFILES)
     printed = {"preset": "as_printed"}
     if profile == "quick":
-        quick = {**printed, "planner": "fast", **_FEW}
+        few = {"budget": simulations(30)}  # 15 particles, one iteration
         found = {
-            "simple_as_printed": Asked("simple", 20, quick, SIMPLE),
-            "simple": Asked("simple", 20, _FEW, SIMPLE),
+            "simple_as_printed": Asked("simple", 20, {**printed, "planner": "fast", **few}, SIMPLE),
+            "simple": Asked("simple", 20, few, SIMPLE),
         }
     else:
         found = {
@@ -121,17 +106,23 @@ def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[st
             "simple_as_intended": Asked("simple", 346, {"preset": "as_intended"}, SIMPLE),
             "simple": Asked("simple", 40, whose=SIMPLE),
         }
-    found |= _CHEAP
+    found |= {
+        "predicate_as_printed": Asked("predicate", 0.1, printed, PREDICATE),
+        "predicate": Asked("predicate", 0.1, whose=PREDICATE),
+        "socialgnn": Asked("socialgnn", 0.05, whose=SOCIALGNN),
+        "socialgnn_original": Asked("socialgnn", 0.05, {"variant": "original"}, SOCIALGNN),
+    }
     if vlm_store is not None:
         kept = {"client": "google", "store": os.fspath(vlm_store), "replay": True}
         found["vlm"] = Asked("vlm", 0, kept, VLM)
     if profile == "full":
-        own = {"variant": "message_passing"}
+        lesions = "no_physics noisy_physics full_observation true_state no_cost_weight"
+        found |= {name: Asked(name, 34) for name in (*lesions.split(), "no_social_goals")}
         found |= {
-            **{name: Asked(name, 34) for name in _LESIONS},
             "stepwise": Asked("stepwise", 10),
-            "message_passing": Asked("socialgnn", 0.05, own),
-            **{name: Asked(name, 0) for name in ("last_frame", "majority")},
+            "message_passing": Asked("socialgnn", 0.05, {"variant": "message_passing"}),
+            "last_frame": Asked("last_frame", 0),
+            "majority": Asked("majority", 0),
         }
     return found
 
@@ -201,12 +192,11 @@ def reproduce(
         for event in events:
             check_is_phase(event.scene.world, "reproduce")
         write_json(folder / ASKED, given)
-        known = {label: model_info(one.model) for label, one in asked.items()}
-        missing = {
-            label: absent
-            for label, info in known.items()
-            if (absent := not_installed(info.needs, info.extra)) is not None
-        }
+        missing = {}
+        for label, one in asked.items():
+            info = model_info(one.model)
+            if (absent := not_installed(info.needs, info.extra)) is not None:
+                missing[label] = absent
         chosen = {label: one for label, one in asked.items() if label not in missing}
         minutes = expected_seconds(chosen, events, slots) / 60
         say(f"{len(chosen)} models on {len(events)} events: about {minutes:.0f} minutes with "
@@ -361,7 +351,8 @@ def _like_people(comparison: ModelComparison, name: str) -> dict[str, Figure]:
     return found
 
 
-def _count(n: int) -> Figure:
+def _count(n: float) -> Figure:
+    """Return a figure that is known exactly, or not how exactly."""
     return {"value": float(n), "ci_low": None, "ci_high": None}
 
 
@@ -392,10 +383,9 @@ def _of_likeness(likeness: Likeness) -> dict[str, Figure]:
     found: dict[str, Figure] = {}
     pairs = zip(("played", "generated"), likeness.means("videos").values(), strict=True)
     for name, means in pairs:
-        value = float(means.mean())
-        found[name] = {"value": value, "ci_low": None, "ci_high": None}
-        if len(means) > 1:
-            n = len(means)
+        value, n = float(means.mean()), len(means)
+        found[name] = _count(value)
+        if n > 1:
             half = float(stdtrit(n - 1, 0.975) * means.std(ddof=1)) / n**0.5
             found[name] |= {"ci_low": value - half, "ci_high": value + half}
     return found

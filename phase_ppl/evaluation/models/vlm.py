@@ -63,8 +63,8 @@ from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
+    check_name,
     shown,
-    unknown_name,
 )
 from phase_ppl.world.event import Observation
 from phase_ppl.world.files import writable_folder, write_json
@@ -302,10 +302,9 @@ def vlm(
             "model 'vlm' needs client='google', client='openai' or a function of a request"
         )
     instance_of("replay", replay, bool, "true or false")
-    if remaining not in REMAINING:
-        raise unknown_name("remaining", remaining, REMAINING)
-    if show not in (None, "video", "pictures"):
-        raise unknown_name("show", show, ("video", "pictures"))
+    check_name("remaining", remaining, REMAINING)
+    if show is not None:
+        check_name("show", show, ("video", "pictures"))
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise InvalidSettingError(f"name={shown(name)}, expected a name")
     whole_number("frames", frames, minimum=2)
