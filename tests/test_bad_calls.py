@@ -137,8 +137,7 @@ def unseeded(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
 
 
 def late(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
-    for frame in walkers(scene, hypothesis, rng):
-        yield frame + np.array([2.0, 0.0, 0.0])
+    yield from (frame + np.array([2.0, 0.0, 0.0]) for frame in walkers(scene, hypothesis, rng))
 
 
 @pytest.mark.parametrize(
@@ -156,27 +155,22 @@ def test_a_simulator_that_is_not_what_it_should_be_is_told_of_once(
     assert simulator in sampler._known_simulators
 
 
-@pytest.mark.parametrize("kind", ["complex", "masked", "text"])
-def test_frames_that_are_no_numbers_are_failures(kind: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda frame: frame + 1j, "frame 0 holds .*, expected numbers"),
+        (lambda frame: np.ma.masked_greater(frame, 9.0), "frame 0 holds .*, expected numbers"),
+        (lambda frame: frame.astype(str), "frame 0 holds .*, expected numbers"),
+        (lambda frame: frame + 1e300, "frame 0 holds a value that is not finite"),
+    ],
+    ids=["complex", "masked", "text", "overflow"],
+)
+def test_frames_that_are_no_numbers_are_failures(change: Any, message: str) -> None:
     def odd(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
-        for frame in walkers(scene, hypothesis, rng):
-            yield {
-                "complex": frame + 1j,
-                "masked": np.ma.masked_greater(frame, 9.0),
-                "text": frame.astype(str),
-            }[kind]
+        yield from map(change, walkers(scene, hypothesis, rng))
 
-    with pytest.raises(PhasePPLError, match=r"frame 0 holds .*, expected numbers"):
+    with pytest.raises(PhasePPLError, match=message):
         ppl.infer(EVENT, ppl.Model(simulator=odd), **OPTIONS)
-
-
-def test_frames_that_overflow_are_told_of_in_words() -> None:
-    def far(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
-        for frame in walkers(scene, hypothesis, rng):
-            yield frame + 1e300
-
-    with pytest.raises(PhasePPLError, match="frame 0 holds a value that is not finite"):
-        ppl.infer(EVENT, ppl.Model(simulator=far), **OPTIONS)
 
 
 # --- a terminal that is not what it should be --------------------------------------------------

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.cli import main
 from phase_ppl.cli.results import table
 from tests.analysis.factory import random_tree
 from tests.analysis.test_over_time import tree_by_frame
-from tests.test_cli import Capture, fails
+from tests.test_cli import Capture, fails, told
 
 pytestmark = pytest.mark.usefixtures("unpainted")
 
@@ -27,10 +26,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_file_and_its_folder_print_the_same_table(folder: Path, capsys: Capture) -> None:
-    assert main(["diagnose", str(folder)]) == 0
-    printed = capsys.readouterr().out
-    assert main(["diagnose", str(folder / "posterior.nc")]) == 0
-    assert capsys.readouterr().out == printed
+    printed = told(capsys, "diagnose", folder)
+    assert told(capsys, "diagnose", folder / "posterior.nc") == printed
     for word in ("accepted", "windows", "log joint", "goal red", "scenario", "verdict"):
         assert f"\n{word}" in printed
     assert max(map(len, printed.splitlines())) <= 88
@@ -56,9 +53,9 @@ def test_numbers_of_the_table_are_those_of_the_diagnostics() -> None:
 
 
 def test_json_is_the_diagnostics_under_the_weights_asked_for(folder: Path, capsys: Capture) -> None:
-    assert main(["diagnose", str(folder), "--json", "--weights", "likelihood"]) == 0
+    said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
     post = Posterior.load(folder / "posterior.nc", "likelihood")
-    assert json.loads(capsys.readouterr().out) == post.diagnostics()
+    assert json.loads(said) == post.diagnostics()
 
 
 def test_figures_are_written_to_a_new_folder(folder: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -66,9 +63,8 @@ def test_figures_are_written_to_a_new_folder(folder: Path, tmp_path: Path, capsy
     names = {folder: ["diagnostics.png", "over_time.png"], old: ["diagnostics.png"]}
     for source, figures in names.items():  # a file without frames has none over time
         out = tmp_path / f"new folder of {source.name}"
-        assert main(["diagnose", str(source), "--out", str(out)]) == 0
+        assert ", ".join(figures) in told(capsys, "diagnose", source, "--out", out)
         assert sorted(p.name for p in out.iterdir()) == figures
-        assert ", ".join(figures) in capsys.readouterr().out
 
 
 def test_bad_input_is_one_line_and_exit_code_2(

@@ -102,8 +102,11 @@ def test_the_best_events_are_chosen_for_what_they_say_together() -> None:
 # --- priors over the closed loop: cheap models with real machinery --------------------------------
 
 
+Videos = tuple[list[ppl.Event], dict[str, StepwisePosterior]]
+
+
 @pytest.fixture(scope="module")
-def videos() -> tuple[list[ppl.Event], dict[str, StepwisePosterior]]:
+def videos() -> Videos:
     """Return 16 videos with likelihoods made by hand, of which most leave priors nothing to say."""
     rng = np.random.default_rng(1)
     events, read = [], {}
@@ -119,9 +122,7 @@ def videos() -> tuple[list[ppl.Event], dict[str, StepwisePosterior]]:
     return events, read
 
 
-def test_people_are_told_by_fewer_answers_about_chosen_events(
-    videos: tuple[list[ppl.Event], dict[str, StepwisePosterior]],
-) -> None:
+def test_people_are_told_by_fewer_answers_about_chosen_events(videos: Videos) -> None:
     events, read = videos
     models = ["uniform", "sparse_social", "relation_first"]
     found = ppl.design(events, models, source=read, answers=4, progress=False)
@@ -151,9 +152,7 @@ def test_people_are_told_by_fewer_answers_about_chosen_events(
     assert random["right"].iloc[-1] == pytest.approx(right["by chance"] / 900, abs=0.06)
 
 
-def test_it_prints_draws_and_is_saved(
-    videos: tuple[list[ppl.Event], dict[str, StepwisePosterior]], tmp_path: Path
-) -> None:
+def test_it_prints_draws_and_is_saved(videos: Videos, tmp_path: Path) -> None:
     events, read = videos
     given = {"all alike": "uniform", "by hand": {event.id: read[event.id] for event in events}}
     found = ppl.design(events[:6], given, "goal_kind_red", source=read, progress=False)
@@ -169,9 +168,7 @@ def test_it_prints_draws_and_is_saved(
         ppl.Design.load(tmp_path / "other.json")
 
 
-def test_a_function_can_be_told_from_a_prior(
-    videos: tuple[list[ppl.Event], dict[str, StepwisePosterior]],
-) -> None:
+def test_a_function_can_be_told_from_a_prior(videos: Videos) -> None:
     events, read = videos
 
     def friendly(scene: Any, observation: Any, seed: int) -> dict[str, Any]:
@@ -183,9 +180,7 @@ def test_a_function_can_be_told_from_a_prior(
     np.testing.assert_allclose(found.probabilities.values[1], [[0.8, 0.1, 0.1]] * 2)
 
 
-def test_people_can_be_told_from_an_ideal_observer(
-    videos: tuple[list[ppl.Event], dict[str, StepwisePosterior]],
-) -> None:
+def test_people_can_be_told_from_an_ideal_observer(videos: Videos) -> None:
     events, read = videos
     people = observer_of("people", "stepwise")
     found = ppl.design(
@@ -199,13 +194,10 @@ def test_people_can_be_told_from_an_ideal_observer(
 def test_errors_that_are_unknown_are_not_taken_for_none(tmp_path: Path) -> None:
     event = dataclasses.replace(make_event(), id="video", predictions=None, judgments=None)
     given = {"one": [0.8, 0.1, 0.1], "other": [0.3, 0.4, 0.3]}
-    silent = {
-        name: {"video": ppl.Prediction("video", {"relation": p})} for name, p in given.items()
-    }
-    exact = {
-        name: {"video": ppl.Prediction("video", {"relation": p}, errors={"relation": [0.0] * 3})}
-        for name, p in given.items()
-    }
+    silent, exact = (
+        {n: {"video": ppl.Prediction("video", {"relation": p}, errors=e)} for n, p in given.items()}
+        for e in ({}, {"relation": [0.0] * 3})
+    )
     found = ppl.design([event], silent, progress=False)
     assert np.isnan(found.probabilities["error"].values).all()
     assert np.isnan(found.information["error"].values).all()
@@ -219,20 +211,19 @@ def test_errors_that_are_unknown_are_not_taken_for_none(tmp_path: Path) -> None:
     assert known.information["error"].values == 0
 
 
-def test_what_cannot_be_is_refused(
-    videos: tuple[list[ppl.Event], dict[str, StepwisePosterior]],
-) -> None:
+def test_what_cannot_be_is_refused(videos: Videos) -> None:
     events, read = videos
-    with pytest.raises(InvalidSettingError, match="two to be told apart"):
-        ppl.design(events, ["uniform"], source=read)
-    with pytest.raises(UnknownNameError, match="did you mean 'uniform'"):
-        ppl.design(events, ["uniform", "unifrom"], source=read)
-    with pytest.raises(InvalidSettingError, match="expected what makes posteriors"):
-        ppl.design(events, ["uniform", "sparse_social"], source="uniform")
-    with pytest.raises(InvalidSettingError, match="must have a posterior of 'video 1'"):
-        ppl.design(events[:2], ["uniform", "sparse_social"], source={"video 0": read["video 0"]})
-    with pytest.raises(UnknownNameError, match="unknown quantity 'relatoin'"):
-        ppl.design(events[:1], ["uniform", "sparse_social"], "relatoin", source=read)
+    priors, one = ["uniform", "sparse_social"], {"video 0": read["video 0"]}
+    bad: list[tuple[list[str], Any, str, str]] = [
+        (["uniform"], read, "relation", "two to be told apart"),
+        (["uniform", "unifrom"], read, "relation", "did you mean 'uniform'"),
+        (priors, "uniform", "relation", "expected what makes posteriors"),
+        (priors, one, "relation", "must have a posterior of 'video 1'"),
+        (priors, read, "relatoin", "unknown quantity 'relatoin'"),
+    ]
+    for models, source, question, said in bad:
+        with pytest.raises((InvalidSettingError, UnknownNameError), match=said):
+            ppl.design(events[:2], models, question, source=source)
     for wrong, said in (
         ({"lapse": 1.0}, "lapse=1.0"),
         ({"answers": 0}, "answers=0"),

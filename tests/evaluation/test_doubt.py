@@ -26,23 +26,20 @@ def predictions(shares: Any) -> dict[str, Prediction]:
     return {f"e{i}": Prediction(f"e{i}", {"relation": p}) for i, p in enumerate(shares)}
 
 
+def doubt(shares: Any, judged: list[Event] | None = None) -> dict[str, Any]:
+    return doubt_of(judged or events(), predictions(shares)) or {}
+
+
 SHARES = np.array(VOTES) / 10
 
 
 def test_r_is_that_of_the_metrics_and_given_truth_only_what_is_left() -> None:
     p = (SHARES + np.roll(SHARES, 1, axis=0)) / 2
-    found, known = (
-        doubt_of(events(), predictions(p)),
-        evaluate_predictions(events(), predictions(p)),
-    )
-    assert found is not None
+    found, known = doubt(p), evaluate_predictions(events(), predictions(p))
     for name in ("relation_r", "relation_r_given_truth"):
         assert found[name]["value"] == pytest.approx(known["human"][name]["value"])
         assert found[name]["ci_low"] < found[name]["value"] < found[name]["ci_high"] <= 1
-    right = np.eye(3)[[0, 0, 0, 1, 1, 1]]
-    of_truth = doubt_of(events(), predictions(right))
-    assert of_truth is not None
-    assert of_truth["relation_r_given_truth"] is None
+    assert doubt(np.eye(3)[[0, 0, 0, 1, 1, 1]])["relation_r_given_truth"] is None
 
 
 def test_intervals_of_r_are_as_wide_as_it_varies_between_sets_of_videos() -> None:
@@ -52,17 +49,15 @@ def test_intervals_of_r_are_as_wide_as_it_varies_between_sets_of_videos() -> Non
         p = rng.dirichlet(np.ones(3), 40)
         votes = [rng.multinomial(12, 0.6 * one + 0.4 * rng.dirichlet(np.ones(3))) for one in p]
         judged = [make_event(f"e{i}", COLLABORATIVE, v.tolist()) for i, v in enumerate(votes)]
-        found = doubt_of(judged, predictions(p))
-        assert found is not None
-        values.append(found["relation_r"]["value"])
-        widths.append(found["relation_r"]["ci_high"] - found["relation_r"]["ci_low"])
+        found = doubt(p, judged)["relation_r"]
+        values.append(found["value"])
+        widths.append(found["ci_high"] - found["ci_low"])
     assert 0.75 < np.mean(widths) / (2 * 1.96 * np.std(values)) < 1.35
 
 
 def test_brier_and_calibration_by_hand() -> None:
     event = make_event("e0", COLLABORATIVE, [2, 1, 1])
-    found = doubt_of([event], predictions([[0.5, 0.5, 0.0]]))
-    assert found is not None
+    found = doubt([[0.5, 0.5, 0.0]], [event])
     friendly, neutral, adversarial = 0.5, 0.5, 1.5
     assert found["brier"]["value"] == pytest.approx((2 * friendly + neutral + adversarial) / 4)
     assert found["ece"] == pytest.approx(2 / 3 * abs(0.5 - 0.375) + 1 / 3 * 0.25)
@@ -73,10 +68,9 @@ def test_brier_and_calibration_by_hand() -> None:
 def test_items_are_ranked_by_misfit() -> None:
     p = SHARES.copy()
     p[3] = [0.8, 0.1, 0.1]
-    found = doubt_of(events(), predictions(0.98 * p + 0.02 / 3))
-    assert found is not None
-    assert found["misfit"][0]["event"] == "e3"
-    gaps = [one["log_score_gap"] for one in found["misfit"]]
+    misfit = doubt(0.98 * p + 0.02 / 3)["misfit"]
+    assert misfit[0]["event"] == "e3"
+    gaps = [one["log_score_gap"] for one in misfit]
     assert gaps == sorted(gaps, reverse=True)
 
 
@@ -99,8 +93,6 @@ def test_raters_who_agree_more_than_by_chance_are_found() -> None:
     p = np.full((60, 3), 1 / 3)
     apart = agreement(p, rng.multinomial(12, p), rng, 400)
     together = agreement(p, np.eye(3, dtype=int)[rng.integers(3, size=60)] * 12, rng, 400)
-    assert apart is not None
-    assert together is not None
     assert apart["p"] > 0.01
     assert together["people"] == 1.0
     assert together["p"] < 0.01
@@ -108,7 +100,6 @@ def test_raters_who_agree_more_than_by_chance_are_found() -> None:
     # sums of one and a last bit are taken
     sure = np.array([[np.nextafter(1.0, 2.0), 0.0, 0.0]] * 4)
     found = agreement(sure, np.array([[9, 0, 0]] * 4), rng, 20)
-    assert found is not None
     assert found["low"] == found["high"] == found["people"] == 1.0
 
 
@@ -119,8 +110,8 @@ def test_people_with_names_are_resampled_as_wholes() -> None:
     named = [make_event(f"e{i}", COLLABORATIVE, judgments={"responses": rows}) for i in range(6)]
     split = [make_event(f"e{i}", COLLABORATIVE, [6, 6, 0]) for i in range(6)]
     p = [[0.2 + 0.1 * i, 0.8 - 0.1 * i, 0.0] for i in range(6)]
-    found = [doubt_of(given, predictions(p)) for given in (named, split)]
-    width = [one["relation_r"]["ci_high"] - one["relation_r"]["ci_low"] for one in found if one]
+    found = [doubt(p, given)["relation_r"] for given in (named, split)]
+    width = [one["ci_high"] - one["ci_low"] for one in found]
     assert width[0] > width[1]
 
 
@@ -129,16 +120,11 @@ def test_without_judgments_there_is_nothing_to_say() -> None:
 
 
 def test_models_are_shown_and_drawn_by_their_doubt(tmp_path: Any) -> None:
-    model = lambda scene, observation, seed: {"relation": [0.5, 0.3, 0.2]}  # noqa: E731
-    other = lambda scene, observation, seed: {"relation": [0.2, 0.6, 0.2]}  # noqa: E731
-    given = events()
-    both = ppl.compare_models(
-        {
-            n: ppl.evaluate(given, m, workers=1, progress=False)
-            for n, m in (("a", model), ("b", other))
-        },
-        resamples=50,
-    )
+    made = {}
+    for name, shares in (("a", [0.5, 0.3, 0.2]), ("b", [0.2, 0.6, 0.2])):
+        said = {"relation": shares}
+        made[name] = ppl.evaluate(events(), lambda *_, said=said: said, workers=1, progress=False)
+    both = ppl.compare_models(made, resamples=50)
     assert "doubt about relations" in str(both)
     figure = ppl.figures.people(both, tmp_path / "people.png")
     assert len(figure.axes) == 6

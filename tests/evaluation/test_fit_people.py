@@ -7,6 +7,7 @@ import functools
 import json
 import warnings
 from pathlib import Path
+from typing import Any
 
 import arviz as az
 import jax
@@ -25,14 +26,17 @@ import phase_ppl as ppl
 from phase_ppl.evaluation.observers.answers import Answers, expected, people
 from phase_ppl.evaluation.observers.fit import FittedObserver, PeopleFit, observer_of, sampled
 from phase_ppl.evaluation.prediction import QUESTIONS
-from phase_ppl.models.observers import CUES, Evidence, observer_named
+from phase_ppl.models.observers import CUES, Evidence, Program, observer_named
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
+from tests.test_cli import told
 
 N = 25
 DISTANCE = 3.0
 RELATION = list(QUESTIONS).index("relation")
+TIMELESS = np.zeros((0, 2), int), np.zeros(0)
 
 
 def world(seed: int = 0, n: int = N, raters: int = 30) -> tuple[Evidence, Answers]:
@@ -49,9 +53,17 @@ def world(seed: int = 0, n: int = N, raters: int = 30) -> tuple[Evidence, Answer
         tuple(f"v{i}" for i in range(n)), np.tile(logs, (3, 1, 1, 1)), np.full((n, 3), -np.log(3)),
         {"relation": np.arange(3)}, cues,
     )  # fmt: skip
-    return evidence, Answers(
-        {"relation": counts}, np.zeros((0, 4), int), (), np.zeros((0, 2), int), np.zeros(0)
-    )
+    return evidence, Answers({"relation": counts}, np.zeros((0, 4), int), (), *TIMELESS)
+
+
+def sure(law: list[list[float]]) -> Program:
+    """Return an observer who goes by nothing but a law."""
+    return lambda _: {"relation": jnp.log(jnp.array(law))}
+
+
+def shares_of(observer: Program, draws: dict[str, FloatArray]) -> FloatArray:
+    found = FittedObserver(observer, "", draws, ("relation",), None)
+    return found.shares(world(n=3)[0])["relation"]
 
 
 def fitted(name: str, evidence: Evidence, answers: Answers) -> PeopleFit:
@@ -107,70 +119,58 @@ def test_a_stored_observer_answers_as_the_fit(fits: dict[str, PeopleFit], tmp_pa
 def test_what_people_share_is_summed_out(spread: float, sharp: float) -> None:
     """Against a fine grid of the two log odds that matter, whether or not people have names."""
     counts = np.array([[20, 0, 0], [0, 20, 0], [7, 7, 6], [0, 10, 10], [0, 0, 0]])
-    law = np.tile([0.9, 0.05, 0.05], (5, 1))
+    law = [[0.9, 0.05, 0.05]] * 5
     raters = [(e, a) for e, row in enumerate(counts) for a in np.repeat(range(3), row).tolist()]
     rows = np.array([(RELATION, event, place, a) for place, (event, a) in enumerate(raters)])
     own = sharp * np.random.default_rng(0).standard_normal(len(rows))
     names = tuple(map(str, range(len(rows))))
-    nobody = np.zeros((0, 4), int), (), np.zeros((0, 2), int), np.zeros(0)
     axis, step = np.linspace(-8, 8, 161, retstep=True)
     x, y = (one.ravel() for one in np.meshgrid(axis, axis))
     shared = np.outer(x, [1, -1, 0]) / 2**0.5 + np.outer(y, [1, 1, -2]) / 6**0.5
     log_mass = np.log(norm.pdf(x) * norm.pdf(y) * step**2)
 
-    def sure(given: Evidence) -> dict[str, Array]:
-        return {"relation": jnp.log(jnp.asarray(law))}
-
-    def found(answers: Answers) -> Array:
+    def found(*of_raters: Any) -> Array:
         given = {"spread": spread, "diversity": 1.0, "rater": jnp.asarray(own)}
         program = handlers.seed(handlers.substitute(people, given), 0)
-        sites = handlers.trace(program).get_trace(sure, world(n=5)[0], answers, np.ones(5))
+        answers = Answers({"relation": counts}, *of_raters, *TIMELESS)
+        sites = handlers.trace(program).get_trace(sure(law), world(n=5)[0], answers, np.ones(5))
         return sites["log_likelihood"]["value"]
 
     moved = np.log(law)[:, None] + spread * shared
     moved -= logsumexp(moved, axis=-1, keepdims=True)
     alike = logsumexp(np.einsum("ega,ea->eg", moved, counts) + log_mass, axis=1)
-    np.testing.assert_allclose(found(Answers({"relation": counts}, *nobody)), alike, atol=0.05)
+    np.testing.assert_allclose(found(np.zeros((0, 4), int), ()), alike, atol=0.05)
     by_name = np.tile(log_mass, (5, 1))
     for (event, answer), power in zip(raters, np.exp(own), strict=True):
         logs = power * moved[event]
         by_name[event] += logs[:, answer] - logsumexp(logs, axis=-1)
-    answers = Answers({"relation": counts}, rows, names, *nobody[2:])
-    np.testing.assert_allclose(found(answers), logsumexp(by_name, axis=1), atol=0.1)
+    np.testing.assert_allclose(found(rows, names), logsumexp(by_name, axis=1), atol=0.1)
 
 
 @pytest.mark.parametrize("diversity", [0.5, 1.0, 1.5])
 def test_shares_are_those_of_raters_who_differ_in_how_sharply_they_answer(diversity: float) -> None:
     """Not of the median one, who is surer than they are together."""
-    evidence, _ = world(n=3)
     law = np.array([[0.9, 0.05, 0.05], [0.7, 0.2, 0.1], [0.98, 0.01, 0.01]])
-    draws = {"spread": np.zeros(2), "diversity": np.full(2, diversity)}
-
-    def sure(given: Evidence) -> dict[str, Array]:
-        return {"relation": jnp.log(jnp.asarray(law))}
-
+    observer, draws = sure(law.tolist()), {"spread": np.zeros(2)}
+    diverse = {**draws, "diversity": np.full(2, diversity)}
     places, steps = np.linspace(-8, 8, 4001, retstep=True)
     powers = (law / law.max(axis=1, keepdims=True)) ** np.exp(diversity * places)[:, None, None]
     raters = powers / powers.sum(axis=-1, keepdims=True)
     exact = np.einsum("r,rea->ea", norm.pdf(places) * steps, raters)
-    fit = FittedObserver(sure, "", draws, ("relation",), None)
-    np.testing.assert_allclose(fit.shares(evidence)["relation"], [exact, exact], atol=1e-3)
-    predicted = fit.predict(evidence)["v0"].probabilities["relation"]
+    np.testing.assert_allclose(shares_of(observer, diverse), [exact, exact], atol=1e-3)
+    fit = FittedObserver(observer, "", diverse, ("relation",), None)
+    predicted = fit.predict(world(n=3)[0])["v0"].probabilities["relation"]
     assert predicted[0] == pytest.approx({0.5: 0.869, 1.0: 0.827, 1.5: 0.795}[diversity], abs=1e-3)
     # of people without names it is not known
-    del draws["diversity"]
-    np.testing.assert_allclose(fit.shares(evidence)["relation"], [law, law], atol=1e-5)
+    np.testing.assert_allclose(shares_of(observer, draws), [law, law], atol=1e-5)
 
 
 def test_a_parameter_of_ones_own_is_not_taken_for_the_raters() -> None:
-    evidence, _ = world(n=1)
-
     def own(given: Evidence) -> dict[str, Array]:
         times = numpyro.sample("diversity", dist.LogNormal(0.0, 1.0))
         return {"relation": jax.nn.log_softmax(times * jnp.log(jnp.array([[0.8, 0.1, 0.1]])))}
 
-    draws = {"spread": np.zeros(1), "diversity": np.ones(1)}
-    found = FittedObserver(own, "", draws, ("relation",), None).shares(evidence)["relation"]
+    found = shares_of(own, {"spread": np.zeros(1), "diversity": np.ones(1)})
     np.testing.assert_allclose(found, [[[0.8, 0.1, 0.1]]], atol=1e-5)
 
 
@@ -249,24 +249,20 @@ def test_people_who_come_with_the_package_see_what_a_model_makes_of_a_video(tmp_
 def test_commands_fit_and_ask_an_observer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from phase_ppl.cli import main
-
     event = ppl.load_event("independent")
     counts = {"friendly": 1, "neutral": 12, "adversarial": 2}
     events = [
         dataclasses.replace(event, id=f"v{i}", judgments={"relation_counts": counts})
         for i in range(4)
     ]
-    ppl.save_events(events, tmp_path / "videos.json")
-    out = tmp_path / "observer.json"
-    videos = str(tmp_path / "videos.json")
+    out, videos = tmp_path / "observer.json", tmp_path / "videos.json"
+    ppl.save_events(events, videos)
     brief = functools.partial(ppl.fit_people, draws=60, warmup=60, chains=1)
     monkeypatch.setattr(ppl, "fit_people", brief)
-    given = ["--source", "cues", "--observer", "lapsing", "--out", str(out)]
-    assert main(["fit-people", videos, *given]) == 0
-    assert "ELPD" in capsys.readouterr().out
-    command = ["evaluate", videos, "--model", "chance", "--observer", str(out), "--no-figures"]
-    assert main([*command, "--out", str(tmp_path / "results")]) == 0
+    given = ["--source", "cues", "--observer", "lapsing", "--out", out]
+    assert "ELPD" in told(capsys, "fit-people", videos, *given)
+    given = ["--model", "chance", "--observer", out, "--no-figures", "--out", tmp_path / "results"]
+    told(capsys, "evaluate", videos, *given)
     metrics = json.loads((tmp_path / "results" / "metrics.json").read_text())
     assert metrics["doubt"]["ceiling"]["spearman_brown"] is not None
     assert metrics["doubt"]["log_score_gap"]["value"] < 0.2

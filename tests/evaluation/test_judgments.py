@@ -48,14 +48,8 @@ def test_study_holds_what_the_file_says_and_no_more(tmp_path: Path) -> None:
     study = ppl.load_judgments(write(tmp_path, STUDY), EVENTS)
     assert study.participants == ("p01", "p02", "p03")
     assert list(study.table.columns) == HEADER.split(",")
-    assert study.table.loc[0].to_dict() == {
-        "participant": "p01",
-        "video": "a",
-        "goal_red": BLUE_TO_RED,
-        "goal_green": BLUE_TO_RED,
-        "relation": "friendly",
-        "response_time": 12.4,
-    }
+    first = ["p01", "a", BLUE_TO_RED, BLUE_TO_RED, "friendly", 12.4]
+    assert study.table.loc[0].tolist() == first
     assert study.table.loc[2, "goal_green"] is None
     assert math.isnan(study.table.loc[2, "response_time"])
 
@@ -67,7 +61,6 @@ def test_shares_are_of_those_who_answered_the_question(tmp_path: Path) -> None:
     assert judgments.distribution("relation") == pytest.approx([2 / 3, 1 / 3, 0])
     # two of three said what red wants, one what green wants
     red = judgments.distribution("goal_red")
-    assert red is not None
     assert red.shape == (36,)
     assert red[GOALS.index(BLUE_TO_RED)] == 1
     assert judgments.share("goal_green", BLUE_TO_RED) == 1
@@ -76,8 +69,8 @@ def test_shares_are_of_those_who_answered_the_question(tmp_path: Path) -> None:
 
 
 def test_relations_alone_are_a_study(tmp_path: Path) -> None:
-    study = load_judgments(write(tmp_path, "video,relation,participant\na,friendly,p\n"))
-    judgments = study.judgments["a"]
+    file = write(tmp_path, "video,relation,participant\na,friendly,p\n")
+    judgments = load_judgments(file).judgments["a"]
     assert list(judgments.counts) == ["relation"]
     assert judgments.distribution("goal_red") is None
     assert judgments.majority("goal_red") is None
@@ -138,6 +131,12 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
         (b"PK\x03\x04\x00\x00", "is no CSV file in UTF-8: it holds zero bytes"),
         (b"\x80\x04\x95\x10", "is no CSV file: byte 0 is not UTF-8"),
         ((HEADER + "\n" + ROW).encode("utf-16"), "is no CSV file"),
+        # cells with lines of their own
+        (f'{HEADER}\n"p01",a,,,"friend\nly",', r"line 2: relation: unknown .* 'friend\\nly'"),
+        (
+            f'{HEADER}\np01,a,"Get blue item\nto red lm",,,\np02,a,,,foe,',
+            "line 4: relation: unknown relation 'foe'",
+        ),
         (HEADER.encode() + b"\np\xe4,a,,,friendly,", "byte 62 is not UTF-8"),
     ],
 )
@@ -149,15 +148,6 @@ def test_bad_file_is_refused_with_its_line(
         load_judgments(path)
     assert str(caught.value).startswith(str(path))
     assert len(str(caught.value)) < len(str(path)) + 250
-
-
-def test_line_is_counted_where_cells_have_lines_of_their_own(tmp_path: Path) -> None:
-    path = write(tmp_path, f'{HEADER}\n"p01",a,,,"friend\nly",\n')
-    with pytest.raises(UnknownNameError, match=r"line 2: relation: unknown relation 'friend\\nly'"):
-        load_judgments(path)
-    path = write(tmp_path, f'{HEADER}\np01,a,"Get blue item\nto red lm",,,\np02,a,,,foe,\n')
-    with pytest.raises(UnknownNameError, match="line 4: relation: unknown relation 'foe'"):
-        load_judgments(path)
 
 
 def test_what_is_no_file_or_too_large_is_refused(
@@ -192,7 +182,6 @@ def test_events_get_the_judgments_of_the_study_alone(tmp_path: Path) -> None:
     assert events[2].judgments is None
     assert before[0].judgments is None
     judgments = event_judgments(events[0])
-    assert judgments is not None
     assert judgments.responses == study.judgments["a"].responses
     assert judgments.responses["p02"] == {"goal_red": BLUE_TO_RED, "relation": "friendly"}
     with pytest.raises(InvalidEventError, match="of none of the 1 events, but of 'a', 'b'"):
@@ -200,17 +189,17 @@ def test_events_get_the_judgments_of_the_study_alone(tmp_path: Path) -> None:
 
 
 def test_judgments_survive_an_event_file(tmp_path: Path) -> None:
-    events = with_judgments(EVENTS, load_judgments(write(tmp_path, STUDY)))
+    study = load_judgments(write(tmp_path, STUDY))
+    events = with_judgments(EVENTS, study)
     ppl.save_events(events, tmp_path / "events.json")
-    for event, again in zip(events, ppl.load_events(tmp_path / "events.json"), strict=True):
+    *judged, silent = ppl.load_events(tmp_path / "events.json")
+    assert event_judgments(silent) is None
+    for event, again in zip(events, judged, strict=False):
         assert again.judgments == event.judgments
-        one, other = event_judgments(event), event_judgments(again)
-        if one is None or other is None:
-            assert one is other is None
-        else:
-            assert (one.n_raters, one.responses) == (other.n_raters, other.responses)
-            for question, votes in one.counts.items():
-                assert np.array_equal(votes, other.counts[question])
+        one, other = study.judgments[event.id], event_judgments(again)
+        assert (one.n_raters, one.responses) == (other.n_raters, other.responses)
+        for question, votes in one.counts.items():
+            assert np.array_equal(votes, other.counts[question])
 
 
 def test_accuracy_is_of_each_participant_then_averaged(tmp_path: Path) -> None:
@@ -249,7 +238,6 @@ def test_examples_of_the_page_run_as_they_stand(
     assert accuracy["goal_accuracy"]["value"] == 1
     assert names["events"][0].judgments["n_raters"] == 2
     judgments = Judgments.from_record(json.loads(example("json")))
-    assert judgments is not None
     assert set(judgments.responses) == {"p01", "p02"}
 
 
@@ -257,15 +245,9 @@ def test_examples_of_the_page_run_as_they_stand(
 
 
 def test_counts_of_the_published_videos_are_read() -> None:
-    judgments = Judgments.from_record(
-        {
-            "relation_counts": {"friendly": 1, "neutral": 2, "adversarial": 9},
-            "n_raters": 12,
-            "majority": "adversarial",
-            "majority_is_tie": False,
-        }
-    )
-    assert judgments is not None
+    counts = {"friendly": 1, "neutral": 2, "adversarial": 9}
+    others = {"majority": "adversarial", "majority_is_tie": False}
+    judgments = Judgments.from_record({"relation_counts": counts, "n_raters": 12, **others})
     assert judgments.n_raters == 12
     assert judgments.distribution("relation") == pytest.approx([1 / 12, 2 / 12, 9 / 12])
     assert not judgments.responses
@@ -277,6 +259,9 @@ def test_record_of_nobody_is_none() -> None:
     for record in ({}, nobody, none, {"responses": []}, {"majority": "friendly"}):
         assert Judgments.from_record(record) is None
     assert event_judgments(make_event("a")) is None
+
+
+ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
 
 
 @pytest.mark.parametrize(
@@ -299,28 +284,13 @@ def test_record_of_nobody_is_none() -> None:
         ({"responses": {}}, "responses is {}, expected a list"),
         ({"responses": [{"relation": "friendly"}]}, "responses.0. has the participant None"),
         ({"responses": [{"participant": "a", "mood": "x"}]}, "unknown question 'mood'"),
+        ({"responses": [{"participant": "a"}] * 2}, "names the participant 'a' twice"),
+        ({**ONE, "relation_counts": {"neutral": 1}}, "counts of relation contradict the responses"),
         (
-            {"responses": [{"participant": "a"}, {"participant": "a"}]},
-            "names the participant 'a' twice",
-        ),
-        (
-            {
-                "responses": [{"participant": "a", "relation": "friendly"}],
-                "relation_counts": {"neutral": 1},
-            },
-            "the counts of relation contradict the responses",
-        ),
-        (
-            {
-                "responses": [{"participant": "a", "relation": "friendly"}],
-                "goal_counts": {"red agent": {BLUE_TO_RED: 1}},
-            },
+            {**ONE, "goal_counts": {"red agent": {BLUE_TO_RED: 1}}},
             "the counts of goal_red contradict the responses",
         ),
-        (
-            {"responses": [{"participant": "a", "relation": "friendly"}], "n_raters": 2},
-            "n_raters is 2",
-        ),
+        ({**ONE, "n_raters": 2}, "n_raters is 2"),
     ],
 )
 def test_bad_votes_are_refused_and_the_event_is_named(record: dict[str, Any], message: str) -> None:

@@ -18,6 +18,10 @@ from phase_ppl.world.goals import GOALS
 from tests.evaluation.vlm.answers import SHARES, answer, goals, text
 
 
+def relation(friendly: float, neutral: float, adversarial: float, name: str = "friendly") -> Any:
+    return {name: friendly, "neutral": neutral, "adversarial": adversarial}
+
+
 def test_a_good_answer_is_read_as_it_is() -> None:
     found = parse(text())
     assert found.repairs == ()
@@ -25,10 +29,7 @@ def test_a_good_answer_is_read_as_it_is() -> None:
     assert found.probabilities["goal_green"][5:15] == pytest.approx(SHARES)
     assert found.probabilities["relation"] == pytest.approx([0.7, 0.2, 0.1])
     assert Prediction("", found.probabilities).answers["goal_green"] == GOALS[5]
-
-
-def test_whole_numbers_are_probabilities_too() -> None:
-    sure = dict.fromkeys(GOALS[:10], 0) | {GOALS[3]: 1}
+    sure = dict.fromkeys(GOALS[:10], 0) | {GOALS[3]: 1}  # whole numbers are probabilities too
     assert parse(text(goal_red=sure)).probabilities["goal_red"][3] == 1
 
 
@@ -40,14 +41,8 @@ def test_whole_numbers_are_probabilities_too() -> None:
         (f"```json\r\n{text()}\r\n```\r\n", "code fence removed"),
         (f"Here you are:\n```json\n{text()}\n```\nAny more?", "code fence and text around it"),
         (text(Goal_Red=goals(), goal_red=None), "'Goal_Red' read as 'goal_red'"),
-        (
-            text(relation={"Friendly": 1, "neutral": 0, "adversarial": 0}),
-            "'Friendly' read as 'friendly'",
-        ),
-        (
-            text().replace("Get blue item to blue lm", "get blue  item to blue lm"),
-            "read as 'Get bl",
-        ),
+        (text(relation=relation(1, 0, 0, "Friendly")), "'Friendly' read as 'friendly'"),
+        (text().replace(GOALS[0], "get blue  item to blue lm"), "read as 'Get blue item to bl"),
         (text(reasoning="they meet"), "'reasoning' left out"),
     ],
 )
@@ -88,12 +83,8 @@ def test_a_little_that_is_missing_or_too_much_is_shared_out(
 
 
 def test_relations_are_scaled_since_none_is_unnamed() -> None:
-    found = parse(text(relation={"friendly": 0.33, "neutral": 0.33, "adversarial": 0.33}))
+    found = parse(text(relation=relation(0.33, 0.33, 0.33)))
     assert found.probabilities["relation"] == pytest.approx([1 / 3] * 3)
-
-
-def without_one() -> dict[str, float]:
-    return dict(list(goals().items())[1:])
 
 
 def renamed(name: str) -> dict[str, float]:
@@ -113,10 +104,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "nested deeply": ("[" * 100_000, "nested too deeply|not JSON"),
     "NaN": (text().replace("0.4", "NaN", 1), "holds NaN"),
     "infinity": (text().replace("0.4", "1e999", 1), "holds 1e999"),
-    "a goal twice": (
-        text().replace(GOALS[1], GOALS[0], 1),
-        "gives 'Get blue item to blue lm' twice",
-    ),
+    "a goal twice": (text().replace(GOALS[1], GOALS[0], 1), f"gives '{GOALS[0]}' twice"),
     "a goal twice in other letters": (
         text(goal_red=renamed(GOALS[1].upper())),
         f"goal_red gives '{GOALS[1]}' twice",
@@ -125,21 +113,21 @@ REFUSED: dict[str, tuple[str, str]] = {
     "no relation": (text(relation=None), "lacks relation; it has 'goal_red', 'goal_green'"),
     "nothing in it": ("{}", "lacks goal_red, goal_green, relation; it has nothing"),
     "goals as a list": (text(goal_red=list(goals())), "goal_red is .*expected names with"),
-    "nine goals": (text(goal_red=without_one()), "goal_red has 9 entries, expected exactly 10"),
-    "eleven goals": (
-        text(goal_green={**goals(), GOALS[20]: 0}),
-        "goal_green has 11 entries, expected exactly 10",
+    "nine goals": (
+        text(goal_red=dict(list(goals().items())[1:])),
+        "goal_red has 9 entries, expected exactly 10",
     ),
+    "eleven goals": (text(goal_green={**goals(), GOALS[20]: 0}), "goal_green has 11 entries, exp"),
     "two relations": (
         text(relation={"friendly": 0.5, "neutral": 0.5}),
         "relation has 2 entries, expected exactly 3",
     ),
     "an unknown goal": (
         text(goal_red=renamed("Get blue ball to blue lm")),
-        "unknown goal 'Get blue ball to blue lm'; did you mean 'Get blue item to blue lm'",
+        f"unknown goal 'Get blue ball to blue lm'; did you mean '{GOALS[0]}'",
     ),
     "an unknown relation": (
-        text(relation={"friendly": 0.5, "neutral": 0.3, "hostile": 0.2}),
+        text(relation=relation(0.5, 0.3, 0.2, "hostile")),
         "unknown relation 'hostile'; allowed",
     ),
     "negative": (text(goal_red=goals() | {GOALS[9]: -0.01}), r"has -0\.01, expected a number"),
@@ -148,10 +136,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "true for a number": (text(goal_red=goals() | {GOALS[0]: True}), "has True, expected"),
     "null for a number": (text(goal_red=goals() | {GOALS[0]: None}), "has None, expected"),
     "sums far below 1": (text(goal_red=shares_of(0.9)), "goal_red sums to 0.9, expected 1"),
-    "relations beyond 1": (
-        text(relation={"friendly": 1, "neutral": 0.5, "adversarial": 0}),
-        "relation sums to 1.5",
-    ),
+    "relations beyond 1": (text(relation=relation(1, 0.5, 0)), "relation sums to 1.5"),
     "half a character": (text(goal_red=renamed("\ud800")), "unknown goal"),
 }
 
@@ -165,7 +150,7 @@ def test_what_cannot_be_read_without_guessing_is_refused(name: str) -> None:
     assert len(str(caught.value)) < 400
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.data())
 def test_whatever_comes_is_probabilities_or_refused(data: Any) -> None:
     values = st.none() | st.booleans() | st.floats() | st.just("0.4") | st.integers()
