@@ -46,7 +46,7 @@ COMMANDS: Final = {
     "compare-models": ("evaluate", "compare evaluations of several models, and people, on the same "
                        "events"),
     "fit-people": ("evaluate", "fit an observer to people's judgments"),
-    "reproduce": ("reproduce", "the paper's tables and figures, cell by cell"),
+    "reproduce": ("evaluate", "the paper's tables and figures, cell by cell"),
     "report": ("results", "make one self-contained HTML page of a run, an evaluation or a "
                "comparison"),
     "diagnose": ("results", "say whether the chains of a posterior can be trusted"),

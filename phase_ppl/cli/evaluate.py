@@ -1,8 +1,9 @@
-"""The commands ``evaluate``, of one model or several, ``compare-models`` and ``fit-people``."""
+"""The commands ``evaluate``, ``compare-models``, ``fit-people`` and ``reproduce``."""
 
 from __future__ import annotations
 
 import argparse
+import functools
 import inspect
 import re
 import sys
@@ -44,6 +45,7 @@ def add_to(commands: Any) -> None:
     """Add the commands."""
     _add_compare_models(commands)
     _add_fit_people(commands)
+    _add_reproduce(commands)
     parser = cli.command(
         commands,
         "evaluate",
@@ -513,4 +515,46 @@ def _fit_people(options: argparse.Namespace) -> int:
     print(
         f"\nKept in {options.out}: {best.name}; phase-ppl evaluate --observer {options.out} asks it"
     )
+    return 0
+
+
+# --- reproduce ------------------------------------------------------------------------------------
+
+
+def _add_reproduce(commands: Any) -> None:
+    parser = cli.command(
+        commands,
+        "reproduce",
+        _reproduce,
+        "phase-ppl reproduce --videos test.json --profile quick --out paper",
+        "Run the models of the paper, and hold every number and figure of it against what comes "
+        "out, on one page. Without --videos it is a try on generated events, no reproduction.",
+    )
+    cli.add(parser, "--videos FILE", "phase-test JSON or the authors' release", Path)
+    cli.add(parser, "--out DIR", type=Path, required=True)
+    says = (
+        "quick (the default): few simulations, the fast planner; paper: as the paper has it; "
+        "full: and all lesions, and what is beyond the paper"
+    )
+    cli.add(parser, "--profile", says, choices=("quick", "paper", "full"), default="quick")
+    cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
+    cli.add(parser, "--vlm-store DIR", "stored answers of a vision-language model", Path)
+    cli.add(parser, "--tags FILE", "people's labels, a .csv file", Path)
+    cli.add(parser, "--likeness FILE", "people's ratings of likeness, a .csv file", Path)
+    cli.share(parser, "seed")
+    cli.add(parser, "--resume", "go on with what is in DIR")
+    cli.share(parser, "workers", "progress")
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from phase_ppl.evaluation.reproduce import PAGE, RESULT
+
+    say = functools.partial(print, file=sys.stderr, flush=True)
+    try:
+        made = phase_ppl.reproduce(**cli.arguments(phase_ppl.reproduce, options, say=say))
+    except KeyboardInterrupt:
+        say("phase-ppl: interrupted; go on with the same command and --resume")
+        return cli.INTERRUPTED
+    print(made)
+    print(f"\nWritten to {made.folder}: {PAGE}, {RESULT}")
     return 0
