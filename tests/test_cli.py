@@ -37,6 +37,7 @@ Capture = pytest.CaptureFixture[str]
 
 ALONE = ["--workers", "1", "--quiet"]
 TINY = ["--chains", "2", "--iterations", "1", *ALONE]
+TOY = ["--kernel", "prior_mh", "--option", "early_reject=false", "--chains", "4"]
 
 
 def fails(capsys: Capture, *arguments: object) -> str:
@@ -99,8 +100,7 @@ def test_results_of_another_run_are_not_overwritten_unless_told_to(
     for name in ("posterior.nc", "why.png"):
         (tmp_path / name).write_text("of another run")
     command[1] = str(walk)
-    toy = ["--overwrite", "--kernel", "prior_mh", "--chains", "4"]
-    assert main([*command, str(tmp_path), *toy]) == 0
+    assert main([*command, str(tmp_path), "--overwrite", *TOY]) == 0
     assert phase_ppl.load_posterior(tmp_path / "posterior.nc").event_id == "walk"
     assert not (tmp_path / "why.png").exists()
 
@@ -123,9 +123,8 @@ def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
     walk: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"
-    kernel = ["--kernel", "prior_mh", "--option", "early_reject=false", "--chains", 4]
     length = ["--budget", 8, "--keep-checkpoint"]
-    told(capsys, "infer", walk, *ALONE, *kernel, *length, "--out", out)
+    told(capsys, "infer", walk, *ALONE, *TOY, *length, "--out", out)
     assert "unfinished run" in fails(capsys, "infer", walk, "--out", out)
     file = out / "run.ckpt"
     assert "too small" in fails(capsys, "resume", file, "--budget", 4, *ALONE)
@@ -150,8 +149,8 @@ def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
 
     monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: fails_later)
     out = tmp_path / "out"
-    more = ["--kernel", "prior_mh", "--chains", "4", "--on-failure", "raise", "--out", str(out)]
-    assert main(["infer", str(walk), *ALONE, *more]) == 2
+    more = ["--on-failure", "raise", "--out", str(out)]
+    assert main(["infer", str(walk), *ALONE, *TOY, *more]) == 2
     written = capsys.readouterr()
     assert "not today" in written.err
     assert "Go on with: phase-ppl resume" in written.out

@@ -134,9 +134,6 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from phase_ppl.study.study import check_extra
-
-    check_extra()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     _serve(_study(options), options)
     return 0

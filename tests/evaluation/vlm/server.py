@@ -88,20 +88,13 @@ def hangs_up(handler: BaseHTTPRequestHandler) -> None:
     """Close the connection without a word."""
 
 
-def sends_slowly(handler: BaseHTTPRequestHandler) -> None:
-    """Send a byte now and then, for ever."""
-    handler.send_response(200)
-    handler.send_header("content-type", "application/json")
-    handler.end_headers()
-    while True:
-        handler.wfile.write(b" ")
-        time.sleep(0.05)
+def sends_for_ever(piece: bytes, pause: float = 0.0) -> Behaviour:
+    def behave(handler: BaseHTTPRequestHandler) -> None:
+        handler.send_response(200)
+        handler.send_header("content-type", "application/json")
+        handler.end_headers()
+        while True:
+            handler.wfile.write(piece)
+            time.sleep(pause)
 
-
-def sends_without_end(handler: BaseHTTPRequestHandler) -> None:
-    """Send as much as the other side takes, for ever."""
-    handler.send_response(200)
-    handler.send_header("content-type", "application/json")
-    handler.end_headers()
-    while True:
-        handler.wfile.write(bytes(2**16))
+    return behave

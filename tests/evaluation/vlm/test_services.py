@@ -25,8 +25,7 @@ from tests.evaluation.vlm.server import (
     running,
     says_nothing,
     sends,
-    sends_slowly,
-    sends_without_end,
+    sends_for_ever,
 )
 
 KEY = "sk-secret-0123456789abcdef"
@@ -252,7 +251,9 @@ def test_an_answer_of_another_form_does_not_show_pieces_of_the_key(asked: Asked)
     assert KEY[:6] not in str(found)
 
 
-@pytest.mark.parametrize("behaviour", [says_nothing, sends_slowly])
+@pytest.mark.parametrize(
+    "behaviour", [says_nothing, sends_for_ever(b" ", 0.05)], ids=["nothing", "slowly"]
+)
 def test_an_answer_that_takes_too_long_is_given_up(asked: Asked, behaviour: Any) -> None:
     asked.service()  # imports the library
     found = asked.failure(behaviour, timeout=0.4)
@@ -271,7 +272,7 @@ def test_a_failure_without_words_is_named_by_its_kind(
 
 def test_an_answer_without_end_is_cut(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(of_services, "MAX_REPLY", 2**20)
-    found = asked.failure(sends_without_end, retries=3)
+    found = asked.failure(sends_for_ever(bytes(2**16)), retries=3)
     assert str(found) == "the answer is larger than the 1 MB that are read"
     assert (found.again, found.requests, len(asked.server.seen)) == (False, 1, 1)
 
