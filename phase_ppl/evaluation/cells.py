@@ -26,14 +26,14 @@ Row = tuple[str, Mapping[str, Any]]  # name, metrics
 _Columns = Mapping[str, str | Path]  # heading -> place in the metrics, parts joined by dots
 
 
-def figure_text(found: Mapping[str, Any] | None, signed: bool = False) -> str:
+def figure_text(found: Mapping[str, Any] | None, signed: bool = False, digits: int = 2) -> str:
     """Return a figure of the metrics with its interval for a terminal: "0.50 [0.40, 0.60]"."""
     if found is None:
         return NOTHING
-    digits = "+.2f" if signed else ".2f"
-    text = f"{found['value']:{digits}}"
+    how = f"{'+' if signed else ''}.{digits}f"
+    text = f"{found['value']:{how}}"
     if found["ci_low"] is not None:
-        text += f" [{found['ci_low']:{digits}}, {found['ci_high']:{digits}}]"
+        text += f" [{found['ci_low']:{how}}, {found['ci_high']:{how}}]"
     return text
 
 

@@ -163,8 +163,9 @@ class Reproduction(NamedTuple):
         for cell in self.cells:
             p = cell.printed
             printed = {"value": p.value, "ci_low": p.low, "ci_high": p.high}
-            text = ("< " if p.below else "") + figure_text(printed)
-            ours = figure_text(cell.ours) + (f" of {cell.videos}" if cell.videos else "")
+            text = ("< " if p.below else "") + figure_text(printed, digits=p.digits)
+            ours = figure_text(cell.ours, digits=p.digits)
+            ours += f" of {cell.videos}" if cell.videos else ""
             said = cell.verdict + ", loosely" * cell.loose
             rows.append([f"{cell.label}: {p.what}", text, ours, said])
         head = [] if self.real else [NO_REPRODUCTION]

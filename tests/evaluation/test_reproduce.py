@@ -181,7 +181,8 @@ def test_real_videos_give_cells_figures_and_one_page(
         assert words in page
     assert NO_REPRODUCTION not in page
     assert page.count("data:image/png") > 8
-    assert "0.59 [0.41, 0.77]" in str(made)
+    for words in ("0.59 [0.41, 0.77]", "0.965"):  # to the digits that are printed
+        assert words in str(made)
 
 
 def test_it_goes_on_with_what_is_finished_and_refuses_another(
