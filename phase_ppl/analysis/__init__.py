@@ -8,9 +8,9 @@ Numbers, each built on those before it:
   ``definitions``: quantities of one's own.
 * ``hypotheses``: what one can ask a table; ``event_posterior``: what is asked of an event, and
   ``what_if``; ``posterior`` and ``stepwise_posterior`` (with ``stepwise_table``) are such tables.
-* ``comparison``: posteriors against a reference and each other; ``data_table``: statistics of a set
-  of events beside another's.
+* ``comparison``: posteriors against a reference and each other; ``design``: which events tell
+  models apart.
 
-``diagnostics`` says how chains went, ``verdict`` whether they can be trusted; ``_arviz`` has draws
-for ArviZ. ``plots`` lists the figures, which are in ``figures/``.
+``diagnostics`` says how chains went and has draws for ArviZ, ``verdict`` says whether they can be
+trusted. ``plots`` lists the figures, which are in ``figures/``.
 """

@@ -17,7 +17,7 @@ from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, check_name
 from phase_ppl.world.event import Truth
 from phase_ppl.world.files import existing_file, write_json
 from phase_ppl.world.goals import goal_index
@@ -87,11 +87,9 @@ class Comparison:
         number of repeats, with a single one there is no standard error (NaN).
         """
         grouped = self.runs.groupby("kernel", sort=False)
-        parts: dict[tuple[str, str], pd.Series] = {("runs", "n"): grouped.size()}
-        for name in MEASURES:
-            parts[name, "mean"] = grouped[name].mean()
-            parts[name, "se"] = grouped[name].sem()
-        return pd.DataFrame(parts).loc[self.kernels]
+        table = grouped[list(MEASURES)].agg(["mean", "sem"]).rename(columns={"sem": "se"})
+        table.insert(0, ("runs", "n"), grouped.size())
+        return table.loc[self.kernels]
 
     def reference_error(self, measure: str = "tv_goals") -> float | None:
         """Return how far halves of the reference are apart; None: not known.
@@ -101,8 +99,7 @@ class Comparison:
         Raises:
             UnknownNameError: ``measure`` is none of :data:`DISTANCES`.
         """
-        if measure not in DISTANCES:
-            raise unknown_name("distance", measure, DISTANCES)
+        check_name("distance", measure, DISTANCES)
         value = (self.settings["reference"].get("error") or {}).get(measure)
         return None if value is None else float(value)
 
@@ -123,10 +120,8 @@ class Comparison:
         Raises:
             UnknownNameError: there is no such distance.
         """
-        error = self.reference_error(measure)
-        table = self.table
-        mean = table[measure, "mean"].to_numpy(float)
-        spread = table[measure, "se"].to_numpy(float)
+        error, table = self.reference_error(measure), self.table
+        mean, spread = table[measure].to_numpy(float).T
         margin = (np.nan if error is None else error) + 2 * np.hypot(spread[:, None], spread)
         nearer = mean[:, None] + margin < mean  # not a number: no
         best = 1 + nearer.sum(axis=0)
@@ -140,13 +135,8 @@ class Comparison:
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .json.
         """
-        record = {
-            "schema": SCHEMA,
-            "settings": dict(self.settings),
-            "runs": self.runs.to_dict("list"),
-            "curve": self.curve.to_dict("list"),
-        }
-        write_json(path, plain(record))
+        tables = {"runs": self.runs.to_dict("list"), "curve": self.curve.to_dict("list")}
+        write_json(path, plain({"schema": SCHEMA, "settings": self.settings, **tables}))
         return Path(path)
 
     @classmethod
@@ -164,8 +154,7 @@ class Comparison:
             runs = _frame(record["runs"], RUN_COLUMNS)
             curve = _frame(record["curve"], CURVE_COLUMNS)
             settings = dict(record["settings"])
-            unknown = set(runs["kernel"]) - set(settings["kernels"])
-            if unknown:
+            if unknown := set(runs["kernel"]) - set(settings["kernels"]):
                 raise ValueError(f"its settings do not name the kernels {sorted(unknown)}")
         except (ValueError, KeyError, TypeError) as error:
             reason = " ".join(str(error).split())[:200]
@@ -173,12 +162,13 @@ class Comparison:
         return cls(runs, curve, settings)
 
     def __str__(self) -> str:
-        table = self.table
-        settings = self.settings
+        table, settings = self.table, self.settings
+        unit = settings["budget"].rpartition(" ")[2]
+        others = " and ".join(o for o in ("simulations", "frames", "seconds") if o != unit)
         words = (
             f"{settings['event']}: budget {settings['budget']}, {settings['chains']} chains, "
             f"weights {settings['weights']}; mean ± standard error\n"
-            f"{_equalised(settings['budget'])}\n"
+            f"equal are the {unit}, up to the last iteration of a run; {others} are not\n"
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
         named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
@@ -218,20 +208,10 @@ class Comparison:
         return f"<Comparison of {', '.join(self.kernels)}: {len(self.runs)} runs>"
 
 
-def _equalised(budget: str) -> str:
-    """Return what equal budgets make equal, and what they do not."""
-    unit = budget.rpartition(" ")[2]
-    others = [name for name in ("simulations", "frames", "seconds") if name != unit]
-    return (
-        f"equal are the {unit}, up to the last iteration of a run; {' and '.join(others)} are not"
-    )
-
-
 def _frame(columns: Mapping[str, Any], expected: tuple[str, ...]) -> pd.DataFrame:
-    missing = [name for name in expected if name not in columns]
-    if missing:
+    if missing := [name for name in expected if name not in columns]:
         raise ValueError(f"it lacks {missing}")
-    frame = pd.DataFrame({name: columns[name] for name in expected})
+    frame = pd.DataFrame(columns)[list(expected)]
     numbers = [name for name in expected if name not in ("kernel", "validity")]
     return frame.astype({n: int if n in ("repeat", "seed") else float for n in numbers})
 
@@ -240,8 +220,7 @@ def _cell(mean: float, error: float) -> str:
     if not np.isfinite(mean):
         return "-"
     digits = 3 if abs(mean) < 10 else 0
-    text = f"{mean:.{digits}f}"
-    return text if not np.isfinite(error) else f"{text} ±{error:.{digits}f}"
+    return f"{mean:.{digits}f}" + (f" ±{error:.{digits}f}" if np.isfinite(error) else "")
 
 
 # --- what is compared -----------------------------------------------------------------------------
@@ -328,9 +307,8 @@ def efficiency(post: Posterior) -> dict[str, float]:
       sum of their squared weights.
     * ``simulations``, their ``frames``, and ``seconds`` of wall time.
     """
-    found = post.diagnostics()
+    found, weight = post.diagnostics(), post.table.weights
     simulations, moves = found["simulations"]["total"], found["move_rate"]
-    weight = post.to_dataframe()["weight"].to_numpy()
     if np.allclose(weight, weight[0]):
         size = ess(array(post.tree, "sample_stats", "log_joint").astype(float), "mean")
     else:

@@ -61,7 +61,7 @@ class Named:
         return ", ".join(f"{name}={getattr(self, name)!r}" for name in shown)
 
 
-def check_name(name: object, taken: Iterable[str]) -> None:
+def check_new_name(name: object, taken: Iterable[str]) -> None:
     """Refuse what cannot be the name of a new quantity."""
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise InvalidSettingError(
@@ -129,14 +129,7 @@ def _value(name: str, function: Function, view: Named) -> bool | int | float | s
 
 
 def read_definitions(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return the definitions of a text file: name -> conditions in words, in order.
-
-    A line has a name, a colon and conditions, as in ``same_goal: goal_red = goal_green``; empty
-    lines and those that begin with # are left out.
-
-    Raises:
-        InvalidEventError: there is no such file, it is no text, or a line is of another form.
-    """
+    """Return the definitions of a text file, see ``define_from``: name -> conditions in words."""
     source = existing_file(path)
     try:
         lines = source.read_text(encoding="utf-8").splitlines()

@@ -26,7 +26,7 @@ from phase_ppl.analysis.estimate import Estimate, entropy
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
 from phase_ppl.world.files import write_json
 from phase_ppl.world.picture import plain, preformatted
 
@@ -67,17 +67,17 @@ class Design:
     @functools.cached_property
     def models(self) -> list[str]:
         """Names of the models."""
-        return [str(name) for name in self.probabilities["model"].values]
+        return list(map(str, self.probabilities["model"].values))
 
     @functools.cached_property
     def events(self) -> list[str]:
         """Ids of the events, in the order in which they were given."""
-        return [str(name) for name in self.probabilities["event"].values]
+        return list(map(str, self.probabilities["event"].values))
 
     @functools.cached_property
     def labels(self) -> list[str]:
         """The answers."""
-        return [str(label) for label in self.probabilities["answer"].values]
+        return list(map(str, self.probabilities["answer"].values))
 
     @property
     def most(self) -> float:
@@ -102,12 +102,11 @@ class Design:
         The error is that of the models' probabilities, NaN where it is unknown of any. Errors make
         models look more different than they are, so that information of their size is none.
         """
-        n = len(self.labels)
-        summed = math.comb(self.answers + n - 1, n - 1) <= _OUTCOMES
-        if summed:
-            values = self._summed(self._log_shares, self.answers)
-        else:
-            values = self._expected(self._simulated)[0]
+        n, people = len(self.labels), self.answers
+        summed = math.comb(people + n - 1, n - 1) <= _OUTCOMES
+        values = (
+            self._summed(self._log_shares, people) if summed else self._expected(self._simulated)[0]
+        )
         errors = self.probabilities["error"].values
         known = ~np.isnan(errors).any(axis=(0, 2))
         rng = np.random.default_rng(self.seed)
@@ -115,10 +114,9 @@ class Design:
         for _ in range(_REPLICATES):
             noise = rng.standard_normal(errors.shape) * np.nan_to_num(errors)
             shares = np.maximum(self.probabilities.values + noise, 0.0) + 1e-12
-            shares /= shares.sum(axis=-1, keepdims=True)
-            logs = self._with_lapses(shares)
-            replicates.append(self._summed(logs, self.answers if summed else 1))
-        spread = np.std(replicates, axis=0) * (1 if summed else self.answers)
+            logs = self._with_lapses(shares / shares.sum(axis=-1, keepdims=True))
+            replicates.append(self._summed(logs, people if summed else 1))
+        spread = np.std(replicates, axis=0) * (1 if summed else people)
         coords = {"event": self.events, "error": ("event", np.where(known, spread, np.nan))}
         return xr.DataArray(values, coords, dims="event", name="information")
 
@@ -142,17 +140,10 @@ class Design:
 
         ``share`` of the most that can be known, and what each model would answer.
         """
-        found = self.information
-        labels = self.labels
-        columns: dict[str, Any] = {
-            "information": found.values,
-            "error": found["error"].values,
-            "share": found.values / self.most,
-        }
-        for model in self.models:
-            of_model = self.probabilities.sel(model=model).values
-            columns[model] = [f"{labels[row.argmax()]} {row.max():.2f}" for row in of_model]
-        table = pd.DataFrame(columns, index=pd.Index(self.events, name="event"))
+        table = self.information.to_dataframe()[["information", "error"]]
+        table["share"] = table["information"] / self.most
+        for model, answers in zip(self.models, self.probabilities.values, strict=True):
+            table[model] = [f"{self.labels[row.argmax()]} {row.max():.2f}" for row in answers]
         return table.sort_values("information", ascending=False, kind="stable")
 
     # --- sets of events ------------------------------------------------------------------------
@@ -202,8 +193,7 @@ class Design:
         return Estimate(float(value), float(error))
 
     def _place(self, event: str) -> int:
-        if event not in self.events:
-            raise unknown_name("event", event, self.events)
+        check_name("event", event, self.events)
         return self.events.index(event)
 
     def best(self, n: int) -> pd.DataFrame:
@@ -260,14 +250,12 @@ class Design:
         Raises:
             UnknownNameError: there is no such event or answer.
         """
-        labels = self.labels
-        log_mass = np.log(self.prior)
+        labels, log_mass = self.labels, np.log(self.prior)
         for event, given in answers.items():
             place = self._place(event)
             counted = given if isinstance(given, Mapping) else {}
             for answer in counted or ([given] if isinstance(given, str) else given):
-                if answer not in labels:
-                    raise unknown_name("answer", answer, labels)
+                check_name("answer", answer, labels)
                 times = counted.get(answer, 1)
                 log_mass = log_mass + times * self._log_shares[:, place, labels.index(answer)]
         shares = np.exp(log_mass - logsumexp(log_mass))
@@ -354,8 +342,7 @@ def checked(
     weights = np.ones(len(models))
     if prior is not None:
         for name in prior:
-            if name not in models:
-                raise unknown_name("model in prior", name, models)
+            check_name("model in prior", name, models)
         weights = np.array([float(prior.get(name, 0.0)) for name in models])
         if not (np.isfinite(weights).all() and (weights > 0).all()):
             raise InvalidSettingError(

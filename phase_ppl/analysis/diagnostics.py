@@ -1,10 +1,9 @@
-"""How the chains went, in numbers, and which frames this world cannot show."""
+"""How the chains went, in numbers and for ArviZ, and which frames this world cannot show."""
 
 from __future__ import annotations
 
 import itertools
 import json
-import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -13,9 +12,20 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import ess, mcse, r_hat, total_variation, worth
+from phase_ppl.analysis.estimate import (
+    MIN_DRAWS,
+    arviz_groups,
+    chain_halves,
+    ess,
+    mcse,
+    r_hat,
+    total_variation,
+    worth,
+)
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import (
+    DRAW,
+    SIMULATED,
     array,
     effective_goals,
     kept_scene,
@@ -28,13 +38,16 @@ from phase_ppl.analysis.tree import (
 from phase_ppl.analysis.verdict import ALONE, FEW_DRAWS, verdict
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import Predicate
+from phase_ppl.world.picture import plain
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
 
 MASS: Final = 0.02  # share of the draws, or probability, from which on a category is reported
+_STREAM: Final = 0x9EA1  # keeps ArviZ's replicates apart from what else follows from the run's seed
 
 
 def diagnostics(
@@ -105,48 +118,47 @@ def diagnostics(
         log_weight = np.zeros_like(log_weight)
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
-    shares = draw_weights.sum(axis=1)
-    by_chain = {
-        name: _chain_marginals(codes, draw_weights, len(labels)) for name, codes in goals.items()
-    }
+    by_particle = [_by_particle(codes, draw_weights, labels) for codes in goals.values()]
     weighted = "log_evidence" in stats or bool(np.ptp(log_weight) > 0)
     pair = np.zeros(accepted.shape, np.int64)  # of all agents' goals
     for codes in goals.values():
         pair = pair * len(labels) + codes
     hypotheses = pd.DataFrame({name: posterior[name].values.ravel() for name in space.kept_columns})
     n_frames = tree["observed_data"].sizes["time"]
-    result: dict[str, Any] = {
+    answers, n_untried = (
+        _without_prior(tree, rows, leaders, words),
+        len(untried_rivals(tree, leaders)),
+    )
+    record = {
         "weights": weights,
         "kernel": str(tree.attrs["kernel"]),
         "validity": str(tree.attrs["validity"]),
         "particles": n_chains,
         "iterations": n_draws,
-        "acceptance_by_iteration": [float(rate) for rate in accepted.mean(axis=0)],
-        "acceptance_rate": float(accepted.mean()),
-        "move_rate": float((pair[:, 1:] != pair[:, :-1]).mean()) if n_draws > 1 else None,
+        "acceptance_by_iteration": accepted.mean(axis=0),
+        "acceptance_rate": accepted.mean(),
+        "move_rate": (pair[:, 1:] != pair[:, :-1]).mean() if n_draws > 1 else None,
         "distinct_hypotheses": len(hypotheses.drop_duplicates()),
         "distinct_goal_pairs": len(np.unique(pair)),
         "effective_rows": worth(rows.weights),
-        "weighted_draws_ess": (worth(draw_weights) / draw_weights.size if weighted else None),
-        "agreement": {name: _agreement(p, shares) for name, p in by_chain.items()},
-        "leading_goals": {name: _leading_goals(p, shares, labels) for name, p in by_chain.items()},
-        "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
-        "leaders": (answers := _without_prior(tree, rows, leaders, words)),
-        "untried_rivals": (n_untried := len(untried_rivals(tree, leaders))),
+        "weighted_draws_ess": worth(draw_weights) / draw_weights.size if weighted else None,
+        **{
+            key: {name: one[key] for name, one in zip(goals, by_particle, strict=True)}
+            for key in by_particle[0]
+        },
+        "leaders": answers,
+        "untried_rivals": n_untried,
         "decided": effective_size >= FEW_DRAWS
         and not n_untried
-        and all(
-            one["sure"] and one["without_prior"] is not None and one["without_prior"] > ALONE
-            for one in answers.values()
-        ),
-        "monte_carlo_error": {name: _finite(leaders[name]["error"]) for name in goals},
-        "effective_size": _finite(effective_size),
-        "untried": _finite(untried(tree)),
+        and all(one["sure"] and (one["without_prior"] or 0) > ALONE for one in answers.values()),
+        "monte_carlo_error": {name: leaders[name]["error"] for name in goals},
+        "effective_size": effective_size,
+        "untried": untried(tree),
         "scalars": {
             name: {
-                "r_hat": None if weighted else _finite(r_hat(values)),
-                "ess_bulk": None if weighted else _finite(ess(values, "bulk")),
-                "ess_tail": None if weighted else _finite(ess(values, "tail")),
+                "r_hat": None if weighted else r_hat(values),
+                "ess_bulk": None if weighted else ess(values, "bulk"),
+                "ess_tail": None if weighted else ess(values, "tail"),
             }
             for name, values in scalars(tree).items()
         },
@@ -163,26 +175,24 @@ def diagnostics(
             array(tree, "observed_data", "trajectory"), kept_scene(tree["constant_data"].dataset)
         ),
     }
-    result["verdict"] = verdict(result)
-    return result
+    result: dict[str, Any] = plain(record)
+    return {**result, "verdict": verdict(result)}
 
 
 def _without_prior(
     tree: xr.DataTree, rows: Rows, leaders: Mapping[str, dict[str, Any]], words: Vocabulary
 ) -> dict[str, dict[str, Any]]:
     """Return the leaders with what they would have, were all pairs of goals alike beforehand."""
-    share = dict.fromkeys(leaders)
     goals = np.stack([rows.values[name] for name in words.space.goal_sites], axis=1)
     prior = prior_of_goals(tree, goals.astype(np.int64))
-    if prior is not None:
-        weights = np.divide(rows.weights, prior, out=np.zeros(len(prior)), where=prior > 0)
-        for name, one in leaders.items():
-            code = words.quantities[name].categories().index(one["label"])
-            share[name] = float(weights[rows.values[name] == code].sum() / weights.sum())
-    return {
-        name: {**one, "error": _finite(one["error"]), "without_prior": share[name]}
-        for name, one in leaders.items()
-    }
+    if prior is None:
+        return {name: {**one, "without_prior": None} for name, one in leaders.items()}
+    weights = np.divide(rows.weights, prior, out=np.zeros(len(prior)), where=prior > 0)
+    found = {}
+    for name, one in leaders.items():
+        has_it = rows.values[name] == words.quantities[name].categories().index(one["label"])
+        found[name] = {**one, "without_prior": weights[has_it].sum() / weights.sum()}
+    return found
 
 
 def untried_rivals(
@@ -251,26 +261,22 @@ def _categories(
     rows: Rows,
     name: str,
     weighted: bool,
-) -> dict[str, dict[str, float | None]]:
+) -> dict[str, dict[str, Any]]:
     probability = np.bincount(rows.values[name], rows.weights, minlength=len(labels))
     share = np.bincount(codes.ravel(), draw_weights.ravel(), minlength=len(labels))
-    found: dict[str, dict[str, float | None]] = {}
+    found = {}
     for code in np.lexsort((-share, -probability)).tolist():
         if max(probability[code], share[code]) <= MASS:
             continue
         indicator = (codes == code).astype(float)
         found[labels[code]] = {
-            "probability": float(probability[code]),
-            "share": float(share[code]),
-            "ess": None if weighted else _finite(ess(indicator, "mean")),
-            "mcse": None if weighted else _finite(mcse(indicator)),
-            "r_hat": None if weighted else _finite(r_hat(indicator, "split")),
+            "probability": probability[code],
+            "share": share[code],
+            "ess": None if weighted else ess(indicator, "mean"),
+            "mcse": None if weighted else mcse(indicator),
+            "r_hat": None if weighted else r_hat(indicator, "split"),
         }
     return found
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _windows(window: NDArray[Any], settings: str, n_frames: int) -> dict[str, Any]:
@@ -278,40 +284,32 @@ def _windows(window: NDArray[Any], settings: str, n_frames: int) -> dict[str, An
     starts, counts = np.unique(chosen, return_counts=True)
     length = (json.loads(settings).get("simple") or {}).get("window")
     return {
-        "proposals": int(chosen.size),
-        "without": int(window.size - chosen.size),
+        "proposals": chosen.size,
+        "without": window.size - chosen.size,
         "frames": None if length is None else min(int(length), n_frames - 1) + 1,
-        "starts": starts.tolist(),
-        "counts": counts.tolist(),
+        "starts": starts,
+        "counts": counts,
     }
 
 
-def _chain_marginals(codes: NDArray[Any], weights: FloatArray, n_goals: int) -> FloatArray:
-    """Return (chain, goal): each chain's share of its draws' weight per goal; 0 without weight."""
-    mass = np.stack(
-        [np.bincount(c, w, minlength=n_goals) for c, w in zip(codes, weights, strict=True)]
-    )
-    return mass / np.maximum(mass.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-
-
-def _agreement(by_chain: FloatArray, shares: FloatArray) -> float:
-    leading = (shares @ by_chain).argmax()
-    return float((by_chain.argmax(axis=1) == leading)[shares > 0].mean())
-
-
-def _leading_goals(
-    by_chain: FloatArray, shares: FloatArray, labels: tuple[str, ...]
-) -> Mapping[str, int]:
-    leading = by_chain.argmax(axis=1)[shares > 0]
+def _by_particle(
+    codes: NDArray[Any], weights: FloatArray, labels: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return what the particles that weigh anything make of a goal, and how far they agree."""
+    mass = np.stack([np.bincount(c, w, len(labels)) for c, w in zip(codes, weights, strict=True)])
+    by_chain = mass / np.maximum(mass.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    shares = weights.sum(axis=1)
+    overall = (shares @ by_chain).argmax()
+    by_chain = by_chain[shares > 0]
+    leading = by_chain.argmax(axis=1)
     particles = np.bincount(leading, minlength=len(labels))
-    order = np.argsort(-particles, kind="stable")
-    return {labels[code]: int(particles[code]) for code in order if particles[code]}
-
-
-def _between_chain_tv(by_chain: FloatArray, shares: FloatArray) -> dict[str, float] | None:
-    pairs = itertools.combinations(by_chain[shares > 0], 2)
-    distances = [total_variation(one, other) for one, other in pairs]
-    return {"mean": float(np.mean(distances)), "max": max(distances)} if distances else None
+    order = [code for code in np.argsort(-particles, kind="stable") if particles[code]]
+    apart = [total_variation(*two) for two in itertools.combinations(by_chain, 2)]
+    return {
+        "agreement": (leading == overall).mean(),
+        "leading_goals": {labels[code]: particles[code] for code in order},
+        "between_chain_tv": {"mean": np.mean(apart), "max": max(apart)} if apart else None,
+    }
 
 
 def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
@@ -319,14 +317,14 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
     failed = simulations["failed"].values.astype(bool)
     completed = simulations["completed"].values.astype(bool) & ~failed
     aborted = ~completed & ~failed
-    saved = int((n_frames - simulations["frames_simulated"].values[aborted]).sum())
-    wanted = n_frames * int((~failed).sum())
+    saved = (n_frames - simulations["frames_simulated"].values[aborted]).sum()
+    wanted = n_frames * (~failed).sum()
     return {
         "simulations": {
             "total": len(failed),
-            "completed": int(completed.sum()),
-            "aborted": int(aborted.sum()),
-            "failed": int(failed.sum()),
+            "completed": completed.sum(),
+            "aborted": aborted.sum(),
+            "failed": failed.sum(),
         },
         "frames_saved": saved,
         "frames_saved_share": saved / wanted if wanted else 0.0,
@@ -349,3 +347,92 @@ def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
         near |= apart < 3 * (radius[one] + radius[other])
     frames = np.flatnonzero(near).tolist()
     return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
+
+
+# --- for ArviZ ------------------------------------------------------------------------------------
+
+
+def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> Any:
+    """Return draws in the form ArviZ works on; nothing is simulated.
+
+    ``az.summary(post.arviz)``, ``az.ess``, ``az.plot_trace``, ``az.plot_rank`` and
+    ``az.plot_forest`` take it as it is. The group ``posterior`` has what these mean something
+    for: ``log_joint``, ``total_error``, strengths and real sites of the user's own; and of goals,
+    relation and scenario an indicator (0 or 1) of each category that more than 2 % of the draws
+    have, so that its mean is a probability. Goal codes, whose mean or R-hat says nothing, are in
+    ``post.tree``. An indicator that does not change within any half of a chain has no R-hat and
+    is left out; the attribute ``left_out`` (JSON) names these.
+
+    Every draw counts once, as under weights ``"count"``; other weightings give other
+    probabilities.
+
+    The group ``posterior_predictive`` has what could have been observed by the draws: the
+    simulation that each rests on (``post.tree["simulated"]``), with the likelihood's noise on x
+    and y of every frame, from a seed that follows from the run's. Angles are the simulation's, of
+    which the likelihood says nothing, so that
+    ``az.plot_ppc(post.arviz, coords={"coord": ["x", "y"]})`` compares like with like. The paper's
+    beta of 0.05 is a tempered likelihood: its noise is 160 units long in a frame. Of a likelihood
+    of one's own there is no such group.
+
+    With fewer than ten draws per chain ArviZ's effective sample sizes do not
+    depend on the draws and say nothing; :meth:`~phase_ppl.analysis.posterior.Posterior.diagnostics`
+    has some that do.
+
+    Returns:
+        An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
+        :class:`xarray.DataTree`, with the groups ``posterior``, ``posterior_predictive``,
+        ``sample_stats``, ``observed_data`` and ``constant_data``.
+    """
+    if np.ptp(log_weight_of_draws(tree)) > 0:
+        raise InvalidSettingError(
+            "ArviZ counts every draw once, but the draws of this posterior have unequal weights; "
+            "post.to_dataframe() gives them with their weights"
+        )
+    groups = {"posterior": _posterior(tree, scenario), "posterior_predictive": _replicated(tree)}
+    for name in ("sample_stats", "observed_data", "constant_data"):
+        groups[name] = tree[name].to_dataset()
+    return arviz_groups({k: v for k, v in groups.items() if v is not None}, tree.attrs)
+
+
+def _replicated(tree: xr.DataTree) -> xr.Dataset | None:
+    """Return what the draws could have looked like; None where the noise is not known."""
+    simulated = tree[SIMULATED].to_dataset()
+    if "beta" not in simulated.attrs:
+        return None
+    from phase_ppl.models.likelihood import RadialLikelihood
+
+    seed = json.loads(tree.attrs["settings"]).get("seed", 0)
+    rng = np.random.default_rng([int(seed), _STREAM])
+    trajectory = simulated["trajectory"].values.astype(np.float64)
+    likelihood = RadialLikelihood(float(simulated.attrs["beta"]), trajectory.shape[-2])
+    trajectory[..., :2] = likelihood.replicate(trajectory[..., :2], rng)
+    return simulated.assign(trajectory=(simulated["trajectory"].dims, trajectory))
+
+
+def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Dataset:
+    draws = tree["posterior"].to_dataset()
+    result = xr.Dataset(
+        {name: (DRAW, values) for name, values in scalars(tree).items()},
+        {name: draws[name] for name in DRAW},
+    )
+    left_out: dict[str, list[str]] = {}
+    known = Vocabulary(space_of_tree(tree)).quantities
+    for name, codes in categorical_draws(tree, scenario).items():
+        indicators = {
+            label: (codes == code).astype(np.int64)
+            for code, label in enumerate(known[name].categories())
+            if (codes == code).mean() > MASS
+        }
+        usable = {
+            label: indicator
+            for label, indicator in indicators.items()
+            # of fewer draws ArviZ does not look for it either
+            if len(indicator[0]) < MIN_DRAWS or np.ptp(chain_halves(indicator), axis=1).any()
+        }
+        left_out[name] = [label for label in indicators if label not in usable]
+        if usable:
+            dim = f"{name}_is"
+            result[name] = ((*DRAW, dim), np.stack(list(usable.values()), axis=-1))
+            result = result.assign_coords({dim: list(usable)})
+    result.attrs["left_out"] = json.dumps({k: v for k, v in left_out.items() if v})
+    return result

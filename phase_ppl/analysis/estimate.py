@@ -2,9 +2,8 @@
 
 A statistic is computed anew without some of the chains (the jackknife); how much the results differ
 tells how much it would differ between runs: error^2 = (n - d) / d * mean squared deviation from
-their mean, where sets of d of n chains are left out. These are all single chains (d = 1), but for
-intervals random thirds, since ends of intervals jump from draw to draw and single chains would make
-too much of it. Two things are added that chains do not show by differing from each other:
+their mean, where sets of d of n chains are left out: single chains, but for the ends of intervals,
+which jump from draw to draw, random thirds. Added is what chains do not show by differing:
 
 * Chains that still move away from where they began. Where draws count equally, the squared
   difference of the statistic between the first and the last half of the draws, as far as it is
@@ -27,13 +26,15 @@ enumerated (``benchmarks/estimates.py``).
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.world.arrays import FloatArray
@@ -302,10 +303,8 @@ def doubt(
     errors = without.error(np.delete(results[:, [leading]] - results, leading, axis=1), leads)
     chances = [0.0]
     for lead, error in zip(leads.tolist(), errors.tolist(), strict=True):
-        if error > 0:
-            chances.append(0.5 * math.erfc(lead / (math.sqrt(2) * error)))
-        else:
-            chances.append(0.5 if lead <= ROUNDING else 0.0)
+        tied = 0.5 if lead <= ROUNDING else 0.0
+        chances.append(0.5 * math.erfc(lead / (math.sqrt(2) * error)) if error > 0 else tied)
     if not math.isnan(size):  # a few draws that agree need not be those of the leader
         from scipy.special import betainc
 
@@ -315,8 +314,7 @@ def doubt(
     return max(chances)
 
 
-# --- whether chains have mixed: the estimators are ArviZ's ----------------------------------------
-
+# --- whether chains have mixed: the estimators are ArviZ's, 0.22+ and 1.x -------------------------
 
 MIN_DRAWS: Final = 4
 """Draws per chain below which neither R-hat nor an effective sample size is estimated."""
@@ -338,6 +336,33 @@ def arviz_module() -> Any:
         import arviz
 
         return arviz
+
+
+def arviz_groups(
+    groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
+) -> Any:
+    """Return groups of draws in ArviZ's form."""
+    if _is_new():
+        data = xr.DataTree.from_dict(dict(groups))
+        data.attrs = dict(attrs or {})
+        return data
+    return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
+
+
+def _is_new() -> bool:
+    return int(importlib.metadata.version("arviz").split(".")[0]) >= 1
+
+
+def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
+    if _is_new():
+        from arviz_stats.base import array_stats
+
+        logs, k = array_stats.psislw(log_ratios, axis=-1)
+    else:
+        logs, k = arviz_module().psislw(log_ratios)
+    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
+    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
 
 
 def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> float:
@@ -380,15 +405,14 @@ def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
 
 def mcse(values: FloatArray) -> float:
     """Return the Monte-Carlo standard error of the mean of (chain, draw) numbers; or NaN."""
-    return (
-        float(values.std(ddof=1)) / math.sqrt(ess(values, "mean")) if _varies(values) else math.nan
-    )
+    if not _varies(values):
+        return math.nan
+    return float(values.std(ddof=1)) / math.sqrt(ess(values, "mean"))
 
 
 def _varies(values: FloatArray) -> bool:
-    if values.shape[1] < MIN_DRAWS or not np.isfinite(values).all():
-        return False
-    return bool(np.ptp(values) > np.finfo(float).eps * np.abs(values).max())
+    enough = values.shape[1] >= MIN_DRAWS and np.isfinite(values).all()
+    return bool(enough and np.ptp(values) > np.finfo(float).eps * np.abs(values).max())
 
 
 def chain_halves(values: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
@@ -46,10 +45,8 @@ class EventPosterior(Hypotheses):
         constant: xr.Dataset,
         quantities: Mapping[str, Quantity],
         rows: Rows,
-        groups: NDArray[np.int64] | None = None,
-        halves: Sequence[NDArray[np.bool_]] = (),
     ) -> None:
-        super().__init__(words.space, quantities, rows, groups, halves)
+        super().__init__(words.space, quantities, rows)
         self._words, self._attrs, self._constant = words, attrs, constant
         self._define_kept(attrs)
 
@@ -105,6 +102,15 @@ class EventPosterior(Hypotheses):
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
         raise NotImplementedError
+
+    def _along_time(
+        self, time: FloatArray, tables: Mapping[str, FloatArray], **attrs: str
+    ) -> xr.Dataset:
+        """Return tables (time, label) of quantities, and of their ``_error``, as one dataset."""
+        of = {name: name.removesuffix("_error") for name in tables}
+        labels = {f"{q}_is": list(self._words.quantities[q].categories()) for q in of.values()}
+        found = {name: (("time", f"{of[name]}_is"), table) for name, table in tables.items()}
+        return xr.Dataset(found, {"time": ("time", time, {"units": "s"}), **labels}, attrs)
 
     def diagnostics(self) -> dict[str, Any]:
         """Return whether this can be trusted: numbers, and a ``verdict`` in words."""
@@ -207,16 +213,17 @@ class EventPosterior(Hypotheses):
                 "that is varied"
             )
         at = [float(value) for value in values]
-        answers: list[xr.DataArray | None] = []
+        if not at:
+            raise InvalidSettingError("values is empty: expected numbers")
+        # once is enough for a check that takes a while
+        self._checked(functools.partial(prior, at[0]))
+        answers: dict[float, xr.DataArray] = {}
         refusals: list[str] = []
-        if at:  # once is enough for a check that takes a while
-            self._checked(functools.partial(prior, at[0]))
         for value in at:
             try:
                 answer = self.under(functools.partial(prior, value)).query(question)
             except InvalidSettingError as error:
                 refusals.append(f"{value:g}: {error}")
-                answers.append(None)
                 continue
             if isinstance(answer, Estimate):
                 answer = xr.DataArray(float(answer), {"error": answer.error})
@@ -225,16 +232,14 @@ class EventPosterior(Hypotheses):
                     f"{question!r} is answered by {type(answer).__name__}, which makes no curve: "
                     "expected a question after numbers, such as P(relation)"
                 )
-            answers.append(answer)
-        known = next((answer for answer in answers if answer is not None), None)
-        if known is None:
+            answers[value] = answer
+        if not answers:
             raise InvalidSettingError(
-                f"no value of the prior's argument can be answered for: {'; '.join(refusals[:1])}"
-                if refusals
-                else "values is empty: expected numbers"
+                f"no value of the prior's argument can be answered for: {refusals[0]}"
             )
+        known = next(iter(answers.values()))
         nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
-        table = xr.concat([nothing if a is None else a for a in answers], "value", join="override")
+        table = xr.concat([answers.get(v, nothing) for v in at], "value", join="override")
         return table.assign_coords(value=at).assign_attrs(
             question=question, prior=qualified_name(prior), refused="\n".join(refusals)
         )
@@ -243,10 +248,9 @@ class EventPosterior(Hypotheses):
         from phase_ppl.analysis.what_if import Source
 
         own = self._constant.get("log_prior_goals")
-        return Source(
-            self.event_id, self.settings, self.scene, self.observed(), self.table,
-            None if own is None else np.exp(own.values),
-        )  # fmt: skip
+        own_goals = None if own is None else np.exp(own.values)
+        of_run = self.event_id, self.settings, self.scene, self.observed()
+        return Source(*of_run, self.table, own_goals)
 
     def do(
         self,
@@ -266,10 +270,9 @@ class EventPosterior(Hypotheses):
         """Return what would have happened with something changed, beside what does happen.
 
         Hypotheses are drawn from the posterior, and each is simulated twice with the same seed: as
-        it is, and with the change. Printed, the result says how often and when each agent reaches
-        its goal in either world, and whether that differs by more than chance (sign test of the
-        pairs); ``film(path)`` shows both side by side. With nothing changed they are simulated as
-        they are only. See :class:`phase_ppl.analysis.what_if.WhatIf`.
+        it is, and with the change, if there is one. Printed, the result says how often and when
+        each agent reaches its goal in either world, and whether that differs by more than chance
+        (sign test of the pairs); see :class:`phase_ppl.analysis.what_if.WhatIf`.
 
         Args:
             alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
@@ -281,9 +284,7 @@ class EventPosterior(Hypotheses):
             at: frame from which on it is changed; what was seen until then has happened, and
                 agents believe what they saw. By default the start.
             seconds: simulated time from there; by default to the end of the video.
-            n: hypotheses.
-            seed: the same seed gives the same result.
-            workers: processes; by default one per usable core.
+            n, seed, workers: hypotheses, their seed, and processes (by default one per core).
             simulator: of a run that had one of its own.
             **changed: ``goal_<agent>``, such as ``goal_red="get to green agent"``: what that agent
                 acts for; the others know it, and go on with their own goals.
@@ -308,18 +309,12 @@ class EventPosterior(Hypotheses):
     def predict(
         self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None
     ) -> WhatIf:
-        """Return what comes after the last frame: the posterior predictive, simulated.
+        """Return what comes after the last frame in so much simulated time: posterior predictive.
 
-        Args:
-            seconds: of simulated time.
-            n, seed, workers: as of :meth:`do`.
+        ``n``, ``seed``, ``workers`` are as of :meth:`do`.
 
         Example:
             ``post.at(40).predict(2).tracks.mean("simulation")``, for a posterior read step by step
         """
-        from phase_ppl.analysis.what_if import simulated
-
         last = len(self.observed()) - 1
-        return simulated(
-            self._source(), None, at=last, seconds=seconds, n=n, seed=seed, workers=workers
-        )
+        return self.do(at=last, seconds=seconds, n=n, seed=seed, workers=workers)

@@ -8,7 +8,7 @@ import functools
 import json
 import math
 import os
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias
 
 import numpy as np
@@ -27,7 +27,7 @@ from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     QueryError,
-    unknown_name,
+    check_name,
 )
 from phase_ppl.world.picture import LABEL, bars, preformatted
 from phase_ppl.world.space import HypothesisSpace
@@ -48,7 +48,6 @@ LEFT_OUT_OF_INTERVALS: Final = 1 / 3
 MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refused
 _LISTED: Final = 5  # labels that a message names at most, the most probable first
 
-
 SURE: Final = 1.64
 """Errors by which the probability of an answer must exceed 1/2, for it to be decided."""
 
@@ -57,9 +56,9 @@ class Hypotheses:
     """A weighted table of hypotheses, and what one can ask it.
 
     Every result carries its Monte-Carlo error as ``.error``: numbers are floats with an error,
-    arrays have a coordinate ``error`` beside their values (``.drop_vars("error")`` leaves it
-    out). Arithmetic computes no new errors: numbers lose theirs, arrays keep the old ones. How
-    errors are found, and when they are NaN, is in :mod:`phase_ppl.analysis.estimate`.
+    arrays have a coordinate ``error`` beside their values. Arithmetic computes no new errors:
+    numbers lose theirs, arrays keep the old ones. How errors are found, and when they are NaN, is
+    in :mod:`phase_ppl.analysis.estimate`.
 
     Every question takes ``given``, what to condition on: quantity -> value, where a value is a
     label, a list of labels of which any will do, or for numbers an interval (low, high); or
@@ -72,18 +71,10 @@ class Hypotheses:
         space: of the world.
         quantities: by name.
         rows: the table; its values are codes or numbers of every quantity.
-        groups: (row,) of which group of chains each row is, 0 and up; None: nothing was drawn in
-            chains.
-        halves: masks (row,) of the first and the last half of the draws, if these are to agree.
     """
 
     def __init__(
-        self,
-        space: HypothesisSpace,
-        quantities: Mapping[str, Quantity],
-        rows: Rows,
-        groups: NDArray[np.int64] | None = None,
-        halves: Sequence[NDArray[np.bool_]] = (),
+        self, space: HypothesisSpace, quantities: Mapping[str, Quantity], rows: Rows
     ) -> None:
         world = space.world
         # what summaries tell of: in words -> quantity
@@ -93,8 +84,6 @@ class Hypotheses:
         self.strengths_of = dict(zip(world.agents, space.strength_sites, strict=True))
         self._quantities = dict(quantities)
         self._rows = rows
-        self._groups = groups
-        self._halves = tuple(halves)
         self._jackknives: dict[float, Jackknife | None] = {}
         self._own: dict[str, Definition] = {}  # of quantities that the user defined
 
@@ -112,14 +101,13 @@ class Hypotheses:
         Args:
             name: of the quantity. One that was defined before may be defined anew.
             definition: conditions in words (:mod:`phase_ppl.analysis.query`), which hold or do
-                not; or a function, hypothesis -> a truth value, a whole number or a string, for
-                a quantity with categories (of which those of numbers have means too), or a real
-                number. It is called at once, once per distinct hypothesis, which offers the
-                quantities by name, as in ``h.goal_red``
-                (:class:`phase_ppl.analysis.definitions.Named`).
+                not; or a function of a hypothesis (:class:`~phase_ppl.analysis.definitions.Named`),
+                which returns a truth value, a whole number or a string, for a quantity with
+                categories (of which those of numbers have means too), or a real number. It is
+                called at once, once per distinct hypothesis.
 
-        Words are saved along with the posterior. A function cannot be written to a file: define
-        it again after :meth:`Posterior.load`, and what is defined by it.
+        Words are saved along with the posterior; define functions, and what is defined by them,
+        again after :meth:`Posterior.load`.
 
         Example:
             ``post.define("same_goal", "goal_red = goal_green")`` or ``post.define("same_goal",
@@ -130,9 +118,9 @@ class Hypotheses:
             InvalidSettingError: the name is taken or no name; or the function raises, or returns
                 NaN, something else or values of several kinds. The message names the hypothesis.
         """
-        from phase_ppl.analysis.definitions import check_name, defined
+        from phase_ppl.analysis.definitions import check_new_name, defined
 
-        check_name(name, self._quantities.keys() - self._own.keys())
+        check_new_name(name, self._quantities.keys() - self._own.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
         quantity, column = defined(name, definition, others, self._rows.values)
         self._quantities = {**others, name: quantity}
@@ -198,17 +186,16 @@ class Hypotheses:
         Raises:
             InvalidSettingError: twice the same name, no name, or too large a table.
         """
-        if (of := self._knowing(*names, given=given)) is not self:
-            return of.joint(*names, given=given)
-        labels = [self._quantity(name).categories() for name in _distinct(names)]
+        of = self._knowing(*names, given=given)
+        labels = [of._quantity(name).categories() for name in _distinct(names)]
         shape = tuple(map(len, labels))
         if math.prod(shape) > MOST_CELLS:
             raise InvalidSettingError(
                 f"the joint of {', '.join(names)} has {math.prod(shape)} entries, "
                 f"at most {MOST_CELLS} are possible: ask for fewer quantities"
             )
-        columns = [self._rows.values[name] for name in names]
-        rows, weights, without = self._weighed(given, *columns)
+        columns = [of._rows.values[name] for name in names]
+        rows, weights, without = of._weighed(given, *columns)
         codes = np.ravel_multi_index([column[rows] for column in columns], shape)
         occupied, codes = np.unique(codes, return_inverse=True)
         mass = estimate.shares(codes, weights)
@@ -217,7 +204,7 @@ class Hypotheses:
         error = np.full(shape, np.nan if without is None else 0.0)
         if without is not None:
             error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
-            error = with_unseen(table, error, self._size_of(rows))
+            error = with_unseen(table, error, of._size_of(rows))
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
             table, {**coords, "error": (names, error)}, dims=names, name="probability"
@@ -253,27 +240,25 @@ class Hypotheses:
 
         Its ``.error`` is the probability that another label leads in truth.
         """
-        if (of := self._knowing(name, given=given)) is not self:
-            return of.mode(name, given=given)
-        labels = self._quantity(name).categories()
-        rows, weights, without = self._weighed(given, self._rows.values[name])
-        codes, size = self._rows.values[name][rows], len(labels)
+        of = self._knowing(name, given=given)
+        labels = of._quantity(name).categories()
+        rows, weights, without = of._weighed(given, of._rows.values[name])
+        codes, size = of._rows.values[name][rows], len(labels)
         mass = estimate.shares(codes, weights, size)
         label = labels[int(mass.argmax())]
         if without is None:
             return Mode(label)
         without_each = estimate.shares(codes, without.weights, size)
-        return Mode(label, doubt(mass, without, without_each, self._size_of(rows)))
+        return Mode(label, doubt(mass, without, without_each, of._size_of(rows)))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
         """Return the leading goals and relation, and whether it is sure that they lead.
 
         Returns:
             quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
-            ``next_probability``; ``sure``: whether the probability exceeds 1/2 by
-            :data:`SURE` errors. With errors that are not known nothing is sure.
-            What was never simulated counts as impossible: whether that matters, and whether it
-            is the prior that decides, ``diagnostics()`` says.
+            ``next_probability``; ``sure``: whether the probability exceeds 1/2 by :data:`SURE`
+            errors, if these are known. Whether it matters what was never simulated, and whether
+            the prior decides, ``diagnostics()`` says.
         """
         found = {}
         for name in (*self.goals_of.values(), *self.relations_of.values()):
@@ -293,33 +278,31 @@ class Hypotheses:
 
         It is that of the weights; of few draws it comes out too low.
         """
-        if (of := self._knowing(*names, given=given)) is not self:
-            return of.entropy(*names, given=given)
-        codes = np.zeros(len(self._rows.weights), np.int64)
+        of = self._knowing(*names, given=given)
+        codes = np.zeros(len(of._rows.weights), np.int64)
         for name in _distinct(names):
-            size = len(self._quantity(name).categories())
-            _, codes = np.unique(codes * size + self._rows.values[name], return_inverse=True)
-        return self._number(_entropy_of_codes, codes, given)
+            size = len(of._quantity(name).categories())
+            _, codes = np.unique(codes * size + of._rows.values[name], return_inverse=True)
+        return of._number(_entropy_of_codes, codes, given)
 
     def mutual_information(self, first: str, second: str, *, given: Given = None) -> Estimate:
         """Return how much two quantities with categories tell of each other, in nats.
 
         It is that of the weights; of few draws it comes out too high.
         """
-        if (of := self._knowing(first, second, given=given)) is not self:
-            return of.mutual_information(first, second, given=given)
-        size = len(self._quantity(second).categories())
-        self._quantity(first).categories()
-        codes = self._rows.values[first] * size + self._rows.values[second]
+        of = self._knowing(first, second, given=given)
+        size = len(of._quantity(second).categories())
+        of._quantity(first).categories()
+        codes = of._rows.values[first] * size + of._rows.values[second]
 
         def information(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:
-            parts = np.divmod(codes, size)
-            alone = sum(_entropy_of_codes(np.unique(part, return_inverse=True)[1], weights)
-                        for part in parts)  # fmt: skip
-            joint = _entropy_of_codes(np.unique(codes, return_inverse=True)[1], weights)
-            return np.asarray(alone - joint)
+            one, other, both = (
+                _entropy_of_codes(np.unique(part, return_inverse=True)[1], weights)
+                for part in (*np.divmod(codes, size), codes)
+            )
+            return one + other - both
 
-        return self._number(information, codes, given)
+        return of._number(information, codes, given)
 
     def mean(self, name: str, *, given: Given = None) -> Estimate:
         """Return the mean of a quantity with numbers, such as a strength in newtons."""
@@ -347,10 +330,9 @@ class Hypotheses:
         """
         if not 0 < prob <= 1:
             raise InvalidSettingError(f"prob={prob} must lie in (0, 1]")
-        if (of := self._knowing(name, given=given)) is not self:
-            return of.hdi(name, prob, given=given)
-        values = self._numbers(name)
-        rows, weights, without = self._weighed(given, values, share=LEFT_OUT_OF_INTERVALS)
+        of = self._knowing(name, given=given)
+        values = of._numbers(name)
+        rows, weights, without = of._weighed(given, values, share=LEFT_OUT_OF_INTERVALS)
         levels, codes = np.unique(values[rows], return_inverse=True)
         bounds = estimate.shortest_interval(levels, estimate.shares(codes, weights), prob)
         error = np.full(2, np.nan)
@@ -359,7 +341,7 @@ class Hypotheses:
             error = without.error(
                 [estimate.shortest_interval(levels, mass, prob) for mass in masses], bounds
             )
-            if not math.isnan(self._effective_size):  # as of other numbers
+            if not math.isnan(of._effective_size):  # as of other numbers
                 error = np.where(error > 0, error, np.nan)
         coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
         return xr.DataArray(list(bounds), coords, dims="bound", name=name)
@@ -373,15 +355,9 @@ class Hypotheses:
                 posteriors that were sampled.
 
         :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of the method that
-        asks the same:
-
-        ============================ =========================================
-        P(conditions)                :meth:`probability`, a number
-        P(name), P(name, name)       :meth:`marginal`, :meth:`joint`
-        E, sd, H                     :meth:`mean`, :meth:`sd`, :meth:`entropy`
-        I(name; name)                :meth:`mutual_information`
-        median, mode, top, hdi       the method of this name
-        ============================ =========================================
+        asks the same: P(conditions) of :meth:`probability`, P(name) of :meth:`marginal`, P(name,
+        name) of :meth:`joint`, E, H and I of :meth:`mean`, :meth:`entropy` and
+        :meth:`mutual_information`; others have the method's name.
 
         Raises:
             QueryError: it cannot be read, names what does not exist, asks for what a quantity
@@ -417,31 +393,27 @@ class Hypotheses:
 
         Columns of quantities from :meth:`define` hold what the function returned.
         """
-        columns: dict[str, Any] = dict(self._rows.index)
+        columns: dict[str, Any] = {**self._rows.index, **self._rows.values}
         for name, quantity in self._quantities.items():
-            entries = self._rows.values[name]
             if quantity.labels is not None:
-                own = name in self._own and quantity.values is not None
-                entries = np.array(quantity.values if own else quantity.labels)[entries]
-            columns[name] = entries
+                values = quantity.values if name in self._own else None
+                columns[name] = np.array(values or quantity.labels)[columns[name]]
+        columns = {name: columns[name] for name in (*self._rows.index, *self._quantities)}
         return pd.DataFrame({**columns, "weight": self._rows.weights})
 
     # --- in short ------------------------------------------------------------------------------
 
     def _answers(self) -> dict[str, Any]:
         """Return what summaries have of goals, relation, scenario and strengths, with errors."""
-        others = (*self.relations_of.values(), *self.scenarios_of.values())
-        strengths = {}
+        goals = {a: dict(_estimates(self.marginal(name))) for a, name in self.goals_of.items()}
+        found: dict[str, Any] = {"goals": goals}
+        for name in (*self.relations_of.values(), *self.scenarios_of.values()):
+            found[name] = dict(_estimates(self.marginal(name)))
+        found["strengths"] = {}
         for agent, name in self.strengths_of.items():
             (_, low), (_, high) = _estimates(self.hdi(name))
             numbers = {"mean": self.mean(name), "sd": self.sd(name)}
-            strengths[agent] = {**numbers, "hdi_low": low, "hdi_high": high}
-        goals = {a: dict(_estimates(self.marginal(name))) for a, name in self.goals_of.items()}
-        found: dict[str, Any] = {
-            "goals": goals,
-            **{name: dict(_estimates(self.marginal(name))) for name in others},
-            "strengths": strengths,
-        }
+            found["strengths"][agent] = {**numbers, "hdi_low": low, "hdi_high": high}
         return {**_of_each(found, float), "errors": _of_each(found, lambda one: one.error)}
 
     def _answer_lines(self) -> list[str]:
@@ -464,8 +436,7 @@ class Hypotheses:
         return self
 
     def _quantity(self, name: str) -> Quantity:
-        if name not in self._quantities:
-            raise unknown_name("quantity", name, self._quantities)
+        check_name("quantity", name, self._quantities)
         return self._quantities[name]
 
     def _numbers(self, name: str) -> FloatArray:
@@ -487,17 +458,17 @@ class Hypotheses:
 
     def _why_impossible(self, given: Conditions) -> str:
         """Return why nothing can be conditioned on ``given``, and what could be instead."""
-        why = "it has probability 0 in this posterior"
-        for name, holds in ((clause.quantity, clause.holds) for clause in given.clauses):
-            if self._rows.weights[holds(self._rows.values)].sum() > 0:
+        why, weights = "it has probability 0 in this posterior", self._rows.weights
+        for holds, name in given.clauses:
+            if weights[holds(self._rows.values)].sum() > 0:
                 continue
             if name is None:  # several are compared
                 return why
             quantity, values = self._quantity(name), self._rows.values[name]
-            has_mass = values[self._rows.weights > 0]
             if quantity.labels is None:
-                return f"{why}, where {name} is between {has_mass.min():g} and {has_mass.max():g}"
-            mass = np.bincount(values, self._rows.weights, len(quantity.labels))
+                possible = values[weights > 0]
+                return f"{why}, where {name} is between {possible.min():g} and {possible.max():g}"
+            mass = np.bincount(values, weights, len(quantity.labels))
             likely = np.argsort(-mass, kind="stable")[: np.count_nonzero(mass)]
             listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
             more = len(likely) - _LISTED
@@ -506,22 +477,21 @@ class Hypotheses:
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Return one that leaves out random sets with a share of the chains, or single ones."""
-        if self._groups is not None and share not in self._jackknives:
-            self._jackknives[share] = leaving_out(
-                self._rows.weights, self._groups, self._halves, share, self._rows.strata
-            )
+        rows = self._rows
+        if rows.groups is not None and share not in self._jackknives:
+            parts = rows.weights, rows.groups, rows.halves
+            self._jackknives[share] = leaving_out(*parts, share, rows.strata)
         return self._jackknives.get(share)
 
     @functools.cached_property
     def _effective_size(self) -> float:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
 
-        The least over the goals of sum p (1 - p) / sum of squared errors; as many as there are
-        chains, where all of these say the same. No more than the weights are worth (Kish), unless
-        there are more chains: that leaving out any of these changes nothing proves no more.
+        The least over the goals of sum p (1 - p) / sum of squared errors, or the number of chains
+        where all say the same; at most what the weights are worth (Kish), or that number.
         """
         without = self._jackknife(0.0)
-        if without is None or self._groups is None:
+        if without is None or self._rows.groups is None:
             return math.nan
         sizes = []
         for name in self.goals_of.values():

@@ -24,7 +24,6 @@ from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray, alike
-from phase_ppl.world.space import HypothesisSpace
 
 _GROUPS: Final = 20
 _DRAWS: Final = 1000  # of every group, whose differences are the Monte-Carlo error
@@ -61,15 +60,15 @@ class WithSites(Hypotheses):
 
     def __init__(
         self,
-        space: HypothesisSpace,
+        words: Vocabulary,
         quantities: Mapping[str, Quantity],
         rows: Rows,
         summed: bool,
         errors: Jackknife | Jackknives | None,
     ) -> None:
-        super().__init__(space, quantities, rows)
+        super().__init__(words.space, quantities, rows)
         self.summed = summed
-        self._space = space
+        self._words = words
         self._errors = errors
 
     def _jackknife(self, share: float) -> Any:
@@ -97,15 +96,16 @@ class WithSites(Hypotheses):
 
         The values of further sites count where there are all of them.
         """
-        derived = {*Vocabulary(self._space).quantities, *self._own}
+        derived = {*self._words.quantities, *self._own}
         sites = [name for name in self._quantities if name not in derived]
-        names = (*self._space.kept_columns, *(sites if self.summed else ()))
+        names = [*self._words.space.kept_columns, *(sites if self.summed else ())]
         strengths = self.strengths_of.values()
-        return self._first(names), self._first([name for name in names if name not in strengths])
 
-    def _first(self, names: Sequence[str]) -> IntArray:
-        kind, first = alike([self._rows.values[name] for name in names])
-        return first[kind]
+        def first_of(names: Sequence[str]) -> IntArray:
+            kind, first = alike([self._rows.values[name] for name in names])
+            return first[kind]
+
+        return first_of(names), first_of([name for name in names if name not in strengths])
 
     def __repr__(self) -> str:
         how = "all values" if self.summed else f"{len(self.table.weights)} draws"
@@ -118,70 +118,65 @@ def with_sites(
     """Return the table of hypotheses with the further sites of the prior, given frames so far."""
     from phase_ppl.models import effective
 
-    values = effective.enumerable(prior)
-    if values is not None:
-        return _summed(prior, values, table, frame, words)
-    sites = effective.further_sites(prior)
     log_mass, *without = table.all_log_masses(frame)
-    cumulative = np.exp(log_mass - log_sum_exp(log_mass)).cumsum()
-    rng = np.random.default_rng(_SEED)
-    steps = (np.arange(_DRAWS) + rng.random((_GROUPS, 1))) / _DRAWS  # systematic, by group
-    flat = np.searchsorted(cumulative, steps.ravel() * cumulative[-1], side="right")
-    flat = np.minimum(flat, len(cumulative) - 1)
-    places = np.unravel_index(flat, table.log_prior.shape)
-    columns = table.columns(*np.divmod(flat, len(table.combinations)))
-    of_program = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
-    drawn, log_weight = effective.drawn_beside(
-        prior, of_program, table.log_prior, places, np.array(table.levels), _SEED
-    )
-    weights = np.exp(log_weight - log_sum_exp(log_weight))
+    levels = np.array(table.levels)
+    values = effective.enumerable(prior)
+    sites: dict[str, tuple[Quantity, NDArray[Any]]]
+    if values is not None:
+        likelihood = table.log_likelihood(frame).reshape(-1, 1)
+        log_prior = effective.log_masses(prior, levels, values).reshape(len(likelihood), -1)
+        shares = np.exp(_log_shares(log_prior + likelihood))
+        flat, value = np.nonzero(shares > _LEAST)
+        weights = shares[flat, value]
+        columns = table.columns(*np.divmod(flat, len(table.combinations)))
+        codes = np.unravel_index(value, [len(options) for _, options in values])
+        sites = {
+            name: (_discrete(name, options), chosen)
+            for (name, options), chosen in zip(values, codes, strict=True)
+        }
+    else:
+        cumulative = np.exp(_log_shares(log_mass)).cumsum()
+        rng = np.random.default_rng(_SEED)
+        steps = (np.arange(_DRAWS) + rng.random((_GROUPS, 1))) / _DRAWS  # systematic, by group
+        flat = np.searchsorted(cumulative, steps.ravel() * cumulative[-1], side="right")
+        flat = np.minimum(flat, len(cumulative) - 1)
+        places = np.unravel_index(flat, table.log_prior.shape)
+        columns = table.columns(*np.divmod(flat, len(table.combinations)))
+        given = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
+        drawn, log_weight = effective.drawn_beside(
+            prior, given, table.log_prior, places, levels, _SEED
+        )
+        weights = np.exp(_log_shares(log_weight))
+        sites = {
+            name: _drawn(name, drawn[name], site.discrete)
+            for name, site in effective.further_sites(prior).items()
+        }
     weights /= weights.sum()
-    quantities = dict(words.quantities)
-    for name, site in sites.items():
-        quantities[name], columns[name] = _column(name, drawn[name], site.discrete)
-    groups = np.repeat(np.arange(_GROUPS), _DRAWS)
-    by_chance = leaving_out(weights, groups)
+    quantities = {**words.quantities, **{name: quantity for name, (quantity, _) in sites.items()}}
+    columns |= {name: column for name, (_, column) in sites.items()}
     by_searches = _reweighted(weights, log_mass, without, flat)
-    parts = [part for part in (by_chance, by_searches) if part is not None]
-    rows = Rows(words.completed(columns), weights, {"draw": np.arange(len(weights))})
-    errors = Jackknives(tuple(parts)) if len(parts) == 2 else None
-    return WithSites(words.space, quantities, rows, False, errors)
+    errors: Jackknife | Jackknives | None = by_searches
+    if values is None:
+        by_chance = leaving_out(weights, np.repeat(np.arange(_GROUPS), _DRAWS))
+        errors = by_chance and by_searches and Jackknives((by_chance, by_searches))
+    index = {"draw" if values is None else "row": np.arange(len(weights))}
+    rows = Rows(words.completed(columns), weights, index)
+    return WithSites(words, quantities, rows, values is not None, errors)
 
 
-def _summed(
-    prior: Callable[..., object],
-    values: Sequence[tuple[str, tuple[float, ...]]],
-    table: PairTable,
-    frame: int,
-    words: Vocabulary,
-) -> WithSites:
-    from phase_ppl.models.effective import log_masses
-
-    likelihood = table.log_likelihood(frame).reshape(-1, 1)
-    log_prior = log_masses(prior, np.array(table.levels), tuple(values))
-    log_mass = log_prior.reshape(len(likelihood), -1) + likelihood
-    shares = np.exp(log_mass - log_sum_exp(log_mass.ravel()))
-    flat, value = np.nonzero(shares > _LEAST)
-    weights = shares[flat, value]
-    weights /= weights.sum()
-    columns = table.columns(*np.divmod(flat, len(table.combinations)))
-    quantities = dict(words.quantities)
-    codes = np.unravel_index(value, [len(options) for _, options in values])
-    for (name, options), chosen in zip(values, codes, strict=True):
-        quantities[name] = Quantity(name, tuple(map("{:g}".format, options)), tuple(options))
-        columns[name] = chosen
-    of_hypotheses, *without = table.all_log_masses(frame)
-    errors = _reweighted(weights, of_hypotheses, without, flat)
-    rows = Rows(words.completed(columns), weights, {"row": np.arange(len(weights))})
-    return WithSites(words.space, quantities, rows, True, errors)
+def _log_shares(log_mass: FloatArray) -> FloatArray:
+    return log_mass - log_sum_exp(log_mass.ravel())
 
 
-def _column(name: str, drawn: NDArray[Any], discrete: bool) -> tuple[Quantity, NDArray[Any]]:
+def _discrete(name: str, options: Sequence[float]) -> Quantity:
+    return Quantity(name, tuple(map("{:g}".format, options)), tuple(options))
+
+
+def _drawn(name: str, drawn: NDArray[Any], discrete: bool) -> tuple[Quantity, NDArray[Any]]:
     if not discrete:
         return Quantity(name), drawn.astype(np.float64)
     occurring, codes = np.unique(drawn, return_inverse=True)
-    options = tuple(occurring.tolist())
-    return Quantity(name, tuple(map("{:g}".format, options)), options), codes
+    return _discrete(name, occurring.tolist()), codes
 
 
 def _reweighted(
@@ -197,10 +192,7 @@ def _reweighted(
     """
     if not without:
         return None
-    changed = []
-    for mass in without:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log_weight = np.log(weights) + mass[places] - log_mass[places]
-        log_weight[np.isnan(log_weight)] = -np.inf
-        changed.append(np.exp(log_weight - log_sum_exp(log_weight)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = [np.log(weights) + mass[places] - log_mass[places] for mass in without]
+    changed = [np.exp(_log_shares(np.where(np.isnan(one), -np.inf, one))) for one in logs]
     return Jackknife(np.array(changed), len(without) - 1.0)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis._arviz import arviz_data
-from phase_ppl.analysis.diagnostics import diagnostics
+from phase_ppl.analysis.diagnostics import arviz_data, diagnostics
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
@@ -31,7 +30,7 @@ from phase_ppl.analysis.tree import (
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
 
@@ -42,8 +41,7 @@ HINDSIGHT: Final = (
     "Hindsight, not what an observer believed at the time: the hypotheses were proposed from the "
     "whole video, and are weighted by how well they explain it up to each frame."
 )
-"""Goes with every result."""
-
+"""Goes with every result over time."""
 
 _FORMERLY: Final = {"importance": "stratified", "visited": "count"}
 """What files of earlier versions call a weighting -> what has taken its place."""
@@ -52,16 +50,10 @@ _FORMERLY: Final = {"importance": "stratified", "visited": "count"}
 class Posterior(EventPosterior):
     """Posterior over agents' goals, their relation and their strengths.
 
-    What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`: ``marginal``,
-    ``joint``, ``probability``, ``top``, ``mode``, ``entropy``, ``mean``, ``sd``, ``hdi``, each
-    with its Monte-Carlo error, ``query`` for the same in words, ``define`` for quantities of your
-    own, ``to_dataframe``.
-
-    ``goal_red`` and ``goal_green`` are effective goals, what an agent acts on; the goals as
-    stated before alpha is counted in are ``stated_goal_red`` and ``stated_goal_green``.
-    ``relation`` and ``scenario`` follow from the two effective goals. In other worlds than PHASE
-    the quantities are ``goal_<agent>``, ``relation_<one>_<other>``, ``alpha_<who>_<whom>`` and
-    ``strength_<agent>`` of all agents.
+    What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`, what one can ask
+    for in :mod:`phase_ppl.analysis.quantities`. ``goal_red`` and ``goal_green`` are effective
+    goals, what an agent acts on; ``stated_goal_red`` and ``stated_goal_green`` those before alpha
+    is counted in. ``relation`` and ``scenario`` follow from the two effective goals.
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
@@ -92,8 +84,7 @@ class Posterior(EventPosterior):
         check_tree(tree)
         kept = str(tree.attrs["weights"])
         name = _FORMERLY.get(kept, kept) if weights is None else weights
-        if name not in WEIGHTINGS:
-            raise unknown_name("weights", name, WEIGHTINGS)
+        check_name("weights", name, WEIGHTINGS)
         n_draws = tree["posterior"].sizes["draw"]
         self._burn_in = whole_number(
             "burn_in", tree.attrs.get("burn_in", 0) if burn_in is None else burn_in, minimum=0
@@ -110,11 +101,10 @@ class Posterior(EventPosterior):
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
-        groups = chain_groups(tree)[rows.index["chain"]]
-        rows = dataclasses.replace(rows, values=columns)
+        groups, parts = chain_groups(tree)[rows.index["chain"]], halves(tree, name, rows)
+        rows = dataclasses.replace(rows, values=columns, groups=groups, halves=parts)
         constant = tree["constant_data"].to_dataset()
-        drawn = groups, halves(tree, name, rows)
-        super().__init__(words, self._tree.attrs, constant, known, rows, *drawn)
+        super().__init__(words, self._tree.attrs, constant, known, rows)
 
     @property
     def tree(self) -> xr.DataTree:
@@ -150,14 +140,15 @@ class Posterior(EventPosterior):
         tree.attrs["settings"] = settings_under(
             tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]
         )
-        return changed._defining(self._own)
+        return changed
 
     def _under_weights(self, weights: str) -> Posterior:
-        return self._like(self._tree, weights)._defining(self._own)
+        return self._like(self._tree, weights)
 
     def _like(self, tree: xr.DataTree, weights: str) -> Posterior:
         scenario = self._words.scenario
-        return Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
+        other = Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
+        return other._defining(self._own)
 
     def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.
@@ -248,20 +239,19 @@ class Posterior(EventPosterior):
         words, simulations = self._words, self._tree["simulations"].dataset
         codes = {name: simulations[name].values[rows] for name in words.space.goal_sites}
         codes |= words.relation_codes(codes)
+        sizes = {name: len(words.quantities[name].categories()) for name in codes}
+        tables = {
+            name: weights.T @ (column[:, None] == np.arange(sizes[name]))
+            for name, column in codes.items()
+        }
         time = array(self._tree, "observed_data", "time")
-        result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
-        for name, column in codes.items():
-            labels = list(words.quantities[name].categories())
-            indicators = column[:, None] == np.arange(len(labels))
-            result[name] = (("time", f"{name}_is"), weights.T @ indicators)
-            result = result.assign_coords({f"{name}_is": labels})
-        return result.assign_attrs(hindsight=HINDSIGHT, weights=weighting)
+        return self._along_time(time, tables, hindsight=HINDSIGHT, weights=weighting)
 
     @property
     def arviz(self) -> Any:
         """The draws, each counted once, for ArviZ, as in ``az.summary(post.arviz)``.
 
-        See :func:`phase_ppl.analysis._arviz.arviz_data` for what is in there; nothing is simulated.
+        :func:`phase_ppl.analysis.diagnostics.arviz_data` says what is there; nothing is simulated.
         """
         return arviz_data(self._kept, self._words.scenario)
 
@@ -306,12 +296,9 @@ class Posterior(EventPosterior):
         )
         if self.burn_in and self.weights == "count":
             head += f", after a burn-in of {self.burn_in}"
-        n = self.observed().shape[1]
-        together = "" if n == 1 else f" (all {_WORDS.get(n, n)} entities together)"
-        fit = (
-            f"the best draw stays {found['best_error_per_frame']:.2f} units per frame from the "
-            f"observation{together}"
-        )
+        n, off = self.observed().shape[1], found["best_error_per_frame"]
+        fit = f"the best draw stays {off:.2f} units per frame from the observation"
+        fit += "" if n == 1 else f" (all {_WORDS.get(n, n)} entities together)"
         lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
         lines += [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
@@ -342,22 +329,19 @@ _WORDS: Final = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     simulations = found["simulations"]
+    known = {
+        "frames": ", {:d} frames",
+        "budget": " (of a budget of {}),",
+        "seconds": " in {:.0f} s",
+        "workers": f" on {{:d}} worker{'' if cost.get('workers') == 1 else 's'}",
+        "seconds_overhead": ", {:.0f} s of it beside the simulations",
+    }
     words = f"{simulations['total']} simulations"
-    if isinstance(cost.get("frames"), int):
-        words += f", {cost['frames']} frames"
-    if cost.get("budget"):
-        words += f" (of a budget of {cost['budget']}),"
-    if isinstance(cost.get("seconds"), int | float):
-        words += f" in {cost['seconds']:.0f} s"
-    if isinstance(cost.get("workers"), int):
-        words += f" on {cost['workers']} worker{'' if cost['workers'] == 1 else 's'}"
-    if isinstance(cost.get("seconds_overhead"), int | float):
-        words += f", {cost['seconds_overhead']:.0f} s of it beside the simulations"
+    costs = [(told, cost.get(name)) for name, told in known.items()]
+    words += "".join(told.format(amount) for told, amount in costs if amount is not None)
     if simulations["aborted"]:
-        words += (
-            f"; {simulations['aborted']} stopped early, which saved "
-            f"{found['frames_saved_share']:.0%} of the frames"
-        )
+        saved = f"{found['frames_saved_share']:.0%} of the frames"
+        words += f"; {simulations['aborted']} stopped early, which saved {saved}"
     else:
         words += "; none stopped early"
     words += f"; {cost.get('failures', simulations['failed'])} failed"

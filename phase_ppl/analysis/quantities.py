@@ -124,9 +124,10 @@ class Quantity:
     def satisfied(self, values: NDArray[Any], wanted: object) -> NDArray[np.bool_]:
         """Return which codes or numbers are ``wanted``: a label, some labels, or (low, high)."""
         if self.labels is not None and not (self.numeric and isinstance(wanted, tuple)):
-            if isinstance(wanted, tuple) and all(isinstance(w, str | tuple) for w in wanted):
-                wanted = list(wanted)
-            options = wanted if isinstance(wanted, list | set | frozenset) else [wanted]
+            several = isinstance(wanted, list | set | frozenset) or (
+                isinstance(wanted, tuple) and all(isinstance(w, str | tuple) for w in wanted)
+            )
+            options = cast("list[Any]", wanted) if several else [wanted]
             return np.isin(values, [self.code(option) for option in options])
         try:
             low, high = (float(bound) for bound in cast("tuple[float, float]", wanted))
@@ -142,27 +143,6 @@ class Quantity:
 
 def _canonical(label: object) -> str:
     return "".join(str(label).split()).lower()
-
-
-def quantities(world: World = PHASE) -> dict[str, Quantity]:
-    """Return the quantities that every posterior of a world has, by name."""
-    keys, in_phase = world.keys, world == PHASE
-    if in_phase:
-        alphas = [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
-    else:
-        pairs = ["_".join(pair) for pair in itertools.permutations(keys, 2)]
-        alphas = [Quantity(f"alpha_{pair}", SIGNS, (-1, 0, 1)) for pair in pairs]
-    found = [
-        *(Quantity(f"goal_{key}", world.goals) for key in keys),
-        *(Quantity(name, RELATIONS) for name in relations_of(world).values()),
-        *alphas,
-        *(Quantity(f"strength_{key}") for key in keys),
-    ]
-    if in_phase:
-        parts = itertools.product(keys, GOAL_PARTS.items())
-        found += [Quantity(f"stated_goal_{key}", GOALS) for key in keys]
-        found += [Quantity(f"{part}_{key}", labels) for key, (part, labels) in parts]
-    return {quantity.name: quantity for quantity in found}
 
 
 def relations_of(world: World) -> dict[str, str]:
@@ -194,10 +174,10 @@ def own_quantity(
         return Quantity(name), values
     occurring = np.unique(np.append(variable.values, array(tree, "simulations", name)))
     if "flag_meanings" not in variable.attrs:
-        labels = tuple(str(value) for value in occurring.tolist())
-        own = Quantity(name, labels, tuple(occurring.tolist()))
+        options = tuple(occurring.tolist())
+        own = Quantity(name, tuple(map(str, options)), options)
         return own, np.searchsorted(occurring, values)
-    meanings = tuple(str(meaning) for meaning in json.loads(variable.attrs["flag_meanings"]))
+    meanings = tuple(map(str, json.loads(variable.attrs["flag_meanings"])))
     if not np.isin(occurring, np.arange(len(meanings))).all():
         raise InvalidEventError(
             f"{name} takes the values {occurring.tolist()} but has {len(meanings)} labels"
@@ -243,9 +223,9 @@ def relation_codes(
         codes = SCENARIO_TABLE[goal_red, goal_green].astype(np.int64)
     else:
         own = Quantity("scenario", SCENARIOS)
-        pairs = list(zip(goal_red.tolist(), goal_green.tolist(), strict=True))
-        table = {pair: own.code(scenario(GOALS[pair[0]], GOALS[pair[1]])) for pair in set(pairs)}
-        codes = np.array([table[pair] for pair in pairs], np.int64)
+        code = functools.cache(lambda red, green: own.code(scenario(GOALS[red], GOALS[green])))
+        pairs = zip(goal_red.tolist(), goal_green.tolist(), strict=True)
+        codes = np.array([code(red, green) for red, green in pairs], np.int64)
     relation_of = np.array([RELATIONS.index(RELATION_OF_SCENARIO[name]) for name in SCENARIOS])
     return {"relation": relation_of[codes], "scenario": codes}
 
@@ -275,7 +255,24 @@ class Vocabulary:
     @functools.cached_property
     def quantities(self) -> dict[str, Quantity]:
         """All quantities, by name."""
-        return quantities(self.space.world)
+        world = self.space.world
+        keys, in_phase = world.keys, self.space.is_phase
+        if in_phase:
+            alphas = [Quantity("scenario", SCENARIOS), Quantity("alpha", ALPHA_LABELS, ALPHAS)]
+        else:
+            pairs = ["_".join(pair) for pair in itertools.permutations(keys, 2)]
+            alphas = [Quantity(f"alpha_{pair}", SIGNS, (-1, 0, 1)) for pair in pairs]
+        found = [
+            *(Quantity(f"goal_{key}", world.goals) for key in keys),
+            *(Quantity(name, RELATIONS) for name in relations_of(world).values()),
+            *alphas,
+            *(Quantity(f"strength_{key}") for key in keys),
+        ]
+        if in_phase:
+            parts = itertools.product(keys, GOAL_PARTS.items())
+            found += [Quantity(f"stated_goal_{key}", GOALS) for key in keys]
+            found += [Quantity(f"{part}_{key}", labels) for key, (part, labels) in parts]
+        return {quantity.name: quantity for quantity in found}
 
     def relation_codes(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.int64]]:
         """Return relations, and in PHASE the scenario, of effective goals, columns (row,)."""

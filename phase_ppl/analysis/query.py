@@ -77,7 +77,7 @@ class Word(NamedTuple):
 class Condition(NamedTuple):
     """What a quantity is to be.
 
-    Labels after =, != and "in {"; one number after <, two in [ ]; or the other quantity, which
+    Labels after =, != and "in"; one number after <, two in [ ]; or the other quantity, which
     after = and != is a label until it is known what there is.
     """
 
@@ -138,34 +138,31 @@ def understood(
     text: str, quantities: Mapping[str, Quantity]
 ) -> tuple[Query, Conditions | None, Conditions | None]:
     """Return what ``text`` asks, its event and what is given, None where there is none."""
-    query = _Parser(_checked(text)).query()
-    meaning = _Meaning(quantities, text)
+    reader = _Reader(text, quantities)
+    query = reader.query()
     for place, name in enumerate(query.names):
-        meaning.check_asked(query.question, name, query.names[:place])
-    event, given = (
-        meaning.conditions(part) if part else None for part in (query.event, query.given)
-    )
+        reader.check_asked(query.question, name, query.names[:place])
+    event, given = (reader.meaning(part) if part else None for part in (query.event, query.given))
     return query, event, given
 
 
 def conditions(quantities: Mapping[str, Quantity], text: str) -> Conditions:
     """Return what a text such as ``"relation=friendly or strength_red > 400"`` says."""
-    return _Meaning(quantities, text).conditions(_Parser(_checked(text)).event_alone())
+    reader = _Reader(text, quantities)
+    return reader.meaning(reader.event_alone())
 
 
-def _checked(text: object) -> str:
-    if not isinstance(text, str):
-        raise QueryError(f"a question is text, not {shown(text)}", "", 0)
-    if len(text) > LONGEST:
-        raise QueryError(
-            f"a question of {len(text)} characters is too long: at most {LONGEST}", text, LONGEST
-        )
-    return text
+class _Reader:
+    """Reads a text, and says what its words mean given the quantities that there are."""
 
-
-class _Parser:
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, quantities: Mapping[str, Quantity]) -> None:
+        if not isinstance(text, str):
+            raise QueryError(f"a question is text, not {shown(text)}", "", 0)
+        if len(text) > LONGEST:
+            reason = f"a question of {len(text)} characters is too long: at most {LONGEST}"
+            raise QueryError(reason, text, LONGEST)
         self._text = text
+        self._quantities = quantities
         self._at = 0
         self._depth = 0
 
@@ -198,27 +195,27 @@ class _Parser:
             if word.lower() == question.lower():
                 return question
         self._at = start
-        self._fail(f"one of {', '.join(QUESTIONS)}, as in P(goal_red)")
+        self._expected(f"one of {', '.join(QUESTIONS)}, as in P(goal_red)")
 
     def _share_or_count(self, question: str) -> float | None:
         start = self._skip()
         if question not in ("top", "hdi") or not _NUMBER.match(self._text, start):
             return None
         number = self._number("a number")
-        if question == "top":
-            if not (number.is_integer() and number >= 1):
-                self._fail("a whole number from 1, as in top 3 goal_red", start)
+        if question == "top" and number.is_integer() and number >= 1:
             return int(number)
+        if question == "top":
+            self._expected("a whole number from 1, as in top 3 goal_red", start)
         if self._take("%"):
             number /= 100
         if not 0 < number <= 1:
-            self._fail("a share in (0, 1] or percent, as in hdi 94% strength_red", start)
+            self._expected("a share in (0, 1] or percent, as in hdi 94% strength_red", start)
         return number
 
     def event_alone(self) -> tuple[Event, ...]:
         found = self._listed(self._either)
         if self._skip() < len(self._text):
-            self._fail("',', 'and', 'or' or the end")
+            self._expected("',', 'and', 'or' or the end")
         return found
 
     def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Event, ...]]:
@@ -232,7 +229,7 @@ class _Parser:
             return (), self._listed(self._either)
         names = self._listed(self._name)
         if _OPERATOR.match(self._text, self._skip()):
-            self._fail("names only or conditions only; what is given comes after '|'")
+            self._expected("names only or conditions only; what is given comes after '|'")
         return names, ()
 
     def _either(self) -> Event:
@@ -251,7 +248,7 @@ class _Parser:
             return self._condition()
         self._depth += 1
         if self._depth > _DEEPEST:
-            self._fail(f"at most {_DEEPEST} brackets and 'not' within each other", start)
+            self._expected(f"at most {_DEEPEST} brackets and 'not' within each other", start)
         if negated:
             found: Event = Junction("not", (self._single(),))
         else:
@@ -271,25 +268,26 @@ class _Parser:
         name = self._name()
         start = self._skip()
         sign = self._match(_OPERATOR)
+        how = Word(sign, start)
         if sign in ("=", "!="):
-            return Condition(name, Word(sign, start), labels=(self._label(name.text, joined=True),))
+            return Condition(name, how, labels=(self._label(name.text, joined=True),))
         if sign == "in":
             if self._take("{"):
                 labels = self._listed(lambda: self._label(name.text))
                 self._expect("}", "',' or '}'")
-                return Condition(name, Word("in {", start), labels=labels)
+                return Condition(name, how, labels=labels)
             if self._take("["):
-                return Condition(name, Word("in [", start), numbers=self._interval())
-            self._fail("{ and labels, or [ and an interval's ends, after 'in'")
+                return Condition(name, how, numbers=self._interval())
+            self._expected("{ and labels, or [ and an interval's ends, after 'in'")
         if sign:
             place = self._skip()
             if _WORD.match(self._text, place) or self._text.startswith(("'", '"'), place):
-                return Condition(name, Word(sign, start), other=self._name())
+                return Condition(name, how, other=self._name())
             number = self._number("a number, or the name of a quantity")
-            return Condition(name, Word(sign, start), numbers=(number,))
+            return Condition(name, how, numbers=(number,))
         before = self._text[: name.at].split()[-1:]
         hint = f"; one of several values: in {{a, {name.text}}}" if before == ["or"] else ""
-        self._fail(f"=, !=, <, <=, >, >= or in after {shown(name.text)}{hint}")
+        self._expected(f"=, !=, <, <=, >, >= or in after {shown(name.text)}{hint}")
 
     def _interval(self) -> tuple[float, float]:
         start = self._skip()
@@ -298,17 +296,16 @@ class _Parser:
         high = self._number("a number, the upper end")
         self._expect("]", "']'")
         if not low <= high:
-            self._fail("an interval whose lower end comes first", start)
+            self._expected("an interval whose lower end comes first", start)
         return low, high
 
     def _end(self, closing: str | None, given: bool, lists: bool) -> None:
-        done = True if closing is None else self._take(closing)
-        closed = closing is not None and done
-        if done and self._skip() == len(self._text):
+        closed = closing is not None and self._take(closing)
+        if (closed or closing is None) and self._skip() == len(self._text):
             return
         expected = [] if closed else ["','"] * lists + ["'|'"] * (not given)
         expected.append("the end" if closing is None or closed else f"'{closing}'")
-        self._fail(" or ".join(expected))
+        self._expected(" or ".join(expected))
 
     # --- words ---------------------------------------------------------------------------------
 
@@ -318,7 +315,7 @@ class _Parser:
             return quoted
         if word := self._match(_WORD):
             return Word(word, start)
-        self._fail("the name of a quantity, such as goal_red")
+        self._expected("the name of a quantity, such as goal_red")
 
     def _label(self, name: str, joined: bool = False) -> Word:
         """Read a label: quoted, a pair such as (1, 0), or words up to the next sign.
@@ -339,7 +336,7 @@ class _Parser:
                 self._at = end.start()
         text = self._text[start : self._at].strip()
         if not text:
-            self._fail(f"a value of {shown(name)}", start)
+            self._expected(f"a value of {shown(name)}", start)
         return Word(text, start)
 
     def _quoted(self) -> Word | None:
@@ -348,7 +345,7 @@ class _Parser:
             if self._take(quote):
                 end = self._text.find(quote, self._at)
                 if end < 0:
-                    self._fail(f"a closing {quote}", len(self._text))
+                    self._expected(f"a closing {quote}", len(self._text))
                 text, self._at = self._text[self._at : end], end + 1
                 return Word(text, start)
         return None
@@ -357,10 +354,10 @@ class _Parser:
         self._skip()
         text = self._match(_NUMBER)
         if not text:
-            self._fail(what)
+            self._expected(what)
         number = float(text)
         if not math.isfinite(number):
-            self._fail("a finite number", self._at - len(text))
+            self._expected("a finite number", self._at - len(text))
         return number
 
     # --- characters ----------------------------------------------------------------------------
@@ -395,19 +392,15 @@ class _Parser:
 
     def _expect(self, sign: str, what: str) -> None:
         if not self._take(sign):
-            self._fail(what)
+            self._expected(what)
 
-    def _fail(self, expected: str, at: int | None = None) -> NoReturn:
-        place = self._skip() if at is None else at
-        raise QueryError(f"expected {expected}", self._text, place)
+    def _expected(self, what: str, at: int | None = None) -> NoReturn:
+        self._fail(f"expected {what}", self._skip() if at is None else at)
 
+    def _fail(self, reason: str, at: int) -> NoReturn:
+        raise QueryError(reason, self._text, at)
 
-class _Meaning:
-    """What words of the question ``text`` stand for, given the quantities that there are."""
-
-    def __init__(self, quantities: Mapping[str, Quantity], text: str) -> None:
-        self._quantities = quantities
-        self._text = text
+    # --- what words mean ---------------------------------------------------------------------
 
     def _quantity(self, name: Word) -> Quantity:
         if name.text not in self._quantities:
@@ -416,19 +409,19 @@ class _Meaning:
 
     def check_asked(self, question: str, name: Word, before: Sequence[Word]) -> None:
         """Raise QueryError if ``name`` cannot be asked for in this way."""
-        quantity = self._quantity(name)
+        quantity, (text, at) = self._quantity(name), name
         if quantity.labels is None and question in ("P", "H", "I", "mode", "top"):
             self._fail(
-                f"{name.text} is a real number without categories; ask for E, sd or hdi, or for "
-                f"the probability of an interval: P({name.text} in [low, high])",
-                name.at,
+                f"{text} is a real number without categories; ask for E, sd or hdi, or for "
+                f"the probability of an interval: P({text} in [low, high])",
+                at,
             )
         if not quantity.numeric and question in ("E", "sd", "median", "hdi"):
-            self._fail(f"{name.text} has categories, not numbers; ask for P, mode or top", name.at)
-        if name.text in [word.text for word in before]:
-            self._fail(f"{name.text} is named twice: expected different quantities", name.at)
+            self._fail(f"{text} has categories, not numbers; ask for P, mode or top", at)
+        if text in [word.text for word in before]:
+            self._fail(f"{text} is named twice: expected different quantities", at)
 
-    def conditions(self, events: Sequence[Event]) -> Conditions:
+    def meaning(self, events: Sequence[Event]) -> Conditions:
         """Return what is said of hypotheses; QueryError if nothing can fulfil it."""
         clauses: list[Clause] = []
         said: dict[str, list[Condition]] = {}
@@ -439,9 +432,8 @@ class _Meaning:
             name = event.name.text
             said.setdefault(name, []).append(event)
             if not self._can_be(said[name]):
-                self._fail(
-                    f"no value of {name} fulfils this and what is said before", event.name.at
-                )
+                reason = f"no value of {name} fulfils this and what is said before"
+                self._fail(reason, event.name.at)
         return Conditions(self._text, tuple(clauses))
 
     def _can_be(self, said: Sequence[Condition]) -> bool:
@@ -472,74 +464,50 @@ class _Meaning:
         """Return the quantity that another one is compared with; None: it is with values."""
         if condition.other is not None:
             return self._quantity(condition.other)
-        if condition.operator.text not in ("=", "!=") or not condition.labels:
+        if condition.operator.text not in ("=", "!="):
             return None
         (label,) = condition.labels
-        if self._text[label.at] in "\"'":
-            return None
-        labels = self._quantity(condition.name).labels or ()
-        return None if label.text in labels else self._quantities.get(label.text)
+        is_value = label.text in (self._quantity(condition.name).labels or ())
+        is_value |= self._text[label.at] in "\"'"
+        return None if is_value else self._quantities.get(label.text)
 
     def _comparison(
         self, first: Quantity, second: Quantity, condition: Condition
     ) -> Callable[[Columns], NDArray[np.bool_]]:
-        sign = condition.operator.text
-        compare, names = _COMPARED[sign], (first.name, second.name)
+        (sign, at), one, other = condition.operator, first.name, second.name
+        compare = _COMPARED[sign]
         if sign in ("=", "!="):
             if first.labels is None or second.labels is None:
-                real = first if first.labels is None else second
-                self._fail(
-                    f"{real.name} is a real number: expected <, <=, >, >= to compare it",
-                    condition.operator.at,
-                )
+                real = one if first.labels is None else other
+                self._fail(f"{real} is a real number: expected <, <=, >, >= to compare it", at)
             codes = {label: code for code, label in enumerate(first.labels)}
             same = np.array([codes.get(label, -1) for label in second.labels])
             if (same < 0).all():
-                self._fail(
-                    f"{names[0]} and {names[1]} have no value in common", condition.operator.at
-                )
-            return lambda columns: compare(columns[names[0]], same[columns[names[1]]])
+                self._fail(f"{one} and {other} have no value in common", at)
+            return lambda columns: compare(columns[one], same[columns[other]])
         for quantity in (first, second):
             if not quantity.numeric:
-                self._fail(
-                    f"{quantity.name} has categories, not numbers: expected = or !=",
-                    condition.operator.at,
-                )
-        return lambda columns: compare(
-            first.numbers(columns[names[0]]), second.numbers(columns[names[1]])
-        )
+                self._fail(f"{quantity.name} has categories, not numbers: expected = or !=", at)
+        return lambda columns: compare(first.numbers(columns[one]), second.numbers(columns[other]))
 
     def _simple(self, condition: Condition) -> Callable[[NDArray[Any]], NDArray[np.bool_]]:
         """Return what a condition on a single quantity asks of its codes or numbers."""
-        quantity = self._quantity(condition.name)
-        if not condition.numbers:
-            if quantity.labels is None:
-                self._fail(
-                    f"{quantity.name} is a real number: expected <, <=, >, >= or in [low, high]",
-                    condition.operator.at,
-                )
-            codes = [self._code(quantity, label) for label in condition.labels]
-            negated = condition.operator.text == "!="
-            return lambda values: np.isin(values, codes, invert=negated)
-        if not quantity.numeric:
-            self._fail(
-                f"{quantity.name} has categories, not numbers: expected =, != or in {{...}}",
-                condition.operator.at,
-            )
-        ends = condition.numbers
+        quantity, (sign, at) = self._quantity(condition.name), condition.operator
+        name, ends, codes = quantity.name, condition.numbers, []
+        if not ends and quantity.labels is None:
+            self._fail(f"{name} is a real number: expected <, <=, >, >= or in [low, high]", at)
+        if ends and not quantity.numeric:
+            self._fail(f"{name} has categories, not numbers: expected =, != or in {{...}}", at)
+        for label in condition.labels:
+            try:
+                codes.append(quantity.code(label.text))
+            except UnknownNameError as error:
+                self._fail(str(error), label.at)
+        if not ends:
+            return lambda values: np.isin(values, codes, invert=sign == "!=")
         if len(ends) == 2:
             return lambda values: quantity.satisfied(values, ends)
-        compare = _COMPARED[condition.operator.text]
-        return lambda values: compare(quantity.numbers(values), ends[0])
-
-    def _code(self, quantity: Quantity, label: Word) -> int:
-        try:
-            return quantity.code(label.text)
-        except UnknownNameError as error:
-            self._fail(str(error), label.at)
-
-    def _fail(self, reason: str, at: int) -> NoReturn:
-        raise QueryError(reason, self._text, at)
+        return lambda values: _COMPARED[sign](quantity.numbers(values), ends[0])
 
 
 def _all_of(events: Sequence[Event]) -> Iterator[Event]:

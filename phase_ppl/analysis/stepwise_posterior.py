@@ -79,14 +79,13 @@ class StepwisePosterior(EventPosterior):
     """Posterior over all agents' goals, whom they help or hinder, and strengths, step by step.
 
     The sum over hypotheses leaves none out, unless there are more than
-    :data:`~phase_ppl.analysis.stepwise_table.MOST_HYPOTHESES`, of which so many are drawn, as
-    worlds of several agents may have; what goes into it is approximate. Policies are
-    estimated by searches: ``.error`` of every answer is the standard error that comes of it, by
-    the jackknife over the sets of searches (``planner_seeds``), NaN with one. Velocities, holds
-    and strengths come from a filter, and strengths are taken to be independent of the goals given
-    the video. Where the likelihood's ``weight`` is not 1, frames count less than they would under
-    the model, and likewise for strengths ``Tracking.strength_weight``; the defaults of both, and of
-    sharpness and lapse, were chosen on videos (:class:`phase_ppl.StepwiseLikelihood` says which).
+    :data:`~phase_ppl.analysis.stepwise_table.MOST_HYPOTHESES`, of which so many are drawn; what
+    goes into it is approximate. Policies are estimated by searches: ``.error`` of every answer is
+    the standard error that comes of it, by the jackknife over the sets of searches
+    (``planner_seeds``), NaN with one. Velocities, holds and strengths come from a filter, and
+    strengths are taken to be independent of the goals given the video. Where the likelihood's
+    ``weight``, or for strengths ``Tracking.strength_weight``, is not 1, frames count less than they
+    would under the model (:class:`phase_ppl.StepwiseLikelihood` says how these were chosen).
 
     What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`; beside that
     ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
@@ -137,14 +136,14 @@ class StepwisePosterior(EventPosterior):
         Raises:
             InvalidSettingError: the prior has none, or is not known, as after :meth:`load`.
         """
-        if self._prior is None and self._site_names:
+        if not self._site_names:
+            raise InvalidSettingError("the prior samples nothing but the sites of a hypothesis")
+        if self._prior is None:
             raise InvalidSettingError(
                 f"{', '.join(self._site_names)}: a site of the prior "
                 f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
                 "post.with_prior(prior)"
             )
-        if self._prior is None or not self._site_names:
-            raise InvalidSettingError("the prior samples nothing but the sites of a hypothesis")
         assert isinstance(self._table, PairTable)
         found = with_sites(self._prior, self._table, self._frame, self._words)
         return found._defining({**self._own, **self._of_sites})
@@ -161,11 +160,14 @@ class StepwisePosterior(EventPosterior):
             return super().quantities
         return {**super().quantities, **self.sites.quantities}
 
+    def _names_sites(self, said: object) -> bool:
+        """Whether words name a further site, or what is defined by one."""
+        words = re.findall(r"\w+", said) if isinstance(said, str) else ()
+        return not {*self._site_names, *self._of_sites}.isdisjoint(words)
+
     def _knowing(self, *names: str, given: Given = None) -> Hypotheses:
-        asked = {*names, *(given if isinstance(given, Mapping) else ())}
-        if isinstance(given, str):
-            asked |= {*re.findall(r"\w+", given)}
-        return self if asked.isdisjoint({*self._site_names, *self._of_sites}) else self.sites
+        said = (*names, *given) if isinstance(given, Mapping) else (*names, given)
+        return self.sites if any(map(self._names_sites, said)) else self
 
     def query(self, question: str, *, weights: str | None = None) -> Any:
         try:
@@ -176,19 +178,18 @@ class StepwisePosterior(EventPosterior):
             return self.sites.query(question)  # its error knows the further names
 
     def define(self, name: str, definition: Definition) -> Self:
-        words = {*re.findall(r"\w+", definition)} if isinstance(definition, str) else set()
-        if words.isdisjoint({*self._site_names, *self._of_sites}):
-            if name in self._site_names:
-                raise InvalidSettingError(f"the prior has a site {name!r}: choose another name")
-            self._of_sites.pop(name, None)
-            super().define(name, definition)
-            if "sites" in vars(self):
-                self.sites.define(name, definition)
+        if self._names_sites(definition):
+            self.sites.define(name, definition)
+            if self._own.pop(name, None) is not None:
+                self._quantities = {k: one for k, one in self._quantities.items() if k != name}
+            self._of_sites[name] = definition
             return self
-        self.sites.define(name, definition)
-        if self._own.pop(name, None) is not None:
-            self._quantities = {key: one for key, one in self._quantities.items() if key != name}
-        self._of_sites[name] = definition
+        if name in self._site_names:
+            raise InvalidSettingError(f"the prior has a site {name!r}: choose another name")
+        self._of_sites.pop(name, None)
+        super().define(name, definition)
+        if "sites" in vars(self):
+            self.sites.define(name, definition)
         return self
 
     def _jackknife(self, share: float) -> Jackknife | None:
@@ -233,10 +234,8 @@ class StepwisePosterior(EventPosterior):
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        found, scenario = self._found, self._words.scenario
-        at = StepwisePosterior(
-            found, frame, prior=self._prior, scenario=scenario, table=self._table
-        )
+        found, scenario, table = self._found, self._words.scenario, self._table
+        at = StepwisePosterior(found, frame, prior=self._prior, scenario=scenario, table=table)
         return at._defining(self.definitions)
 
     @property
@@ -282,9 +281,8 @@ class StepwisePosterior(EventPosterior):
 
         Log sum_h P(h) prod_t p(s_t | s_<t, h), each frame counted in full whatever the
         likelihood's ``weight``, but as evidence for strengths, which stays tempered
-        (``Tracking.strength_weight``): of two priors, the one with more explains the video better,
-        by more than this says where they differ in strengths; so of two models with the same
-        tracking.
+        (``Tracking.strength_weight``): of two priors, or models with the same tracking, the one
+        with more explains the video better.
         """
         return self._table.log_evidence(self._frame)
 
@@ -311,17 +309,17 @@ class StepwisePosterior(EventPosterior):
         unexplained = np.array(found["unexplained"].values, float)
         surprise = self.surprise() - unexplained
         leading = self.leaders()
-        known = np.isfinite(surprise[1:])
+        known = np.isfinite(surprise[1:]).any()
         result = {
             "frames": self._frame + 1,
             "planner_seeds": self.planner_seeds,
             "weight": float(found.attrs["weight"]),
             "leading": leading,
             "decided": all(one["sure"] for one in leading.values()),
-            "surprise_median": float(np.median(surprise[1:])) if known.any() else None,
+            "surprise_median": float(np.median(surprise[1:])) if known else None,
             "surprise_reference": SURPRISE,
-            "surprising_share": float((surprise[1:] > SURPRISE).mean()) if known.any() else None,
-            "unexplained_most": float(unexplained[1:].max()) if known.any() else None,
+            "surprising_share": float((surprise[1:] > SURPRISE).mean()) if known else None,
+            "unexplained_most": float(unexplained[1:].max()) if known else None,
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
             "overlapping_frames": overlapping_frames(self.observed(), self.scene),
         }
@@ -340,31 +338,23 @@ class StepwisePosterior(EventPosterior):
             ``relation_<one>_<other>`` of another world: probabilities (time, label), labels in
             ``goal_red_is`` and so on; ``goal_red_error`` and so on: their standard errors, NaN
             where there is a single set of searches; ``time`` in seconds. The attribute
-            ``filtering`` says what it is: nothing of later frames, but for ``turning`` (which way
-            agents can turn) where the scene's was read off a whole video, as the reader of the
-            authors' files does.
+            ``filtering`` says what it is.
         """
         words, n = self._words, self._frame + 1
         columns = words.completed(self._table.columns())
-        told = {**self.goals_of, **self.relations_of, **self.scenarios_of}.values()
-        labels = {name: words.quantities[name].categories() for name in told}
-        masses = {
-            name: np.empty((self._table.n_tables, n, len(each))) for name, each in labels.items()
-        }
+        told = (*self.goals_of.values(), *self.relations_of.values(), *self.scenarios_of.values())
+        sizes = {name: len(words.quantities[name].categories()) for name in told}
+        masses = {name: np.empty((self._table.n_tables, n, size)) for name, size in sizes.items()}
         for t in range(n):
-            weights = self._table.weights(t)
-            for name, found in masses.items():
-                for row, own in enumerate(weights):
-                    found[row, t] = np.bincount(columns[name], own, found.shape[-1])
+            for row, weights in enumerate(self._table.weights(t)):
+                for name, size in sizes.items():
+                    masses[name][row, t] = np.bincount(columns[name], weights, size)
+        tables = {}
+        for name, found in masses.items():
+            tables[name] = found[0]
+            tables[f"{name}_error"] = self._error_over_sets(found[1:], found[0])
         time = self._found["time"].values[:n]
-        result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
-        for name, (first, *without) in masses.items():
-            label = f"{name}_is"
-            error = self._error_over_sets(np.array(without).reshape(-1, *first.shape), first)
-            result = result.assign_coords({label: list(labels[name])})
-            result[name] = ("time", label), first
-            result[f"{name}_error"] = ("time", label), error
-        return result.assign_attrs(filtering=FILTERING, tempering=self.tempering)
+        return self._along_time(time, tables, filtering=FILTERING, tempering=self.tempering)
 
     def _error_over_sets(self, without: FloatArray, value: FloatArray) -> FloatArray:
         """Return the errors of (...) values, given (set, ...) those without each set of searches.
@@ -397,14 +387,14 @@ class StepwisePosterior(EventPosterior):
                 f"{event}{f' over {over}' if over else ''}: frames speak of hypotheses, not of "
                 "further sites of the prior"
             )
-        masses_at: Callable[[int], FloatArray]
+        table = self._table
+        masses_at: Callable[[int], FloatArray] = table.log_masses
         try:
-            wanted, other = self._sides(self._table.columns(), event, over)
-            masses_at = self._table.log_masses
+            wanted, other = self._sides(table.columns(), event, over)
         except (QueryError, UnknownNameError):  # it may be about strengths, in a larger table
-            wanted, other = self._sides(self._table.all_columns(), event, over)
-            masses_at = self._table.all_log_masses
-        log_odds, possible = np.empty((self._table.n_tables, self._frame + 1)), False
+            wanted, other = self._sides(table.all_columns(), event, over)
+            masses_at = table.all_log_masses
+        log_odds, possible = np.empty((table.n_tables, self._frame + 1)), False
         for t in range(self._frame + 1):
             for place, mass in enumerate(masses_at(t)):
                 for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
@@ -426,12 +416,8 @@ class StepwisePosterior(EventPosterior):
                 "error": ("time", error),
                 "change": ("time", np.diff(odds, prepend=odds[0])),
             },
-            coords={"time": ("time", time, {"units": "s"})},
-            attrs={
-                "event": event,
-                "over": over or f"not {event}",
-                "tempering": self.tempering,
-            },
+            {"time": ("time", time, {"units": "s"})},
+            {"event": event, "over": over or f"not {event}", "tempering": self.tempering},
         )
 
     def _sides(
@@ -483,24 +469,20 @@ class StepwisePosterior(EventPosterior):
             f"{searched}"
         )
         lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"])]
-        lines += [*self._notes(), ""]
-        lines += [*self._answer_lines(), ""]
+        lines += [*self._notes(), "", *self._answer_lines(), ""]
         if changed := changed_text(self.settings):
             lines += wrapped("prior", changed)
-        in_full = "every frame counted in full"
+        evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
         if self._strength_weight != 1:
-            in_full += f", for strengths {self._strength_weight:g}"
-        evidence = f"log p(video) = {self.log_evidence:.1f} nats, {in_full}"
+            evidence += f", for strengths {self._strength_weight:g}"
         lines += wrapped("evidence", evidence)
         if self.tempering:
             lines += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, found["frames"] - 1)
         words = f"{cost['searches']} searches, {cost['searches'] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
-            seconds, lasts = cost["seconds"], cost["video_seconds"]
-            simulated = steps / FRAMES_PER_SECOND
-            words += f", in {seconds:.1f} s; the film of {simulated:.1f} simulated s "
-            words += f"lasts {lasts:.1f} s"
+            words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "
+            words += f"simulated s lasts {cost['video_seconds']:.1f} s"
         return "\n".join([*lines, *wrapped("cost", words)])
 
     def _notes(self) -> list[str]:
@@ -509,12 +491,12 @@ class StepwisePosterior(EventPosterior):
         if not isinstance(table, PolicyTable) or not table.sampled:
             return []
         n = worth(table.weights(self._frame)[0])
-        words = (
+        return wrapped(
+            "hypotheses",
             f"of {table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "
             f"{n:.0f} of equal weight: probabilities are Monte-Carlo means with standard errors of "
-            f"up to {0.5 / n**0.5:.1g}, beside those shown"
+            f"up to {0.5 / n**0.5:.1g}, beside those shown",
         )
-        return wrapped("hypotheses", words)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
@@ -522,7 +504,7 @@ class StepwisePosterior(EventPosterior):
 
 def _verdict(found: Mapping[str, Any]) -> str:
     """Return in a few sentences whether the posterior can be trusted, the worst sign first."""
-    n = found["frames"] - 1
+    n, n_sets, share = found["frames"] - 1, found["planner_seeds"], found["surprising_share"]
     signs = []
     if found["unexplained_frames"]:
         signs.append(
@@ -531,34 +513,33 @@ def _verdict(found: Mapping[str, Any]) -> str:
         )
     if found["overlapping_frames"]:
         signs.append(overlap_sign(found["overlapping_frames"]))
-    share = found["surprising_share"]
     if share is not None and share > _TOO_SURPRISING:
         signs.append(
             f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
             f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
         )
-    if found["planner_seeds"] > 1 and n:
+    if n_sets > 1 and n:
         signs += undecided(found["leading"])
     errors = {name: one["error"] for name, one in found["leading"].items()}
     worst = max(errors, key=lambda name: np.nan_to_num(errors[name]))
-    if found["planner_seeds"] > 1 and errors[worst] > DISAGREE:
+    if n_sets > 1 and errors[worst] > DISAGREE:
         signs.append(
-            f"The {found['planner_seeds']} sets of searches disagree on {worst} (standard error "
-            f"{errors[worst]:.2f}): use more, planner_seeds={2 * found['planner_seeds']}."
+            f"The {n_sets} sets of searches disagree on {worst} (standard error "
+            f"{errors[worst]:.2f}): use more, planner_seeds={2 * n_sets}."
         )
-    if found["planner_seeds"] == 1 and n:
+    if n_sets == 1 and n:
         signs.append(
             "With one set of searches nothing tells how much of this is the planner's chance."
         )
-    if found["surprising_share"] is None and n:
+    if share is None and n:
         signs.append("Nothing was kept that would tell whether the model expects such a video.")
     if n == 0:
         signs.append("Nothing was seen but the start: this is the prior.")
     if not signs:
         signs.append(
             f"Actions explain every frame, {1 - share:.0%} of them are such as the model expects, "
-            f"and the {found['planner_seeds']} sets of searches agree (largest standard error of "
-            f"a leading probability: {errors[worst]:.2g})."
+            f"and the {n_sets} sets of searches agree (largest standard error of a leading "
+            f"probability: {errors[worst]:.2g})."
         )
     return " ".join(signs)
 

@@ -45,8 +45,7 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
     "observed_data": {"trajectory": FRAME},
     "simulations": dict.fromkeys(
         (
-            *("seed", "chain", "iteration", "log_prior", "log_prior_effective"),
-            "log_likelihood",
+            *("seed", "chain", "iteration", "log_prior", "log_prior_effective", "log_likelihood"),
             *("total_error", "completed", "frames_simulated", "failed"),
         ),
         SIMULATION,
@@ -72,36 +71,30 @@ def check_tree(tree: xr.DataTree) -> None:
         raise InvalidEventError(
             f"this is no tree of draws: its schema is {schema!r}, not {SCHEMA!r}"
         )
-    missing = [name for name in REQUIRED_ATTRS if name not in tree.attrs]
-    if missing:
+    if missing := [name for name in REQUIRED_ATTRS if name not in tree.attrs]:
         raise InvalidEventError(f"the tree of draws lacks the root attributes {missing}")
     for group in REQUIRED:
         if group not in tree.children:
             raise InvalidEventError(f"the tree of draws lacks the group {group!r}")
     space = space_of_tree(tree)
-    hypothesis: dict[str, dict[str, tuple[str, ...]]] = {
-        "posterior": dict.fromkeys(space.columns, DRAW),
-        "simulations": dict.fromkeys(space.columns, SIMULATION),
-    }
+    of_hypothesis: dict[str, tuple[str, ...]] = {"posterior": DRAW, "simulations": SIMULATION}
     sizes: dict[str, int] = {}
     for group, others in REQUIRED.items():
-        variables = {**hypothesis.get(group, {}), **others}
+        columns = space.columns if group in of_hypothesis else ()
+        variables = {**dict.fromkeys(columns, of_hypothesis.get(group)), **others}
         dataset = tree[group].dataset
-        missing = [name for name in variables if name not in dataset.variables]
-        if missing:
+        if missing := [name for name in variables if name not in dataset.variables]:
             raise InvalidEventError(f"group {group!r} of the tree of draws lacks {missing}")
         for name, dims in {**variables, **OPTIONAL.get(group, {})}.items():
             if dims is None or name not in dataset:
                 continue
-            found = dataset[name]
-            if found.dims != dims:
-                raise InvalidEventError(
-                    f"{group}/{name} has dimensions {found.dims}, expected {dims}"
-                )
-            want = tuple(sizes.setdefault(dim, found.sizes[dim]) for dim in dims)
-            if found.shape != want:
-                raise InvalidEventError(f"{group}/{name} has shape {found.shape}, expected {want}")
-    if not sizes["chain"] * sizes["draw"]:
+            dims_of, shape = dataset[name].dims, dataset[name].shape
+            if dims_of != dims:
+                raise InvalidEventError(f"{group}/{name} has dimensions {dims_of}, expected {dims}")
+            want = tuple(sizes.setdefault(dim, n) for dim, n in zip(dims, shape, strict=True))
+            if shape != want:
+                raise InvalidEventError(f"{group}/{name} has shape {shape}, expected {want}")
+    if not (sizes["chain"] and sizes["draw"]):
         shape = sizes["chain"], sizes["draw"]
         raise InvalidEventError(f"the tree holds no draws: (chain, draw) = {shape}")
     limits = {**dict.fromkeys(space.stated_sites, space.n_goals), **space.limits}
@@ -200,12 +193,14 @@ def _single(values: NDArray[Any]) -> NDArray[Any]:
 
 def scene_dataset(scene: Scene) -> xr.Dataset:
     """Return a scene as a dataset, its arrays as variables and the rest as attributes."""
-    of_world: dict[str, Any] = {}
+    attrs: dict[str, Any] = {
+        "turning": scene.turning,
+        "resets_velocity": int(scene.resets_velocity),
+    }
     if scene.world == PHASE:
-        of_world["landmark_half_width"] = float(scene.landmark_half_width)
+        attrs["landmark_half_width"] = float(scene.landmark_half_width)
     else:
-        half_widths = scene.half_widths.tolist()
-        of_world["world"] = json.dumps([scene.world.to_dict(), half_widths])
+        attrs["world"] = json.dumps([scene.world.to_dict(), scene.half_widths.tolist()])
     return xr.Dataset(
         {
             "start": (("entity", "coord"), scene.start),
@@ -215,32 +210,25 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
             "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
         },
         {dim: list(labels_of(scene.world)[dim]) for dim in _SCENE_DIMS},
-        {
-            "turning": scene.turning,
-            "resets_velocity": int(scene.resets_velocity),
-            **of_world,
-        },
+        attrs,
     )
 
 
 def kept_scene(kept: xr.Dataset) -> Scene:
     """Return the scene that :func:`scene_dataset` wrote into a dataset."""
     x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
-    world = kept_world(kept)
     if "world" in kept.attrs:
         half_width = json.loads(kept.attrs["world"])[1]
     else:
         half_width = float(kept.attrs["landmark_half_width"])
+    names = ("start", "radius", "walls", "landmark_centres")
     return Scene(
-        start=kept["start"].values,
-        radius=kept["radius"].values,
-        walls=kept["walls"].values,
-        landmark_centres=kept["landmark_centres"].values,
+        **{name: kept[name].values for name in names},
         turning=kept.attrs["turning"],
         resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),
         arena=(x0, x1, y0, y1),
         landmark_half_width=half_width,
-        world=world,
+        world=kept_world(kept),
     )
 
 
@@ -359,12 +347,12 @@ def check_overlap(worths: tuple[float, float], tried: tuple[float, float]) -> No
         worths: equal draws that the simulations are worth under the other prior, and before.
         tried: shares of the other prior, and of the run's own, that were simulated.
     """
+    reason = ""
     if worths[0] < FEWEST and worths[0] < _LEFT * worths[1]:
         reason = f"are worth {worths[0]:.1f} equal draws under this prior, {worths[1]:.1f} before"
     elif tried[0] < _TRIED * tried[1]:
         reason = f"hold {tried[0]:.1%} of this prior, {tried[1]:.1%} of the run's own"
-    else:
-        return
-    raise InvalidSettingError(
-        f"the simulations of this run {reason}: too few to tell; infer anew with this prior"
-    )
+    if reason:
+        raise InvalidSettingError(
+            f"the simulations of this run {reason}: too few to tell; infer anew with this prior"
+        )

@@ -35,44 +35,23 @@ def verdict(found: Mapping[str, Any]) -> str:
 
     What speaks most against it comes first. Only where nothing does, this is said.
     """
-    weighted, n_agents = found["weighted_draws_ess"] is not None, len(found["agreement"])
-    signs = [overlap_sign(found["overlapping_frames"])] if found["overlapping_frames"] else []
-    signs += [*_biased(found), *undecided(found["leaders"]), *_by_prior(found)]
-    signs += _untried_rivals(found["untried_rivals"])
-    if not weighted:
-        signs += _acceptance(found["acceptance_rate"])
-    size = found["effective_size"]
-    if size is not None and size < FEW_DRAWS:
-        signs.append(
-            f"The goals are no surer than by {size:.1f} independent draws: single simulations "
-            "decide, and another run may well differ."
-        )
+    weighted, particles = found["weighted_draws_ess"] is not None, found["particles"]
+    signs = list(_signs(found, weighted))
     if weighted:
-        signs += _weighted(found)
-    else:
-        signs += [*_disagreement(found), *_mixing(found), *_other_leaders(found["categories"])]
-    untried = found["untried"]
-    if untried is not None and untried >= UNTRIED:
-        signs.append(
-            f"{_combined(found).capitalize()} with {untried:.2f} of the prior's mass were never "
-            "simulated, and count as impossible."
-        )
-    simulations = found["simulations"]
-    if simulations["failed"]:
-        signs.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
-    if weighted and found["decided"]:
-        signs.append(f"{_all_asked(found)} decided, by more than their errors.")
-    sentences = [*signs, *([] if weighted else _notes(found))]
-    if not weighted and found["particles"] > 1 and not _split(found):
-        whose = {1: "the agent's goal", 2: "both agents' goals"}.get(n_agents, "all agents' goals")
-        agreed = f"The {found['particles']} particles agree on {whose} {_margin(found)}"
+        return " ".join(signs)
+    sentences = [*signs, *_notes(found)]
+    if particles > 1 and not _split(found):
+        whose = _by_agents(found, "the agent's goal", "both agents' goals", "all agents' goals")
+        agreed = f"The {particles} particles agree on {whose} {_margin(found)}"
         none = ": nothing speaks against the leading goals."
         sentences.append(agreed + ("." if signs else none))
     return " ".join(sentences)
 
 
-def _biased(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what makes the probabilities wrong however long the run is."""
+def _signs(found: Mapping[str, Any], weighted: bool) -> Iterator[str]:
+    """Yield what speaks against a posterior, the worst first."""
+    if found["overlapping_frames"]:
+        yield overlap_sign(found["overlapping_frames"])
     if found["weights"] == "likelihood":
         yield "The weights 'likelihood' make every probability too extreme."
     if found["validity"] == "approximate" and found["weights"] != "stratified":
@@ -80,6 +59,44 @@ def _biased(found: Mapping[str, Any]) -> Iterator[str]:
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
             "long it runs."
         )
+    yield from undecided(found["leaders"])
+    yield from _by_prior(found)
+    if n := found["untried_rivals"]:
+        yield (
+            f"Not ruled out: {n} rival{'' if n == 1 else 's'} of the leading goals, with which one "
+            "agent wants the same thing at another landmark, "
+            f"{'was' if n == 1 else 'were'} never simulated."
+        )
+    rate, size, untried = found["acceptance_rate"], found["effective_size"], found["untried"]
+    if not weighted and rate == 0:
+        yield "No proposal was accepted: this is still the bottom-up guess, not a posterior."
+    elif not weighted and rate < STUCK:
+        yield (
+            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
+            "the bottom-up guess."
+        )
+    if size is not None and size < FEW_DRAWS:
+        yield (
+            f"The goals are no surer than by {size:.1f} independent draws: single simulations "
+            "decide, and another run may well differ."
+        )
+    if weighted:
+        yield from _weighted(found)
+    else:
+        yield from _disagreement(found)
+        yield from _mixing(found)
+        yield from _other_leaders(found["categories"])
+    if untried is not None and untried >= UNTRIED:
+        yield (
+            f"{_combined(found).capitalize()} with {untried:.2f} of the prior's mass were never "
+            "simulated, and count as impossible."
+        )
+    simulations = found["simulations"]
+    if simulations["failed"]:
+        yield f"{simulations['failed']} of {simulations['total']} simulations failed."
+    if weighted and found["decided"]:
+        all_are = "Both goals and the relation are", "All goals and relations are"
+        yield f"{_by_agents(found, 'The goal is', *all_are)} decided, by more than their errors."
 
 
 def _margin(found: Mapping[str, Any]) -> str:
@@ -93,12 +110,12 @@ def _split(found: Mapping[str, Any]) -> list[str]:
     return [name for name, share in found["agreement"].items() if share < AGREED]
 
 
-def _disagreement(found: Mapping[str, Any]) -> list[str]:
+def _disagreement(found: Mapping[str, Any]) -> Iterator[str]:
     particles, split = found["particles"], _split(found)
     if particles == 1:
-        return ["With one particle nothing shows whether another would agree: use more."]
-    if not split:
-        return []
+        yield "With one particle nothing shows whether another would agree: use more."
+    if particles == 1 or not split:
+        return
     camps = {name: _camps(found["leading_goals"][name]) for name in split}
     agreed = [name for name in found["agreement"] if name not in split]
     by_agent = "; ".join(f"for {_agent(name)}, {camp}" for name, camp in camps.items())
@@ -112,10 +129,10 @@ def _disagreement(found: Mapping[str, Any]) -> list[str]:
     else:
         whose = "neither agent's goal" if len(split) == 2 else "no agent's goal"
         text = f"agree on {whose}: {by_agent}"
-    return [
+    yield (
         f"The {particles} particles {text} {_margin(found)}. More iterations would tell real "
         "uncertainty from chains that have not mixed."
-    ]
+    )
 
 
 def _camps(leading: Mapping[str, int]) -> str:
@@ -128,16 +145,6 @@ def _camps(leading: Mapping[str, int]) -> str:
     parts = [f"{most} favour '{first}'", *(f"{n} '{goal}'" for goal, n in others)]
     parts += [f"{rest} something else"] if rest else []
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def _acceptance(rate: float) -> Iterator[str]:
-    if rate == 0:
-        yield "No proposal was accepted: this is still the bottom-up guess, not a posterior."
-    elif rate < STUCK:
-        yield (
-            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
-            "the bottom-up guess."
-        )
 
 
 def _mixing(found: Mapping[str, Any]) -> Iterator[str]:
@@ -198,16 +205,14 @@ def _titled(name: str) -> str:
     return f"goal of {_agent(name)}" if name.startswith(_GOAL) else name.replace("_", " ")
 
 
+def _by_agents(found: Mapping[str, Any], one: str, two: str, more: str) -> str:
+    """Return what to say where there are one, two or more agents."""
+    return {1: one, 2: two}.get(len(found["agreement"]), more)
+
+
 def _combined(found: Mapping[str, Any]) -> str:
     """Return in words what all agents want together, in the plural."""
-    return {1: "goals", 2: "pairs of goals"}.get(len(found["agreement"]), "combinations of goals")
-
-
-def _all_asked(found: Mapping[str, Any]) -> str:
-    n = len(found["agreement"])
-    return {1: "The goal is", 2: "Both goals and the relation are"}.get(
-        n, "All goals and relations are"
-    )
+    return _by_agents(found, "goals", "pairs of goals", "combinations of goals")
 
 
 def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -246,23 +251,13 @@ def _by_prior(found: Mapping[str, Any]) -> Iterator[str]:
             )
 
 
-def _untried_rivals(n: int) -> Iterator[str]:
-    rivals, were = ("rival", "was") if n == 1 else ("rivals", "were")
-    if n:
-        yield (
-            f"Not ruled out: {n} {rivals} of the leading goals, with which one agent wants the "
-            f"same thing at another landmark, {were} never simulated."
-        )
-
-
 def _weighted(found: Mapping[str, Any]) -> Iterator[str]:
     if found["weights"] != "count":  # all simulations count, not the draws alone
         return
     ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
-    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
-    margin = _margin(found)
-    text += f" {margin}" if margin else ""
-    yield text + (": so few decide that another run may well differ." if ess < FEW else ".")
+    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones {_margin(found)}"
+    few = ": so few decide that another run may well differ."
+    yield text.rstrip() + (few if ess < FEW else ".")
 
 
 def overlap_sign(frames: list[int]) -> str:

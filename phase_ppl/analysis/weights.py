@@ -12,19 +12,16 @@ Every query is a sum over such a table. Which weighting is valid when:
     Every completed simulation of known proposal density, accepted or not: its pair of effective
     goals weighs P(pair) times the mean likelihood of the pair's simulations, each of which counts
     in it by P(h) / Q(h), with Q the density of the proposal that it was drawn from, given all that
-    was done before (post-stratification: importance sampling where the share of a stratum is not
-    estimated by how often it was drawn, since the prior says it). Pairs that were proposed fewer
-    than twenty times are one stratum together, which stands for all that was tried less, or never.
+    was done before (post-stratification: the prior says what the share of a stratum is, not how
+    often it was drawn). Pairs that were proposed fewer than twenty times are one stratum together.
     It does not matter how it was chosen to simulate a pair, so that rivals, which earlier results
     called for, are strata of their own. The weights P / Q within a stratum, and then those of all,
-    are truncated at the square root of their number times their mean (Ionides 2008, JCGS 17:295),
-    and what is left once more, so that no simulation decides alone; it makes answers from few
-    simulations steadier and vanishes as they grow. Consistent, whatever the acceptance rule.
-    A simulation that could have been stopped early and was not weighs more by the reciprocal of the
-    probability of that, so that those that were stopped are made up for. For kernels whose
-    proposals have a density that covers the prior (``local_mh``, ``prior_mh``, the local moves of
-    ``mixture``); it is known given all that was done before (Rudolf & Sprungk 2020, Electronic
-    Journal of Statistics 14:857, on the proposals of a Markov chain).
+    are truncated twice at the square root of their number times their mean (Ionides 2008, JCGS
+    17:295), so that no simulation decides alone. A simulation that could have been stopped early
+    weighs more by the reciprocal of the probability that it was not. Consistent, whatever the
+    acceptance rule, for kernels whose proposals have a density that covers the prior
+    (``local_mh``, ``prior_mh``, the local moves of ``mixture``), given all that was done before
+    (Rudolf & Sprungk 2020, Electronic Journal of Statistics 14:857).
 ``"likelihood"``
     Every draw weighs its own likelihood. This is how the authors' published probabilities
     behave, and for reproducing them only: on the draws of an exact kernel the likelihood
@@ -76,6 +73,10 @@ class Rows:
     # of rows in strata whose mass is known: (row,) stratum, and (stratum, group) the share of each
     # group of chains in it
     strata: tuple[NDArray[np.int64], FloatArray] | None = None
+    # (row,) of which group of chains each is, 0 and up; None: nothing was drawn in chains
+    groups: NDArray[np.int64] | None = None
+    # masks (row,) of the first and the last half of the draws, if these are to agree
+    halves: tuple[NDArray[np.bool_], ...] = ()
 
 
 def log_sum_exp(values: FloatArray) -> float:
@@ -159,13 +160,12 @@ def stratified(tree: xr.DataTree) -> Rows:
     if not row.size:
         raise InvalidSettingError("weights 'stratified' need at least one completed simulation")
     weights = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
-    groups = chain_groups(tree)
+    chain, groups = simulations["chain"].values.astype(np.int64), chain_groups(tree)
     by_group = np.zeros((int(strata.of.max()) + 1, int(groups.max()) + 1))
     known = strata.of >= 0
-    group = groups[simulations["chain"].values]
-    np.add.at(by_group, (strata.of[known], group[known]), strata.share[known])
+    np.add.at(by_group, (strata.of[known], groups[chain][known]), strata.share[known])
     values = {name: simulations[name].values[row] for name in _sites(tree)}
-    index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
+    index = {"simulation": row, "chain": chain[row]}
     return Rows(values, weights, index, (strata.of[row], by_group))
 
 
@@ -199,7 +199,9 @@ def _strata(tree: xr.DataTree) -> _Strata:
     prior = prior_of_goals(tree, pairs)
     assert prior is not None, "it was asked for"
     alone = np.bincount(pair, n_requests[known], len(pairs)) >= FEWEST_OF_PAIR
-    alone[pair[_are_rivals(tree)[known]]] = True
+    # rivals are there because of what others came to
+    are_rivals = simulations["iteration"].values >= tree.attrs.get("rivals_from", np.inf)
+    alone[pair[are_rivals[known]]] = True
     of = np.full(len(log_ratio), -1)
     of[known] = np.where(alone[pair], pair, len(pairs))
     mass = np.append(prior, max(0.0, possible_mass(tree) - float(prior[alone].sum())))
@@ -211,19 +213,12 @@ def _strata(tree: xr.DataTree) -> _Strata:
         return _Strata(of, share, log_proposal + np.log(mass[of]) + np.log(share))
 
 
-def _are_rivals(tree: xr.DataTree) -> NDArray[np.bool_]:
-    """Return (simulation,) which are rivals, there because of what others came to."""
-    iteration = tree["simulations"].dataset["iteration"].values
-    return np.asarray(iteration >= tree.attrs.get("rivals_from", np.inf))
-
-
 def has_proposals(tree: xr.DataTree) -> bool:
     """Whether the proposals of a run have densities by which it can be weighed."""
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
         return False
-    later = simulations["iteration"].values > 0
-    known = _n_requests(simulations) > 0
+    later, known = simulations["iteration"].values > 0, _n_requests(simulations) > 0
     return bool(known[later].any() if later.any() else known.any())
 
 
@@ -258,8 +253,7 @@ def _log_reciprocal_proposal(
     log_completion = np.zeros(len(bound))  # for certain, where there was no bound
     limited = np.isfinite(bound)
     log_completion[limited] = np.minimum(0.0, bound[limited] + log_likelihood[limited])
-    log_first = -simulations["log_proposal"].values - log_completion
-    return _with_again(simulations, log_first)
+    return _with_again(simulations, -simulations["log_proposal"].values - log_completion)
 
 
 def truncated(weights: FloatArray, n_requests: NDArray[np.int64] | None = None) -> FloatArray:
@@ -304,27 +298,20 @@ def _strata_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
     total = simulations["log_likelihood"].values
     stopped = (unknown > 0) & np.isfinite(total)
     perfect = ((total - so_far[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
-    n_frames = known.shape[1]
-    log_weight = np.full(known.shape, -np.inf)
-    for t in range(n_frames):
-        rest = (n_frames - 1 - t) * perfect if np.isfinite(perfect) else np.inf
-        at_best = so_far[:, t] + (rest if t < n_frames - 1 else 0.0)
-        found = log_mass + so_far[:, t]
-        found = found + _log_reciprocal_proposal(tree, at_best)
-        usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
-        log_weight[:, t] = np.where(usable, found, -np.inf)
-    rows = np.flatnonzero(np.isfinite(log_weight).any(axis=1))
-    weights, n_requests = np.zeros((len(rows), n_frames)), n_requests[rows]
-    for t, column in enumerate(log_weight[rows].T):
-        usable = np.isfinite(column)
-        weights[usable, t] = truncated(normalised(column[usable]), n_requests[usable])
-    return rows, weights
+    perfect = perfect if np.isfinite(perfect) else np.inf
+    weights, used = np.zeros(known.shape), np.zeros(len(known), bool)
+    for t, left in enumerate(reversed(range(known.shape[1]))):
+        at_best = so_far[:, t] + (left * perfect if left else 0.0)
+        log_weight = log_mass + so_far[:, t] + _log_reciprocal_proposal(tree, at_best)
+        usable = known[:, t] & ~simulations["failed"].values & np.isfinite(log_weight)
+        weights[usable, t] = truncated(normalised(log_weight[usable]), n_requests[usable])
+        used |= usable
+    return np.flatnonzero(used), weights[used]
 
 
 def _draws_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
     """Return the rows of the draws' simulations and their weights (row, time)."""
-    row = simulation_of_draw(tree).reshape(-1)
-    _, so_far = _likelihood_so_far(tree)
+    row, (_, so_far) = simulation_of_draw(tree).reshape(-1), _likelihood_so_far(tree)
     log_weight = log_weight_of_draws(tree).reshape(-1)[row >= 0]
     row = row[row >= 0]
     log_weight = log_weight[:, None] + so_far[row] - so_far[row, -1:]

@@ -25,7 +25,7 @@ from phase_ppl.simulator.joint import JointSimulator, Past
 from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown, unknown_name
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true
 from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, Roles, checked_strength
@@ -76,20 +76,12 @@ class WhatIf:
         ``time`` is in simulated seconds from the start of the event.
         """
         poses = np.where(self.poses < AWAY / 2, np.nan, self.poses)
-        if self.removed:
-            poses[-1][:, :, list(self.removed)] = np.nan
+        poses[-1][:, :, list(self.removed)] = np.nan
         time = (self.begin + np.arange(poses.shape[2])) / FRAMES_PER_SECOND
-        return xr.DataArray(
-            poses,
-            {
-                "world": list(WORLDS[: len(poses)]),
-                "time": ("time", time, {"units": "s"}),
-                "entity": list(self.world.entities),
-                "coord": ["x", "y", "angle"],
-            },
-            ("world", "simulation", "time", "entity", "coord"),
-            "tracks",
-        )
+        coords = {"time": ("time", time, {"units": "s"}), "entity": list(self.world.entities)}
+        coords |= {"world": list(WORLDS[: len(poses)]), "coord": ["x", "y", "angle"]}
+        dims = ("world", "simulation", "time", "entity", "coord")
+        return xr.DataArray(poses, coords, dims, "tracks")
 
     def reached(self, agent: str, goal: str | None = None) -> xr.DataArray:
         """Return in which simulations an agent's goal is reached, and when.
@@ -109,18 +101,16 @@ class WhatIf:
         """
         holder = _entity(agent, self.world.agents)
         found = np.full(self.poses.shape[:2], np.inf)
-        for world, scene in enumerate(self.scenes):
-            for row, frames in enumerate(self.poses[world]):
-                wanted = self.goals[row][holder] if goal is None else goal_index(goal, self.world)
-                literal = goal_literal(wanted, holder, self.world)
-                when = [t for t, one in enumerate(frames) if is_true(literal, one, scene)]
-                if literal.positive and when:
-                    found[world, row] = (self.begin + when[0]) / FRAMES_PER_SECOND
-                elif when and when[-1] == len(frames) - 1:
-                    found[world, row] = (self.begin + when[-1]) / FRAMES_PER_SECOND
-        return xr.DataArray(
-            found, {"world": list(WORLDS[: len(found)])}, ("world", "simulation"), "seconds"
-        )
+        for world, row in np.ndindex(found.shape):
+            scene, frames = self.scenes[world], self.poses[world, row]
+            wanted = self.goals[row][holder] if goal is None else goal_index(goal, self.world)
+            literal = goal_literal(wanted, holder, self.world)
+            when = [t for t, one in enumerate(frames) if is_true(literal, one, scene)]
+            if when and (literal.positive or when[-1] == len(frames) - 1):
+                frame = when[0] if literal.positive else when[-1]
+                found[world, row] = (self.begin + frame) / FRAMES_PER_SECOND
+        coords = {"world": list(WORLDS[: len(found)])}
+        return xr.DataArray(found, coords, ("world", "simulation"), "seconds")
 
     def probability(self, agent: str, goal: str | None = None) -> list[Estimate]:
         """Return in each world the probability that an agent's goal is reached."""
@@ -150,12 +140,11 @@ class WhatIf:
             OutputError: another ending than .mp4 or .gif, or the file cannot be written.
         """
         first, *others = (world[simulation] for world in self.poses)
-        if not others:
-            return video(first, path, self.scenes[0])
-        return video(
-            first, path, self.scenes[0], compare=others[0], compare_scene=self.scenes[-1],
-            captions=(WORLDS[0], self.change),
-        )  # fmt: skip
+        beside: dict[str, Any] = {}
+        if others:
+            beside = {"compare": others[0], "compare_scene": self.scenes[-1]}
+            beside["captions"] = (WORLDS[0], self.change)
+        return video(first, path, self.scenes[0], **beside)
 
     def __str__(self) -> str:
         n, frames = self.poses.shape[1:3]
@@ -164,19 +153,21 @@ class WhatIf:
             f"{(frames - 1) / FRAMES_PER_SECOND:.1f} s from "
             f"{self.begin / FRAMES_PER_SECOND:.1f} s on (simulated time)"
         ]
-        for holder, agent in enumerate(self.world.agents):
-            if holder not in self.removed:
-                lines.append(f"the {agent} reaches its goal: {self._told(agent)}")
+        there = [one for n, one in enumerate(self.world.agents) if n not in self.removed]
+        lines += [f"the {agent} reaches its goal: {self._told(agent)}" for agent in there]
         return "\n".join(textwrap.fill(line, 88, subsequent_indent="  ") for line in lines)
 
     def _told(self, agent: str) -> str:
-        shares = self.probability(agent)
-        median = [_median(row) for row in self.reached(agent).values]
-        if len(shares) == 1:
-            return f"{shares[0]}{median[0]}"
-        words = f"{shares[0]}{median[0]} as it is, {shares[1]}{median[1]} with {self.change}"
+        seconds = self.reached(agent).values
+        told = []
+        for share, row in zip(self.probability(agent), seconds, strict=True):
+            reached = row[np.isfinite(row)]
+            told.append(f"{share}{f' (after {np.median(reached):.1f} s)' if reached.size else ''}")
+        if len(told) == 1:
+            return told[0]
+        words = f"{told[0]} as it is, {told[1]} with {self.change}"
         change = self.difference(agent)
-        before, after = np.isfinite(self.reached(agent).values)
+        before, after = np.isfinite(seconds)
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
             return f"{words}; no difference that so few simulations would show ({change})"
@@ -191,11 +182,6 @@ class WhatIf:
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"
-
-
-def _median(seconds: FloatArray) -> str:
-    reached = seconds[np.isfinite(seconds)]
-    return f" (after {np.median(reached):.1f} s)" if reached.size else ""
 
 
 def _entity(name: object, among: Sequence[str]) -> int:
@@ -234,25 +220,23 @@ class Change:
         walls: Any = None,
     ) -> Change:
         """Return the change that is said in names; arguments and errors as of ``do``."""
-        space, given = space_of(world), {k: v for k, v in given.items() if v is not None}
-        sites: dict[str, Any] = {}
+        space, sites, words = space_of(world), dict[str, Any](), []
         goals: dict[str, int] = {}
-        words = []
         for name, value in given.items():
+            if value is None:
+                continue
             if name in space.strength_sites:
                 sites[name] = checked_strength(name, value)
                 words.append(f"{name} = {value}")
-            elif (stated := name.removeprefix("stated_")) in space.goal_sites:
-                goal = goal_index(value, world)
-                if space.impossible[space.goal_sites.index(stated), goal]:
-                    raise InvalidSettingError(
-                        f"{name}={world.goals[goal]!r} names the agent itself"
-                    )
-                (goals if name == stated else sites)[stated] = goal
-                words.append(f"{name} = {world.goals[goal]}")
-            else:
+                continue
+            if (stated := name.removeprefix("stated_")) not in space.goal_sites:
                 known = (*space.goal_sites, *space.stated_sites, *space.strength_sites)
                 raise unknown_name("quantity to change", name, known)
+            goal = goal_index(value, world)
+            if space.impossible[space.goal_sites.index(stated), goal]:
+                raise InvalidSettingError(f"{name}={world.goals[goal]!r} names the agent itself")
+            (goals if name == stated else sites)[stated] = goal
+            words.append(f"{name} = {world.goals[goal]}")
         if relation is not None:
             sites[space.company_site] = _way(space, relation)
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
@@ -280,18 +264,13 @@ class Change:
         nobody = space.ways.index((None,) * space.n_agents)
         return space.hypothesis({**sites, **own, **self.goals, space.company_site: nobody})
 
-    def scene(self, scene: Scene) -> Scene:
-        """Return a scene with the other walls."""
-        return scene if self.walls is None else dataclasses.replace(scene, walls=self.walls)
-
 
 def _way(space: HypothesisSpace, relation: Mapping[tuple[str, str], str]) -> int:
     """Return the code of who helps or hinders whom."""
     world = space.world
     towards: list[tuple[int, int] | None] = [None] * space.n_agents
     for (who, whom), word in relation.items():
-        if word not in STANCES:
-            raise unknown_name("relation", word, STANCES)
+        check_name("relation", word, STANCES)
         towards[world.agent(who)] = world.agent(whom), STANCES[word]
     if tuple(towards) not in space.ways:
         raise InvalidSettingError(
@@ -343,7 +322,7 @@ def simulated(
     """
     at, frames = _length(post, at, seconds)
     whole_number("n", n, _FEWEST)
-    removed = () if change is None else change.removed
+    scene, removed = post.scene, () if change is None else change.removed
     model = post.settings.get("model", {})
     of_run = model.get("simulator", "joint")
     joint = of_run == "joint" if simulator is None else isinstance(simulator, JointSimulator)
@@ -359,13 +338,12 @@ def simulated(
             )
         stored = model.get("planner")
         simulator = JointSimulator("fast" if stored is None else PlannerConfig.from_dict(stored))
-    scene = post.scene
+    drawn, space = _drawn(post, n, seed), space_of(scene.world)
     worlds: list[tuple[Scene, tuple[int, ...]]] = [(scene, ())]
-    drawn = _drawn(post, n, seed)
-    space = space_of(scene.world)
     hypotheses = [[space.hypothesis(sites) for sites in drawn]]
     if change is not None:
-        worlds.append((change.scene(scene), removed))
+        walls = {} if change.walls is None else {"walls": change.walls}
+        worlds.append((dataclasses.replace(scene, **walls), removed))
         hypotheses.append([change.hypothesis(sites) for sites in drawn])
     past = reconstructed(scene, post.observed[: at + 1]) if at else None
     seeds = np.random.SeedSequence([seed, n]).generate_state(n).tolist()
@@ -400,9 +378,9 @@ def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
     else:  # a closed loop of another world keeps it agent by agent
         codes = space.alpha_codes(np.arange(len(space.ways)))
         way_of = {
-            tuple(int(code[way]) for code in codes.values()): way for way in range(len(space.ways))
+            tuple(code[way] for code in codes.values()): way for way in range(len(space.ways))
         }
-        ways = [way_of[tuple(int(values[name][row]) for name in codes)] for row in rows]
+        ways = [way_of[tuple(values[name][row] for name in codes)] for row in rows]
     stated = [  # whoever pursues a goal of its own acts on it
         values[name if name in values else name.removeprefix("stated_")][rows]
         for name in space.stated_sites
@@ -411,14 +389,12 @@ def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
         for agent, masses in enumerate(post.own_goals):
             idle = space.owner[ways, agent] != agent
             stated[agent][idle] = rng.choice(len(masses), idle.sum(), p=masses / masses.sum())
-    return [
-        {
-            **{name: int(one) for name, one in zip(space.goal_sites, own, strict=True)},
-            space.company_site: int(way),
-            **{name: float(values[name][row]) for name in space.strength_sites},
-        }
-        for row, way, *own in zip(rows, ways, *stated, strict=True)
-    ]
+    columns = {
+        **dict(zip(space.goal_sites, (one.tolist() for one in stated), strict=True)),
+        space.company_site: np.asarray(ways).tolist(),
+        **{name: values[name][rows].tolist() for name in space.strength_sites},
+    }
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _simulate(

@@ -257,7 +257,7 @@ def _add_describe(commands: Any) -> None:
 
 
 def _describe(options: argparse.Namespace) -> int:
-    from phase_ppl.analysis.data_table import data_table
+    from phase_ppl.analysis.figures.data_card import data_table
 
     out = None if options.out is None else writable_folder(options.out)
     events, found = _statistics(options.events)

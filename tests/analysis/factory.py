@@ -8,16 +8,21 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.tree import SCHEMA
+from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, scene_dataset
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import GOALS, goal_index, is_self_referring
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import ENTITIES
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene
+from phase_ppl.world.space import space_of
+
+SPACE = space_of(PHASE)
+FRAMES = "frames_simulated"
 
 BLUE_TO_RED = "Get blue item to red lm"
 PINK_TO_BLUE = "Get pink item to blue lm"
@@ -86,67 +91,45 @@ def make_tree(
     scene = scene or default_scene()
     if observed is None:
         observed = np.repeat(scene.start[None], n_frames, axis=0)
-    n_frames = len(observed)
     if predicted is None:
-        predicted = np.broadcast_to(
-            np.arange(len(simulations), dtype=float)[:, None, None, None],
-            (len(simulations), *observed.shape),
-        )
-    table = _simulation_table(simulations, own_site)
-    index = np.array(draws, np.int64)
-    sites = [name for name in table if name.startswith(("goal", "stated", "alpha", "str", "mood"))]
-    frame = {"time": np.arange(n_frames) / FRAMES_PER_SECOND, "entity": list(ENTITIES)}
+        numbers = np.arange(len(simulations), dtype=float)[:, None, None, None]
+        predicted = np.broadcast_to(numbers, (len(simulations), *observed.shape))
+    frame = {"time": np.arange(len(observed)) / FRAMES_PER_SECOND, "entity": list(ENTITIES)}
     frame["coord"] = ["x", "y", "angle"]
-    draw_coords = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
-    pair = ("chain", "draw")
+    table = _simulation_table(simulations)
+    if own_site is not None:
+        table["mood"] = "simulation", np.array(own_site)
     error = np.linalg.norm((predicted - observed)[..., :2], axis=(-2, -1)).astype(np.float32)
-    log_joint = table["log_prior"] + table["log_likelihood"]
-    stayed = np.zeros(index.shape, bool)
-    stayed[:, :1] = table["iteration"][index[:, :1]] == 0
-    stayed[:, 1:] = index[:, 1:] == index[:, :-1]
-    flags = {"flag_values": list(range(len(GOALS))), "flag_meanings": json.dumps(GOALS)}
-    posterior = {
-        name: (pair, table[name][index], flags if "goal" in name else {}) for name in sites
-    }
-    groups = {
-        "posterior": xr.Dataset(posterior, draw_coords),
-        "sample_stats": xr.Dataset(
-            {
-                "log_joint": (pair, log_joint[index]),
-                "total_error": (pair, error.sum(axis=1, dtype=float)[index]),
-                "accepted": (pair, ~stayed),
-                "window": (pair, np.full(index.shape, -1) if window is None else np.array(window)),
-                "frames_simulated": (pair, table["frames_simulated"][index]),
-                "sim_seed": (pair, table["seed"][index]),
-                "step_error": ((*pair, "time"), error[index]),
-            },
-            {**draw_coords, "time": ("time", frame["time"], {"units": "seconds"})},
-        ),
-        "simulated": xr.Dataset(
-            {
-                "trajectory": (
-                    (*pair, "time", "entity", "coord"),
-                    predicted[index].astype(np.float32),
-                )
-            },
-            {**draw_coords, **frame},
-            {"beta": 0.05},
-        ),
-        "observed_data": xr.Dataset({"trajectory": (("time", "entity", "coord"), observed)}, frame),
-        "simulations": xr.Dataset({name: ("simulation", table[name]) for name in table}),
-        "constant_data": xr.Dataset(
-            {
-                "start": (("entity", "coord"), scene.start),
-                "radius": (("entity",), scene.radius),
-                "walls": (("wall", "end", "xy"), scene.walls),
-                "arena": (("bound",), np.array(scene.arena)),
-                "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
-            },
-            attrs={"turning": scene.turning, "landmark_half_width": scene.landmark_half_width},
-        ),
-    }
+    index = np.array(draws, np.int64)
+    drawn = table.assign(
+        log_joint=table["log_prior"] + table["log_likelihood"],
+        total_error=("simulation", error.sum(axis=1, dtype=float)),
+        step_error=(("simulation", "time"), error),
+        sim_seed=table["seed"],
+        trajectory=(("simulation", *FRAME), predicted.astype(np.float32)),
+    ).isel(simulation=xr.DataArray(index, dims=DRAW))
+    drawn = drawn.assign_coords(chain=range(index.shape[0]), draw=range(index.shape[1]))
+    accepted = drawn["iteration"].values > 0
+    accepted[:, 1:] = index[:, 1:] != index[:, :-1]
+    stats = drawn[["log_joint", "total_error", FRAMES, "sim_seed", "step_error"]]
+    posterior = drawn[[*SPACE.columns, *(["mood"] if own_site is not None else [])]]
+    for name in (*SPACE.stated_sites, *SPACE.goal_sites):
+        flags = {"flag_values": list(range(len(GOALS))), "flag_meanings": json.dumps(GOALS)}
+        posterior[name].attrs = flags
     if by_frame is not None:
-        groups["simulations"]["step_log_likelihood"] = ("simulation", "time"), by_frame
+        table["step_log_likelihood"] = ("simulation", "time"), by_frame
+    groups = {
+        "posterior": posterior,
+        "sample_stats": stats.assign(
+            accepted=(DRAW, accepted),
+            window=(DRAW, np.full(index.shape, -1) if window is None else np.array(window)),
+            time=("time", frame["time"], {"units": "seconds"}),
+        ),
+        "simulated": drawn[["trajectory"]].assign(frame).assign_attrs(beta=0.05),
+        "observed_data": xr.Dataset({"trajectory": (FRAME, observed)}, frame),
+        "simulations": table,
+        "constant_data": scene_dataset(scene),
+    }
     tree = xr.DataTree.from_dict(groups)
     tree.attrs = {
         "event_id": "made-up",
@@ -176,35 +159,21 @@ def posterior_of(
     return Posterior(make_tree(simulations, draws, **options), weights)
 
 
-def _simulation_table(
-    simulations: Sequence[Simulation], own_site: Sequence[int] | None
-) -> dict[str, NDArray[Any]]:
-    def column(values: Sequence[object], dtype: type) -> NDArray[Any]:
-        return np.array(values, dtype)
-
-    hypotheses = [s.hypothesis for s in simulations]
-    table = {
-        "goal_red": column([h.effective_goals[0] for h in hypotheses], np.int16),
-        "goal_green": column([h.effective_goals[1] for h in hypotheses], np.int16),
-        "stated_goal_red": column([h.goal_red for h in hypotheses], np.int16),
-        "stated_goal_green": column([h.goal_green for h in hypotheses], np.int16),
-        "alpha": column([ALPHAS.index(h.alpha) for h in hypotheses], np.int8),
-        "strength_red": column([h.strength_red for h in hypotheses], np.float64),
-        "strength_green": column([h.strength_green for h in hypotheses], np.float64),
-        "seed": column([s.seed for s in simulations], np.int64),
-        "chain": column([s.chain for s in simulations], np.int64),
-        "iteration": column([s.iteration for s in simulations], np.int64),
-        "log_prior": column([s.log_prior for s in simulations], np.float64),
-        "log_prior_effective": column([s.log_prior for s in simulations], np.float64),
-        "log_likelihood": column([s.log_likelihood for s in simulations], np.float64),
-        "total_error": column([-20 * s.log_likelihood for s in simulations], np.float64),
-        "completed": column([s.completed for s in simulations], np.bool_),
-        "frames_simulated": column([s.frames for s in simulations], np.int64),
-        "failed": column([s.failed for s in simulations], np.bool_),
-    }
-    if own_site is not None:
-        table["mood"] = column(own_site, np.int64)
-    return table
+def _simulation_table(simulations: Sequence[Simulation]) -> xr.Dataset:
+    rows = []
+    for one in simulations:
+        h = one.hypothesis
+        stated = {"stated_goal_red": h.goal_red, "stated_goal_green": h.goal_green}
+        strengths = {"strength_red": h.strength_red, "strength_green": h.strength_green}
+        goals = dict(zip(SPACE.goal_sites, h.effective_goals, strict=True))
+        rows.append({**goals, **stated, "alpha": ALPHAS.index(h.alpha), **strengths, **vars(one)})
+    table = pd.DataFrame(rows).drop(columns="hypothesis").rename(columns={"frames": FRAMES})
+    table["log_prior_effective"] = table["log_prior"]
+    table["total_error"] = -20 * table["log_likelihood"]
+    kinds = {name: np.int16 for name in (*SPACE.stated_sites, *SPACE.goal_sites)}
+    reals = (*SPACE.strength_sites, *(name for name in table if name.startswith(("log", "total"))))
+    table = table.astype({**kinds, "alpha": np.int8, **dict.fromkeys(reals, float)})
+    return table.rename_axis("simulation").to_xarray().drop_vars("simulation").copy(deep=True)
 
 
 def with_variables(tree: xr.DataTree, group: str, **variables: Any) -> xr.DataTree:
@@ -255,31 +224,23 @@ def random_tree(
     rng = np.random.default_rng(seed)
     pool = [random_hypothesis(rng) for _ in range(6)]
     simulations: list[Simulation] = []
-    draws: list[list[int]] = []
-    for chain in range(n_chains):
-        current = len(simulations)
-        row = []
-        for iteration in range(n_draws + 1):
-            accepted = iteration == 0 or rng.random() < 0.5
-            completed = accepted or rng.random() < 0.5
-            proposed = dataclasses.replace(
-                pool[rng.integers(len(pool))], strength_red=float(rng.uniform(150, 600))
+    draws = np.empty((n_chains, n_draws + 1), int)
+    for chain, iteration in np.ndindex(draws.shape):
+        accepted = iteration == 0 or rng.random() < 0.5
+        completed = accepted or rng.random() < 0.5
+        proposed = pool[rng.integers(len(pool))]
+        proposed = dataclasses.replace(proposed, strength_red=float(rng.uniform(150, 600)))
+        simulations.append(
+            Simulation(
+                proposed,
+                seed=int(rng.integers(2**40)),
+                log_prior=-8.5 if proposed.alpha == (0, 0) else -9.2,
+                log_likelihood=float(rng.uniform(-6, -1)),
+                completed=completed,
+                frames=n_frames if completed else int(rng.integers(1, n_frames)),
+                chain=chain,
+                iteration=iteration,
             )
-            simulations.append(
-                Simulation(
-                    proposed,
-                    seed=int(rng.integers(2**40)),
-                    log_prior=-8.5 if proposed.alpha == (0, 0) else -9.2,
-                    log_likelihood=float(rng.uniform(-6, -1)),
-                    completed=completed,
-                    frames=n_frames if completed else int(rng.integers(1, n_frames)),
-                    chain=chain,
-                    iteration=iteration,
-                )
-            )
-            if accepted:
-                current = len(simulations) - 1
-            if iteration:
-                row.append(current)
-        draws.append(row)
-    return make_tree(simulations, draws, n_frames=n_frames, **options)  # type: ignore[arg-type]
+        )
+        draws[chain, iteration] = len(simulations) - 1 if accepted else draws[chain, iteration - 1]
+    return make_tree(simulations, draws[:, 1:].tolist(), n_frames=n_frames, **options)  # type: ignore[arg-type]

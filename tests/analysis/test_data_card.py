@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import phase_ppl
-from phase_ppl.analysis.data_table import Row, data_table, goal_grid, rows, shares_differ
+from phase_ppl.analysis.figures.data_card import Row, data_table, goal_grid, rows, shares_differ
 from phase_ppl.dataset.statistics import PHASE, standard_error, statistics
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, is_self_referring
@@ -29,12 +29,9 @@ def random_events(n: int, seed: int = 0) -> list[Event]:
     for number in range(n):
         steps = 0.4 * rng.normal(size=(int(rng.integers(30, 102)), 4, 3))
         track = np.clip(np.array([16.0, 12.0, 0.0]) + np.cumsum(steps, axis=0), 7, 21)
-        truth = Truth(
-            str(rng.choice(of_red)),
-            str(rng.choice(of_green)),
-            strength_red=float(rng.choice(STRENGTH_LEVELS)),
-            strength_green=float(rng.choice(STRENGTH_LEVELS)),
-        )
+        goals = str(rng.choice(of_red)), str(rng.choice(of_green))
+        red, green = (float(rng.choice(STRENGTH_LEVELS)) for _ in goals)
+        truth = Truth(*goals, strength_red=red, strength_green=green)
         scene = Scene(track[0], rng.choice(SIZES, 4))
         events.append(Event(scene, Observation(track), id=f"event-{number}", truth=truth))
     return events
@@ -80,16 +77,16 @@ def test_shares_differ_where_the_interval_of_agresti_and_caffo_leaves_out_zero()
 
 def test_few_equal_sets_are_told_apart_and_different_ones_are() -> None:
     first, second = (statistics(random_events(40, seed)) for seed in (1, 2))
-    alike = [row.stands_out for row in rows(first, second)]
-    assert np.mean(alike) < 0.15
+    assert np.mean([row.stands_out for row in rows(first, second)]) < 0.15
     still = random_events(40, 3)
     for event in still:
         event.observation.trajectory.setflags(write=True)
         event.observation.trajectory[10:] = event.observation.trajectory[10]
     found = rows(statistics(still), second)
-    assert named(found, "speed_mean").stands_out
-    assert named(found, "at_rest").stands_out
-    assert named(found, "untrimmed").stands_out
+    for moves in ("speed_mean", "at_rest", "untrimmed"):
+        assert named(found, moves).stands_out
+    assert not any(row.stands_out for row in rows(first, first)), "it does not differ from itself"
+    assert PHASE["name"] not in data_table(first, first)
 
 
 def test_a_value_is_held_against_bounds_where_no_more_is_known() -> None:
@@ -138,12 +135,8 @@ def test_the_table_fits_a_terminal_and_has_every_part(generated: dict[str, Any])
     text = data_table({**generated, "name": "a name of a set that goes on and on"})
     assert max(len(line) for line in text.splitlines()) <= 88
     words = "friendly,LMA-,600,a_family_of_somebody_elses,about y=-x,validation,median"
-    for word in [
-        *words.split(","),
-        "agent holds an item",
-        "pink item away from",
-        "10    26   0.38",
-    ]:
+    words += ",agent holds an item,pink item away from,10    26   0.38"
+    for word in words.split(","):
         assert word in text
     assert "estimated" not in text
     assert "* differs from PHASE" in text
@@ -152,9 +145,8 @@ def test_the_table_fits_a_terminal_and_has_every_part(generated: dict[str, Any])
 def test_the_table_says_what_is_estimated_and_what_is_not_known() -> None:
     (event,) = random_events(1)
     unknown = Event(event.scene, event.observation)
-    text = data_table(
-        statistics([event, unknown], {"entries": [{"id": "event", "group": "event-0"}]})
-    )
+    copies = {"entries": [{"id": "event", "group": "event-0"}]}
+    text = data_table(statistics([event, unknown], copies))
     assert "2 events, 1 without copies, 1 without truth, 2 agents of unknown strength" in text
     assert "estimated" in text
     assert "draws" not in text
@@ -201,11 +193,3 @@ def test_a_card_holds_any_set_beside_another(generated: dict[str, Any]) -> None:
     assert "two others" in phase_ppl.plot.data_card(generated, beside=other).get_supxlabel()
     phase_ppl.plot.data_card(other, beside=generated)
     assert "two others" in data_table(generated, other)
-
-
-def test_a_set_does_not_differ_from_itself(generated: dict[str, Any]) -> None:
-    assert not any(row.stands_out for row in rows(generated, generated))
-    assert {row.key for row in rows(generated)} >= {
-        f"relation/{k}" for k in ("friendly", "neutral")
-    }
-    assert PHASE["name"] not in data_table(generated, generated)

@@ -50,8 +50,7 @@ from .factory import (
 def test_an_estimate_prints_with_the_digits_that_are_certain(
     value: float, error: float, printed: str
 ) -> None:
-    assert str(Estimate(value, error)) == printed
-    assert f"{Estimate(value, error)}" == printed
+    assert str(Estimate(value, error)) == f"{Estimate(value, error)}" == printed
 
 
 def test_an_estimate_is_a_float_in_all_else() -> None:
@@ -61,20 +60,17 @@ def test_an_estimate_is_a_float_in_all_else() -> None:
     assert json.dumps([estimate]) == "[0.25]"
     assert type(estimate + 1) is float
     assert np.array([estimate]).dtype == float
-    copied = pickle.loads(pickle.dumps(estimate))
-    assert (copied, copied.error) == (0.25, 0.1)
-    label = pickle.loads(pickle.dumps(Mode("friendly", 0.1)))
-    assert (label, label.error) == ("friendly", 0.1)
+    for one in (estimate, Mode("friendly", 0.1)):
+        copied = pickle.loads(pickle.dumps(one))
+        assert (copied, copied.error) == (one, 0.1)
 
 
 def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> None:
     strengths = [200.0, 260.0, 320.0, 500.0]
-    post = posterior_of(
-        [hypothesis(strengths=(s, 300)) for s in strengths], [[i] for i in range(4)]
-    )
-    assert post.mean("strength_red").error == pytest.approx(
-        np.std(strengths, ddof=1) / 2 * widened(4)
-    )
+    hypotheses = [hypothesis(strengths=(s, 300)) for s in strengths]
+    post = posterior_of(hypotheses, [[i] for i in range(4)])
+    expected = np.std(strengths, ddof=1) / 2 * widened(4)
+    assert post.mean("strength_red").error == pytest.approx(expected)
     indicator = np.std([1, 1, 0, 0], ddof=1) / 2
     assert post.probability(strength_red=(0, 300)).error == pytest.approx(indicator)
     # all chains say the same, and so nothing of how far off they are
@@ -83,15 +79,10 @@ def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> 
 
 def test_one_chain_knows_no_error() -> None:
     post = Posterior(random_tree(1, n_chains=1))
-    results = [
-        post.probability(relation="neutral"),
-        post.mode("goal_red"),
-        post.top("goal_red")[0][1],
-        *(post.entropy("goal_red"), post.mean("strength_red"), post.sd("strength_red")),
-    ]
-    assert all(math.isnan(result.error) for result in results)
-    for table in (post.marginal("relation"), post.hdi("strength_red")):
-        assert np.isnan(table.error).all()
+    assert math.isnan(post.top("goal_red")[0][1].error)
+    for asked in ("P(relation=neutral)", "mode goal_red", "H(goal_red)", "E[strength_red]",
+                  "sd[strength_red]", "P(relation)", "hdi strength_red"):  # fmt: skip
+        assert np.isnan(post.query(asked).error).all()
 
 
 def test_no_error_is_known_where_a_single_chain_meets_the_condition() -> None:
@@ -105,13 +96,12 @@ def test_no_error_is_known_where_a_single_chain_meets_the_condition() -> None:
 def test_all_questions_about_a_label_have_the_same_error() -> None:
     post = Posterior(random_tree(3, n_chains=6))
     label, estimate = post.top("goal_red")[0]
+    of_table = post.marginal("goal_red").error.sel(goal_red=label).item()
     assert estimate.error == pytest.approx(post.probability(goal_red=label).error)
-    assert estimate.error == pytest.approx(
-        float(post.marginal("goal_red").error.sel(goal_red=label))
-    )
-    joint = post.joint("goal_red", "relation")
-    asked = post.probability(goal_red=label, relation="neutral").error
-    assert asked == pytest.approx(float(joint.error.sel(goal_red=label, relation="neutral")))
+    assert estimate.error == pytest.approx(of_table)
+    both = {"goal_red": label, "relation": "neutral"}
+    of_table = post.joint(*both).error.sel(both).item()
+    assert post.probability(**both).error == pytest.approx(of_table)
 
 
 def test_the_mode_doubts_itself_by_half_in_a_tie_and_little_where_all_agree() -> None:
@@ -146,35 +136,31 @@ def test_random_sets_leave_out_a_third(n: int) -> None:
 
 # --- errors against repetitions -----------------------------------------------------------------
 
-STATISTICS: dict[str, Callable[[Posterior], Any]] = {
-    "probability": lambda post: post.probability(relation="friendly"),
-    "conditional": lambda post: post.probability({"goal_red": GOALS[5]}, strength_red=(0, 350)),
-    "marginal": lambda post: post.top("goal_red", 3)[0][1],
-    "entropy": lambda post: post.entropy("goal_red", "goal_green"),
-    "mean": lambda post: post.mean("strength_red"),
-    "sd": lambda post: post.sd("strength_red"),
-    "lower end": lambda post: post.hdi("strength_red", 0.8)[0],
-    "upper end": lambda post: post.hdi("strength_red", 0.8)[1],
+STATISTICS: dict[str, Callable[[Any], Any]] = {
+    "P(relation=friendly)": lambda found: found,
+    f"P(strength_red in [0, 350] | goal_red={GOALS[5]})": lambda found: found,
+    "top 3 goal_red": lambda found: found[0][1],
+    "H(goal_red, goal_green)": lambda found: found,
+    "E[strength_red]": lambda found: found,
+    "sd[strength_red]": lambda found: found,
+    "hdi 0.8 strength_red": lambda found: found[0],
+    "hdi 80% strength_red": lambda found: found[1],
 }
+"""Question -> what of its answer."""
 
 
 def sticky_chains(rng: np.random.Generator) -> Posterior:
     """15 chains of 6 draws that often stay where they are."""
     simulations: list[Simulation] = []
-    draws: list[list[int]] = []
-    for _ in range(15):
-        row: list[int] = []
-        for _ in range(6):
-            if row and rng.random() < 0.6:
-                row.append(row[-1])
-                continue
+    draws = np.empty((15, 6), int)
+    for chain, column in np.ndindex(draws.shape):
+        if not column or rng.random() >= 0.6:
             goal = int(rng.choice([2, 5, 9], p=[0.5, 0.35, 0.15]))
             green = goal if rng.random() < 0.4 else 12
             strength = float(rng.normal(300 + 10 * goal, 60))
-            row.append(len(simulations))
             simulations.append(Simulation(hypothesis(goal, green, strengths=(strength, 300))))
-        draws.append(row)
-    return Posterior(make_tree(simulations, draws, n_frames=2))
+        draws[chain, column] = len(simulations) - 1
+    return Posterior(make_tree(simulations, draws.tolist(), n_frames=2))
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +173,8 @@ def repetitions() -> Sequence[Posterior]:
 def test_errors_of_equal_draws_are_as_large_as_runs_differ(
     repetitions: Sequence[Posterior], name: str
 ) -> None:
-    assert 0.75 < error_over_spread([STATISTICS[name](post) for post in repetitions]) < 1.75
+    answers = [STATISTICS[name](post.query(name)) for post in repetitions]
+    assert 0.75 < error_over_spread(answers) < 1.75
 
 
 def error_over_spread(results: Sequence[Any]) -> float:
@@ -227,19 +214,13 @@ def test_errors_of_strata_are_as_large_as_runs_differ(noise: float, most: float)
     results = []
     for _ in range(80):
         simulations, log_proposal = [], []
-        for chain in range(15):
-            for iteration in range(7):
-                which = int(rng.choice(3, p=proposal))
-                log_proposal.append(math.log(proposal[which]))
-                simulations.append(
-                    Simulation(
-                        hypothesis(goals[which], 12),
-                        seed=len(simulations),
-                        log_likelihood=float(rng.normal(-goals[which] / 5, noise)),
-                        chain=chain,
-                        iteration=iteration,
-                    )
-                )
+        for chain, iteration in np.ndindex(15, 7):
+            which = int(rng.choice(3, p=proposal))
+            log_proposal.append(math.log(proposal[which]))
+            likelihood = float(rng.normal(-goals[which] / 5, noise))
+            made = {"seed": 7 * chain + iteration, "chain": chain, "iteration": iteration}
+            h = hypothesis(goals[which], 12)
+            simulations.append(Simulation(h, log_likelihood=likelihood, **made))
         tree = make_tree(simulations, [[7 * chain] for chain in range(15)], n_frames=2)
         tree = with_densities(tree, log_proposal)
         tree = with_prior(tree, [(hypothesis(goal, 12), 1 / 3) for goal in goals])
@@ -255,7 +236,4 @@ def test_errors_of_a_mean_of_few_draws_hold_what_they_say(n: int) -> None:
     draws = np.random.default_rng(0).normal(size=(4000, n))
     error = draws.std(axis=1, ddof=1) / np.sqrt(n) * widened(n)
     assert (np.abs(draws.mean(axis=1)) <= 1.96 * error).mean() == pytest.approx(0.95, abs=0.015)
-
-
-def test_an_error_without_a_number_of_draws_stays() -> None:
     assert widened(float("nan")) == 1.0

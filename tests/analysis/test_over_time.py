@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.figure import Figure
 
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.posterior import Posterior
@@ -46,6 +45,14 @@ def tree_by_frame(seed: int = 0) -> xr.DataTree:
     )
 
 
+def check_by_hand(tree: xr.DataTree, expected: FloatArray) -> None:
+    found = Posterior(tree, "count").over_time()
+    np.testing.assert_allclose(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), expected)
+    np.testing.assert_allclose(found["goal_green"].sel(goal_green_is=PINK_TO_BLUE), expected)
+    np.testing.assert_allclose(found["relation"].sel(relation_is="neutral"), expected)
+    np.testing.assert_allclose(found["scenario"].sel(scenario_is="collaborative"), 1 - expected)
+
+
 def test_prefixes_worked_out_by_hand() -> None:
     one, other = hypothesis(BLUE_TO_RED, PINK_TO_BLUE), hypothesis(TO_GREEN, TO_RED)
     by_frame = np.array([[-1, -1, -1], [0, -2, -4], [-1, -1, np.nan]], float)
@@ -68,40 +75,24 @@ def test_prefixes_worked_out_by_hand() -> None:
     check_by_hand(tree, np.array([truncated(mass / mass.sum())[0] for mass in masses]))
 
 
-def check_by_hand(tree: xr.DataTree, expected: FloatArray) -> None:
-    found = Posterior(tree, "count").over_time()
-    np.testing.assert_allclose(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), expected)
-    np.testing.assert_allclose(found["goal_green"].sel(goal_green_is=PINK_TO_BLUE), expected)
-    np.testing.assert_allclose(found["relation"].sel(relation_is="neutral"), expected)
-    np.testing.assert_allclose(found["scenario"].sel(scenario_is="collaborative"), 1 - expected)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_at_the_last_frame_it_is_the_posterior_of_the_draws(seed: int) -> None:
-    check_last_frame(tree_by_frame(seed), "count")
-
-
-def check_last_frame(tree: xr.DataTree, weights: str) -> None:
+@pytest.mark.parametrize(("densities", "prior"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize("seed", range(2))
+def test_at_the_last_frame_it_is_the_posterior(seed: int, densities: bool, prior: bool) -> None:
+    tree, rng = tree_by_frame(seed), np.random.default_rng(seed)
+    if densities:
+        simulations = tree["simulations"].to_dataset()
+        n = simulations.sizes["simulation"]
+        first = simulations["iteration"].values == 0
+        at_end = rng.normal(-1, 1, n) - simulations["log_likelihood"].values
+        tree = with_densities(tree, rng.normal(-10, 1, n), np.where(first, np.inf, at_end))
+    if prior:
+        tree = with_prior(tree, rng.random((36, 36)))
+    weights = "stratified" if prior else "count"  # by densities of proposals, where it can be
     found, post = Posterior(tree).over_time(), Posterior(tree, weights)
     assert found.attrs["weights"] == weights
     for name in FOLLOWED:
         np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
         np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
-
-
-@pytest.mark.parametrize("prior", [True, False])
-@pytest.mark.parametrize("seed", range(2))
-def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, prior: bool) -> None:
-    tree = tree_by_frame(seed)
-    simulations, rng = tree["simulations"].to_dataset(), np.random.default_rng(seed)
-    n = simulations.sizes["simulation"]
-    log_proposal = rng.normal(-10, 1, n)
-    first = simulations["iteration"].values == 0
-    at_end = rng.normal(-1, 1, n) - simulations["log_likelihood"].values
-    tree = with_densities(tree, log_proposal, np.where(first, np.inf, at_end))
-    if prior:
-        tree = with_prior(tree, rng.random((36, 36)))
-    check_last_frame(tree, "stratified" if prior else "count")
 
 
 def test_later_frames_change_nothing_before_them() -> None:
@@ -133,11 +124,6 @@ def test_a_users_scenario_is_followed() -> None:
     np.testing.assert_allclose(found["relation"].sel(relation_is="adversarial"), 1)
 
 
-def test_a_file_without_the_likelihood_of_each_frame_is_refused() -> None:
-    with pytest.raises(InvalidEventError, match="step_log_likelihood"):
-        Posterior(random_tree()).over_time()
-
-
 def test_it_says_that_it_is_hindsight_and_survives_the_file(tmp_path: Path) -> None:
     post = Posterior(tree_by_frame())
     found = post.over_time()
@@ -147,7 +133,9 @@ def test_it_says_that_it_is_hindsight_and_survives_the_file(tmp_path: Path) -> N
     xr.testing.assert_equal(Posterior.load(post.save(tmp_path / "a b.nc")).over_time(), found)
 
 
-def test_likelihoods_of_another_shape_are_named() -> None:
+def test_likelihoods_of_another_shape_or_none_are_named() -> None:
+    with pytest.raises(InvalidEventError, match="step_log_likelihood"):
+        Posterior(random_tree()).over_time()
     tree = tree_by_frame()
     renamed = tree["simulations"]["step_log_likelihood"].rename(time="frame")
     tree["simulations"]["step_log_likelihood"] = renamed
@@ -160,10 +148,7 @@ def test_the_figure_draws_what_is_probable_and_names_it(tmp_path: Path) -> None:
     figure = plots.over_time(post, tmp_path / "over time.png")
     assert (tmp_path / "over time.png").read_bytes().startswith(b"\x89PNG")
     assert "Hindsight" in figure.texts[1].get_text()
-    assert drawn(figure, 2) == {"friendly", "neutral", "adversarial"}
+    goals, _, relations = ({text.get_text() for text in axes.texts} for axes in figure.axes)
+    assert relations == {"friendly", "neutral", "adversarial"}
     peak = post.over_time()["goal_red"].max("time").to_series()
-    assert drawn(figure, 0) - {"all other goals"} == set(peak.nlargest(5)[lambda p: p >= 0.1].index)
-
-
-def drawn(figure: Figure, panel: int) -> set[str]:
-    return {text.get_text() for text in figure.axes[panel].texts}
+    assert goals - {"all other goals"} == set(peak.nlargest(5)[lambda p: p >= 0.1].index)

@@ -30,9 +30,8 @@ def moody() -> None:
 
 def friendly() -> None:
     friendliness = numpyro.sample("friendliness", dist.Beta(2.0, 2.0))
-    helping, hindering = 0.375 * friendliness, 0.375 * (1 - friendliness)
-    probs = jnp.stack([jnp.array(0.25), helping, helping, hindering, hindering])
-    numpyro.sample("alpha", dist.Categorical(probs=probs))
+    shares = [jnp.array(0.25), *[0.375 * friendliness] * 2, *[0.375 * (1 - friendliness)] * 2]
+    numpyro.sample("alpha", dist.Categorical(probs=jnp.stack(shares)))
     ppl.sites.goals()
     ppl.sites.strengths()
 
@@ -53,6 +52,11 @@ def of_alpha(post: StepwisePosterior, prior: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def post() -> StepwisePosterior:
     return StepwisePosterior(FOUND).with_prior(moody)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> StepwisePosterior:
+    return StepwisePosterior(FOUND).with_prior(friendly)
 
 
 def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) -> None:
@@ -76,8 +80,8 @@ def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) 
     np.testing.assert_allclose(post.marginal("alpha"), post.sites.marginal("alpha"), atol=1e-5)
 
 
-def test_other_sites_are_drawn_with_their_monte_carlo_error() -> None:
-    post = StepwisePosterior(FOUND).with_prior(friendly)
+def test_other_sites_are_drawn_with_their_monte_carlo_error(drawn: StepwisePosterior) -> None:
+    post = drawn
     flat = StepwisePosterior(FOUND).with_prior("symmetric_alphas")
     shares = np.array([0.25, *[0.1875] * 4]) * of_alpha(flat, np.full(5, 0.2))
     shares /= shares.sum()
@@ -96,8 +100,10 @@ def test_other_sites_are_drawn_with_their_monte_carlo_error() -> None:
 
 
 @pytest.mark.parametrize("condition", ["hostile=1", "friendliness > 0.5"])
-def test_what_depends_on_strengths_has_no_error_beside_sites_either(condition: str) -> None:
-    post = StepwisePosterior(FOUND).with_prior(moody if "hostile" in condition else friendly)
+def test_what_depends_on_strengths_has_no_error_beside_sites_either(
+    condition: str, post: StepwisePosterior, drawn: StepwisePosterior
+) -> None:
+    post = post if "hostile" in condition else drawn
     for asked in ("E[strength_red", "P(strength_red > strength_green", "hdi[strength_green"):
         found = post.query(f"{asked} | {condition}{']' if '[' in asked else ')'}")
         assert np.isnan(found.error).all(), asked
@@ -120,11 +126,10 @@ def test_a_site_whose_values_depend_on_another_is_drawn() -> None:
         assert abs(found - exact) < 4 * found.error
 
 
-def test_few_draws_do_not_make_what_is_drawn_sure() -> None:
-    post = StepwisePosterior(reading()).with_prior(friendly)
+def test_few_draws_do_not_make_what_is_drawn_sure(drawn: StepwisePosterior) -> None:
+    post, goals = drawn, drawn.sites.table.values
     never = post.probability(friendliness=(0.99999, 1.0))
     assert (never, never.error > 0) == (0, True)
-    goals = post.sites.table.values
     pairs, counts = np.unique(goals["goal_red"] * 36 + goals["goal_green"], return_counts=True)
     red, green = divmod(int(pairs[np.argmin(np.abs(counts - 4))]), 36)
     given = {"goal_red": GOALS[red], "goal_green": GOALS[green]}
@@ -145,20 +150,19 @@ def test_definitions_and_what_is_missing(tmp_path: Path, post: StepwisePosterior
     post.define("grim", "hostile=1, not alpha=(0, 0)").define("same", "goal_red = goal_green")
     both = post.query("P(grim=True, same=True)")
     assert 0 < both < post.query("P(hostile=1)")
-    assert post.at(2).query("P(grim=True)") == pytest.approx(
-        post.at(2).query("P(hostile=1, alpha != (0, 0))")
-    )
+    at = post.at(2)
+    assert at.query("P(grim=True)") == pytest.approx(at.query("P(hostile=1, alpha != (0, 0))"))
     assert post.quantities["hostile"] == ("0", "1")
     post.define("once", "goal_red = goal_green").define("once", "hostile=1")
     assert post.query("P(once=True)") == post.query("P(hostile=1)")
-    with pytest.raises(InvalidSettingError, match="the prior has a site 'hostile'"):
-        post.define("hostile", "goal_red = goal_green")
-    with pytest.raises(InvalidSettingError, match="frames speak of hypotheses"):
-        post.why("hostile=1")
-    with pytest.raises(QueryError, match="unknown hostile 'maybe'"):
-        post.query("P(hostile=maybe)")
-    with pytest.raises(QueryError, match="did you mean 'hostile'"):
-        post.query("E[hostil]")
+    for ask, said, *asked in (
+        (post.define, "the prior has a site 'hostile'", "hostile", "goal_red = goal_green"),
+        (post.why, "frames speak of hypotheses", "hostile=1"),
+        (post.query, "unknown hostile 'maybe'", "P(hostile=maybe)"),
+        (post.query, "did you mean 'hostile'", "E[hostil]"),
+    ):
+        with pytest.raises((InvalidSettingError, QueryError), match=said):
+            ask(*asked)
 
     again = StepwisePosterior.load(post.save(tmp_path / "x.nc"))
     assert again.query("P(same=True)") == post.query("P(same=True)")

@@ -1,4 +1,4 @@
-"""The figure of a posterior."""
+"""Figures, and what a notebook shows: what they draw, and that it can be read."""
 
 from __future__ import annotations
 
@@ -6,29 +6,31 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 
 import phase_ppl as ppl
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.figures.beliefs import beliefs_of, discovery
+from phase_ppl.analysis.figures.style import MANY_COLOURS, OTHER
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
 from phase_ppl.world.goals import GOALS
+from phase_ppl.world.names import ENTITIES
 from tests.evaluation.toys import still
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, hypothesis, posterior_of, random_tree
 from .pages import texts_apart
+from .readings import reading
 
 
-@pytest.fixture(scope="module")
-def figure() -> Figure:
-    return plots.posterior(Posterior(random_tree(3, n_frames=12)))
-
-
-def test_figure_has_its_six_panels_on_one_page(figure: Figure) -> None:
+def test_figure_has_its_six_panels_on_one_page() -> None:
+    figure = plots.posterior(Posterior(random_tree(3, n_frames=12)))
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles[:4] == [
         "Goal of the red agent",
@@ -41,20 +43,17 @@ def test_figure_has_its_six_panels_on_one_page(figure: Figure) -> None:
 
 
 def test_goal_bars_are_the_marginal() -> None:
-    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((BLUE_TO_RED, PINK_TO_BLUE))]
-    axes = plots.posterior(Posterior(make_tree(simulations, [[0, 0, 0, 1]]))).axes[0]
+    axes = plots.posterior(posterior_of((BLUE_TO_RED, PINK_TO_BLUE), [[0, 0, 0, 1]])).axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == [BLUE_TO_RED, PINK_TO_BLUE]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([0.75, 0.25])  # type: ignore[attr-defined]
 
 
 def test_no_text_leaves_the_page_or_covers_another() -> None:
     longest = max(GOALS, key=len)
-    red: list[str | int] = [longest, 1, 2, 3, 4, 5]
-    green: list[str | int] = [0, longest, 8, 9, 10, 11]
-    simulations = [
-        Simulation(hypothesis(*goals), i) for i, goals in enumerate(zip(red, green, strict=True))
-    ]
-    assert texts_apart(plots.posterior(Posterior(make_tree(simulations, [list(range(6))])))) > 50
+    pairs: list[tuple[str | int, str | int]] = [(longest, 0), (1, longest)]
+    pairs += [(goal, goal + 6) for goal in range(2, 6)]
+    post = posterior_of([hypothesis(*goals) for goals in pairs], [list(range(6))])
+    assert texts_apart(plots.posterior(post)) > 50
 
 
 def test_figures_are_written_and_bad_paths_are_named(tmp_path: Path) -> None:
@@ -98,7 +97,6 @@ def test_it_shows_the_frame_in_which_something_new_is_seen(tmp_path: Path) -> No
     figure = ppl.plot.beliefs(EVENT, path=file)
     assert file.stat().st_size > 20_000
     assert len(figure.axes) == 6
-    said = figure.get_supxlabel()
     found = list(beliefs_of(EVENT, 0, 10))
     first = discovery(found)
     assert first is not None
@@ -106,20 +104,22 @@ def test_it_shows_the_frame_in_which_something_new_is_seen(tmp_path: Path) -> No
     before = found[first - 1].particles[:, new, :2]
     assert np.ptp(before, axis=0).max() > 4, "it did not know where to look"
     assert discovery(found[:first]) is None, "it is the first"
-    names = ("red agent", "green agent", "blue item", "pink item")
-    assert all(names[entity] in said for entity in new)
+    assert all(ENTITIES[entity] in figure.get_supxlabel() for entity in new)
     assert f"{first / 12:.2f} s" in [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def test_what_cannot_be_drawn_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="agent 'red'"):
-        ppl.plot.beliefs(EVENT, "red")
-    with pytest.raises(InvalidSettingError, match="frame=0"):
-        ppl.plot.beliefs(EVENT, frame=0)
-    with pytest.raises(InvalidSettingError, match="sees nothing new"):
-        ppl.plot.beliefs(still(n_frames=3))
-    with pytest.raises(InvalidSettingError, match=r"expected a phase_ppl\.Event"):
-        ppl.plot.beliefs("collaborate")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("event", "options", "said"),
+    [
+        (EVENT, {"agent": "red"}, "agent 'red'"),
+        (EVENT, {"frame": 0}, "frame=0"),
+        (still(n_frames=3), {}, "sees nothing new"),
+        ("collaborate", {}, r"expected a phase_ppl\.Event"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(event: Any, options: dict[str, Any], said: str) -> None:
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=said):
+        ppl.plot.beliefs(event, **options)
 
 
 # --- a training -----------------------------------------------------------------------------------
@@ -128,17 +128,12 @@ def test_what_cannot_be_drawn_is_refused() -> None:
 def report(variant: str = "extended", networks: int = 2) -> dict[str, Any]:
     """Return a report with curves that end at different epochs."""
     names = ["training", "validation", "relation"] + ["goals"] * (variant == "extended")
-    return {
-        "settings": {"variant": variant},
-        "data": {"events": {"train": 320, "validation": 80, "test": 100}},
-        "members": [
-            {
-                "best_epoch": 2,
-                "curves": {name: [0.3 + 0.1 * i, 0.5, 0.4][: 2 + i] for name in names},
-            }
-            for i in range(networks)
-        ],
-    }
+    members = [
+        {"best_epoch": 2, "curves": dict.fromkeys(names, [0.3 + 0.1 * i, 0.5, 0.4][: 2 + i])}
+        for i in range(networks)
+    ]
+    events = {"train": 320, "validation": 80, "test": 100}
+    return {"settings": {"variant": variant}, "data": {"events": events}, "members": members}
 
 
 @pytest.mark.parametrize(("variant", "lines"), [("extended", 4), ("original", 3)])
@@ -151,8 +146,118 @@ def test_every_network_has_its_curves_and_the_epoch_that_was_kept(variant: str, 
     assert [line.get_ydata()[0] for line in kept] == [0.5] * 2 * (lines - 1)
     labels = [text.get_text() for axes in figure.axes for text in axes.get_legend().get_texts()]
     assert len(labels) == lines
+    title = ppl.plot.training_curves(report(variant, networks=1)).get_suptitle()
+    assert title == f"SocialGNN, {variant}: 1 network, 320 training and 80 validation events"
 
 
-def test_it_says_what_was_trained_on_what() -> None:
-    title = ppl.plot.training_curves(report(networks=1)).get_suptitle()
-    assert title == "SocialGNN, extended: 1 network, 320 training and 80 validation events"
+# --- how chains went ------------------------------------------------------------------------------
+
+
+def many_goals(n_chains: int, n_draws: int, n_goals: int = 20) -> Posterior:
+    """Return draws that go through goals, those with low numbers most often."""
+    hypotheses = [hypothesis(g, (g + 1) % n_goals) for g in range(n_goals)]
+    share = np.arange(n_goals, 0, -1) / np.arange(n_goals, 0, -1).sum()
+    draws = np.random.default_rng(0).choice(n_goals, size=(n_chains, n_draws), p=share)
+    return posterior_of(hypotheses, draws.tolist())
+
+
+@pytest.mark.parametrize("shape", [(15, 6), (4, 500), (1, 1)])
+@pytest.mark.parametrize("draw", ["diagnostics", "goal_map", "chains", "errors"])
+def test_no_text_about_chains_leaves_the_page_or_covers_another(
+    shape: tuple[int, int], draw: str
+) -> None:
+    assert texts_apart(getattr(plots, draw)(many_goals(*shape))) > 5
+
+
+def image(axes: Axes) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    return np.asarray(axes.images[0].get_array(), float)
+
+
+def test_goal_map_gives_each_goal_its_colour_in_both_panels() -> None:
+    post = many_goals(3, 4, n_goals=5)
+    figure = plots.goal_map(post)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    colours = {label: to_rgb(one) for label, one in zip(labels, MANY_COLOURS, strict=False)}
+    for axes, name in zip(figure.axes, ("goal_red", "goal_green"), strict=True):
+        expected = [
+            [colours[GOALS[code]] for code in row] for row in post.tree["posterior"][name].values
+        ]
+        np.testing.assert_allclose(image(axes), expected)
+    # rare ones beyond the colours are grey and counted
+    figure = plots.goal_map(many_goals(15, 20))
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert len(labels) == len(MANY_COLOURS)
+    assert labels[-1] == "9 other goals"
+    assert (image(figure.axes[0]) == to_rgb(OTHER)).all(axis=-1).any()
+
+
+def test_ranks_are_counts_over_what_is_expected() -> None:
+    tree = random_tree(0, n_chains=2, n_draws=4)
+    # the first chain has the four lowest of eight
+    tree["sample_stats"]["log_joint"][:] = [[1, 2, 3, 4], [5, 6, 7, 8]]
+    figure = plots.chains(Posterior(tree))
+    np.testing.assert_allclose(image(figure.axes[1]), [[2, 0], [0, 2]])
+
+
+def test_windows_are_shaded_where_proposals_came_from() -> None:
+    given: dict[str, Any] = {"n_frames": 6, "window": [[0, 3], [3, -1]]}
+    tree = posterior_of([hypothesis()], [[0, 0], [0, 0]], **given).tree
+    tree.attrs["settings"] = '{"simple": {"window": 1}}'
+    shaded = image(plots.errors(Posterior(tree)).axes[0])[0]
+    np.testing.assert_allclose(shaded * 3, [1, 1, 0, 2, 2, 0])
+    assert not plots.errors(posterior_of([hypothesis()], [[0, 0]])).axes[0].images
+
+
+def test_acceptance_of_many_iterations_is_drawn_in_stretches() -> None:
+    post = many_goals(4, 100)
+    axes = plots.diagnostics(post).axes[-1]
+    rates = np.array(post.diagnostics()["acceptance_by_iteration"])
+    heights = [bar.get_height() for bar in axes.patches]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(heights, rates.reshape(20, 5).mean(axis=1))
+
+
+def test_a_users_real_site_has_a_trace() -> None:
+    tree = posterior_of([hypothesis()] * 4, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2]).tree
+    for group in ("posterior", "simulations"):
+        tree[group]["mood"] = tree[group]["mood"].astype(float)
+    titles = [axes.get_title(loc="left") for axes in plots.chains(Posterior(tree)).axes]
+    assert "mood" in titles
+
+
+# --- what a notebook shows ------------------------------------------------------------------------
+
+
+def test_events_and_scenes_are_drawn() -> None:
+    for shown in (EVENT, EVENT.scene):
+        drawing, _, caption = shown._repr_html_().partition("<div>")
+        parts = [part.tag.split("}")[-1] for part in ElementTree.fromstring(drawing).iter()]
+        assert parts.count("circle") == parts.count("polygon") == 2
+        assert parts.count("rect") == 4
+        assert (EVENT.truth.goal_red in caption) is (shown is EVENT)  # type: ignore[union-attr]
+    assert "simulated" in repr(EVENT)
+    assert "array" not in repr(EVENT)
+    wanted = ppl.Hypothesis("Get blue item to red lm", "get to red agent", (1, 0))
+    assert repr(wanted).startswith("Hypothesis(goal_red='Get blue item to red lm', ")
+    assert eval(repr(wanted), {"Hypothesis": ppl.Hypothesis}) == wanted
+    assert "get to red agent" in wanted._repr_html_()
+
+
+def test_posteriors_are_tables_and_figures_show_themselves() -> None:
+    post = StepwisePosterior(reading())
+    assert post._repr_html_().startswith("<pre")
+    assert "verdict" in post._repr_html_()
+    assert "simulated s" in str(post)
+    assert ppl.plot.over_time(post)._repr_png_().startswith(b"\x89PNG")
+
+
+def test_posteriors_side_by_side() -> None:
+    posts = {"by steps": StepwisePosterior(reading()), "sampled": ppl.Posterior(random_tree(3))}
+    figure = ppl.plot.posteriors(posts)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == list(posts)
+    labels = [label.get_text() for label in figure.axes[2].get_yticklabels()]
+    bars = figure.axes[2].patches[: len(labels)]  # those of the first
+    shares = dict(zip(labels, (bar.get_width() for bar in bars), strict=True))
+    marginal = posts["by steps"].marginal("relation")
+    assert shares == {name: pytest.approx(float(marginal.sel(relation=name))) for name in labels}
+    with pytest.raises(InvalidSettingError, match="posterior"):
+        ppl.plot.posteriors({"event": EVENT})

@@ -39,11 +39,20 @@ def goal_probabilities(post: Posterior) -> dict[str, float]:
     return {goal: value for goal, value in post.top("goal_red", 36) if value > 0}
 
 
+def stratified(
+    simulations: list[Simulation], prior: Any, rivals_from: Any = math.inf, **given: Any
+) -> Posterior:
+    """Return a posterior by strata of simulations with densities of proposals, 1 by default."""
+    tree = make_tree(simulations, given.pop("draws", [[0]]))
+    tree.attrs["rivals_from"] = rivals_from
+    tree = with_densities(tree, **{"log_proposal": 0.0, **given})
+    return Posterior(with_prior(tree, prior), "stratified")
+
+
 def test_draws_count_alike_unless_the_kernel_gave_them_weights() -> None:
     tree = make_tree([Simulation(A), Simulation(B)], [[0, 0, 1], [1, 1, 1]])
-    assert goal_probabilities(Posterior(tree, "count")) == pytest.approx(
-        {BLUE_TO_RED: 2 / 6, PINK_TO_BLUE: 4 / 6}
-    )
+    shares = {BLUE_TO_RED: 2 / 6, PINK_TO_BLUE: 4 / 6}
+    assert goal_probabilities(Posterior(tree, "count")) == pytest.approx(shares)
     log_weight = np.log(np.array([[2.0, 0, 1], [1, 0, 0]]) + 1e-300) - 500
     post = Posterior(with_log_weight(tree, log_weight), "count")
     assert goal_probabilities(post)[BLUE_TO_RED] == pytest.approx(0.5)
@@ -62,13 +71,9 @@ def test_likelihood_weighs_each_draw_by_its_own_likelihood_of_the_seed_it_had() 
     post = Posterior(make_tree(simulations, [[1, 2, 2]]), "likelihood")
     # 0.3 against 0.1 + 0.1
     assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.6, PINK_TO_BLUE: 0.4})
-
-
-def test_likelihood_refuses_a_draw_that_rests_on_no_simulation() -> None:
-    tree = make_tree([Simulation(A, 1), Simulation(B, 2)], [[0, 1]])
-    array(tree, "sample_stats", "sim_seed")[0, 1] = 77
-    with pytest.raises(InvalidEventError, match="draw 1 of chain 0"):
-        Posterior(tree, "likelihood")
+    array(post.tree, "sample_stats", "sim_seed")[0, 1] = 77
+    with pytest.raises(InvalidEventError, match="draw 1 of chain 0 rests on no completed"):
+        Posterior(post.tree, "likelihood")
 
 
 @pytest.mark.parametrize("weights", ["stratified", "likelihood"])
@@ -78,16 +83,10 @@ def test_weights_survive_log_densities_far_below_the_smallest_float(weights: str
         Simulation(B, 2, -5000.0, -90000.0 + LOG(3), iteration=1),
     ]
     tree = with_prior(with_densities(make_tree(simulations, [[0, 1]]), 0.0), [(A, 0.5)])
-    found = goal_probabilities(Posterior(tree, weights))
     shares = np.array([0.25, 0.75])
     of_a, of_b = shares if weights == "likelihood" else truncated(shares)
+    found = goal_probabilities(Posterior(tree, weights))
     assert found == pytest.approx({BLUE_TO_RED: of_a, PINK_TO_BLUE: of_b})
-
-
-def test_strata_need_a_completed_simulation() -> None:
-    tree = with_densities(make_tree([Simulation(A, 1, completed=False)], [[0]]), 0.0)
-    with pytest.raises(InvalidSettingError, match="at least one completed"):
-        Posterior(with_prior(tree, [(A, 1.0)]), "stratified")
 
 
 def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_close_one() -> None:
@@ -104,18 +103,15 @@ def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_clos
     assert Posterior(tree).weights == "stratified"
 
 
-def test_log_sum_exp_of_nothing_and_of_zeros_is_minus_infinity() -> None:
-    assert log_sum_exp(np.array([])) == -math.inf
-    assert log_sum_exp(np.array([-math.inf, -math.inf])) == -math.inf
-    assert log_sum_exp(np.array([1000.0, 1000.0])) == pytest.approx(1000 + LOG(2))
-
-
 @pytest.mark.parametrize("bad", [[-math.inf], [math.nan, 0.0], []])
 def test_weights_that_cannot_be_normalised_are_refused(bad: list[float]) -> None:
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
         normalised(np.array(bad))
+    assert log_sum_exp(np.array([])) == log_sum_exp(np.array([-math.inf] * 2)) == -math.inf
+    assert log_sum_exp(np.array([1000.0, 1000.0])) == pytest.approx(1000 + LOG(2))
 
 
+EVEN = [(A, 0.5), (B, 0.5)]
 TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), iteration=1)]
 
 
@@ -133,10 +129,10 @@ TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), itera
             {"log_proposal": np.log([0.5, 0.4, 0.5, 0.5])},
         ),
         # completed with probability 0.1 / 0.2, so it counts twice
-        (TENTHS, {"log_proposal": 0.0, "log_bound": [math.inf, -LOG(0.2)]}),
+        (TENTHS, {"log_bound": [math.inf, -LOG(0.2)]}),
         # what was answered again counts again, by its known requests where the first is unknown
         (TENTHS, {"log_proposal": [0.0, math.nan], "log_again": [-math.inf, LOG(2)]}),
-        (TENTHS, {"log_proposal": 0.0, "log_again": [-math.inf, 0.0]}),
+        (TENTHS, {"log_again": [-math.inf, 0.0]}),
     ],
     ids=["by proposal", "could have been stopped", "answered later", "answered again"],
 )
@@ -144,16 +140,14 @@ def test_a_stratum_makes_up_for_how_simulations_came_about(
     simulations: list[Simulation], options: dict[str, Any]
 ) -> None:
     # of pairs that were proposed a few times: all are one stratum
-    tree = with_prior(make_tree(simulations, [[0, 1]]), [(A, 0.5), (B, 0.5)])
-    found = goal_probabilities(Posterior(with_densities(tree, **options), "stratified"))
+    found = goal_probabilities(stratified(simulations, EVEN, **options))
     assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
 
 
 def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
-    tree = with_densities(make_tree(TENTHS, [[0, 1]]), 0.0, log_again=[-math.inf, LOG(0.1)])
-    tree.attrs["rivals_from"] = 0
-    found = goal_probabilities(Posterior(with_prior(tree, [(A, 0.5), (B, 0.5)]), "stratified"))
-    assert found == pytest.approx({BLUE_TO_RED: 1 / 2, PINK_TO_BLUE: 1 / 2})
+    post = stratified(TENTHS, EVEN, 0, log_again=[-math.inf, LOG(0.1)])
+    halves = {BLUE_TO_RED: 1 / 2, PINK_TO_BLUE: 1 / 2}
+    assert goal_probabilities(post) == pytest.approx(halves)
 
 
 def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood(
@@ -172,10 +166,9 @@ def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood(
         Simulation(A, 5, LOG(0.1), LOG(0.9), failed=True, iteration=1),
         Simulation(C, 6, LOG(0.1), LOG(0.8), iteration=1),
     ]
-    tree = make_tree(simulations, [[0, 1, 3]])
-    tree = with_densities(tree, np.log([0.2, 0.4, 0.4, 0.1, 0.4, 0.4, 0.1]))
-    tree = with_prior(tree, [(A, 0.6), (B, 0.1), (C, 0.1)])
-    found = goal_probabilities(Posterior(tree, "stratified"))
+    log_proposal = np.log([0.2, 0.4, 0.4, 0.1, 0.4, 0.4, 0.1])
+    prior = [(A, 0.6), (B, 0.1), (C, 0.1)]
+    found = goal_probabilities(stratified(simulations, prior, log_proposal=log_proposal))
     masses = {BLUE_TO_RED: 0.6 * 0.8 / 6, PINK_TO_BLUE: 0.4 / 2 * 0.6, PINK_TO_RED: 0.4 / 2 * 0.8}
     total = sum(masses.values())
     assert found == pytest.approx({goal: mass / total for goal, mass in masses.items()})
@@ -189,10 +182,9 @@ def test_rivals_are_strata_of_their_own_and_no_proposals() -> None:
         Simulation(C, 2, LOG(0.1), LOG(0.4), iteration=2),
         Simulation(C, 3, LOG(0.1), LOG(0.4), iteration=2),
     ]
-    tree = with_densities(make_tree(simulations, [[0, 1]]), np.log([0.5, 0.25, 0.3, 0.3]))
-    tree.attrs["rivals_from"] = 2
-    tree = with_prior(tree, [(A, 0.6), (B, 0.3), (C, 0.1)])
-    found = goal_probabilities(Posterior(tree, "stratified"))
+    log_proposal = np.log([0.5, 0.25, 0.3, 0.3])
+    prior = [(A, 0.6), (B, 0.3), (C, 0.1)]
+    found = goal_probabilities(stratified(simulations, prior, 2, log_proposal=log_proposal))
     # of P / Q 0.4 and 0.8 for the others
     expected = {BLUE_TO_RED: 0.9 / 3 * 0.5, PINK_TO_BLUE: 1.8 / 3 * 0.25, PINK_TO_RED: 0.04}
     assert found == pytest.approx({goal: mass / 0.34 for goal, mass in expected.items()})
@@ -205,8 +197,7 @@ def test_a_stratum_keeps_its_mass_whichever_chains_are_left_out() -> None:
         for chain, n_of_a in enumerate((4, 8, 12))
         for i, h in enumerate([A] * n_of_a + [B] * (16 - n_of_a))
     ]
-    tree = with_densities(make_tree(simulations, [[0], [16], [32]]), 0.0)
-    post = Posterior(with_prior(tree, [(A, 0.5), (B, 0.5)]), "stratified")
+    post = stratified(simulations, EVEN, draws=[[0], [16], [32]])
     without = post._jackknife(0.0)
     assert without is not None
     for weights in without.weights:
@@ -216,12 +207,15 @@ def test_a_stratum_keeps_its_mass_whichever_chains_are_left_out() -> None:
 
 def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
-    with pytest.raises(InvalidSettingError, match="density of each proposal"):
-        Posterior(tree, "stratified")
-    with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
-        Posterior(with_densities(tree, [0.0, math.nan]), "stratified")
-    with pytest.raises(InvalidSettingError, match="need the prior of pairs"):
-        Posterior(with_densities(tree, 0.0), "stratified")
+    for given, said in (
+        (tree, "density of each proposal"),
+        (with_densities(tree, [0.0, math.nan]), "'count' counts its draws"),
+        (with_densities(tree, 0.0), "need the prior of pairs"),
+    ):
+        with pytest.raises(InvalidSettingError, match=said):
+            Posterior(given, "stratified")
+    with pytest.raises(InvalidSettingError, match="at least one completed"):
+        stratified([Simulation(A, 1, completed=False)], [(A, 1.0)])
 
 
 def test_weights_are_truncated_twice_at_the_root_of_their_number_times_the_mean() -> None:
@@ -244,10 +238,9 @@ def test_a_burn_in_does_not_count() -> None:
     assert goal_probabilities(post)[BLUE_TO_RED] == pytest.approx(1 / 6)
     assert post.diagnostics()["iterations"] == 3
     assert post.tree["posterior"].sizes["draw"] == 4
-    with pytest.raises(InvalidSettingError, match="burn_in=4, but each chain has 4 draws"):
-        Posterior(tree, burn_in=4)
-    with pytest.raises(InvalidSettingError, match="burn_in"):
-        Posterior(tree, burn_in=-1)
+    for burn_in, said in ((4, "burn_in=4, but each chain has 4 draws"), (-1, "burn_in")):
+        with pytest.raises(InvalidSettingError, match=said):
+            Posterior(tree, burn_in=burn_in)
 
 
 def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> None:

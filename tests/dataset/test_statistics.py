@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import phase_ppl
-from phase_ppl.analysis.data_table import data_table
+from phase_ppl.analysis.figures.data_card import data_table
 from phase_ppl.dataset.motion import moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.dataset.statistics import GOAL_TYPES, PHASE, goal_type, standard_error, statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError

@@ -28,7 +28,7 @@ from phase_ppl.analysis.figures.style import (
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.errors import check_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,8 +70,7 @@ def comparison(
         UnknownNameError: there is no such measure.
     """
     for name in measures:
-        if name not in HEADINGS:
-            raise unknown_name("measure", name, HEADINGS)
+        check_name("measure", name, HEADINGS)
     drawn = [name for name in measures if c.curve[name].notna().any()]
     repeats = c.runs.groupby("kernel").size()
     words = f"{repeats.min()}" if repeats.min() == repeats.max() else "several"
@@ -240,12 +239,8 @@ def design(found: Design, path: str | os.PathLike[str] | None = None, *, n: int 
     figure = new_figure(8.0, max(2.6, 1.1 + 0.2 * len(table)))
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
     places = np.arange(len(table))[::-1]
-    left.barh(places, table["information"], 0.62, color=COLOURS[5])
-    known = np.isfinite(table["error"].to_numpy())
-    left.errorbar(
-        table["information"][known], places[known], xerr=table["error"][known],
-        fmt="none", ecolor=INK, elinewidth=1,
-    )  # fmt: skip
+    error = {"xerr": table["error"], "error_kw": {"ecolor": INK, "elinewidth": 1}}
+    left.barh(places, table["information"], 0.62, color=COLOURS[5], **error)
     people = "an answer" if found.answers == 1 else f"{found.answers} answers"
     note = f"expected information of {people} about the {found.question}"
     titled(left, "Events that tell models apart", note)
@@ -266,12 +261,10 @@ def design(found: Design, path: str | os.PathLike[str] | None = None, *, n: int 
         ("chosen", chosen["information"], COLOURS[0], "bottom", 5),
         ("by chance", random["information"], GREY, "top", -7),
     ):
-        right.annotate(
-            text, (counts[middle], y.iloc[middle]), (0, up), textcoords="offset points",
-            ha="center", va=side, fontsize=NORMAL, color=colour,
-        )  # fmt: skip
-    note = f"between {', '.join(found.models)}"
-    titled(right, "Several events together", note[:64])
+        style: dict[str, Any] = {"ha": "center", "va": side, "fontsize": NORMAL, "color": colour}
+        at = counts[middle], y.iloc[middle]
+        right.annotate(text, at, (0, up), textcoords="offset points", **style)
+    titled(right, "Several events together", f"between {', '.join(found.models)}"[:64])
     right.set(xlabel="events", ylabel="nats", ylim=(0, found.most * 1.12))
     right.set_xticks(counts[:: max(1, len(counts) // 6)])
     right.grid(axis="y")

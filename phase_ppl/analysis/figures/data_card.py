@@ -1,23 +1,16 @@
-"""The data card: the statistics of a set of events beside those of another, on one page."""
+"""Statistics of a set of events beside those of another: as text, and as the data card, a page."""
 
 from __future__ import annotations
 
+import math
 import os
+import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.analysis.data_table import (
-    Row,
-    Statistics,
-    about,
-    clipped,
-    goal_grid,
-    number,
-    other_text,
-    rows,
-)
+from phase_ppl.analysis.estimate import cautious, widened
 from phase_ppl.analysis.figures.style import GREY, INK, SMALL, in_style, new_figure, written
 from phase_ppl.dataset.statistics import LEVELS, PHASE, SPEED_EDGES
 
@@ -25,13 +18,257 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Statistics = Mapping[str, Any]
+WIDTH: Final = 88  # columns of the text at most
+Z: Final = 1.96
+FEWEST: Final = 10  # events from which on a bootstrap's error is believed
+
+TABLES: Final[Mapping[str, str]] = {
+    "relation": "relation",
+    "scenario": "scenario",
+    "goal_type": "goal type, of agents",
+    "strength": "strength of agents [N]",
+    "agent_size": "size of agents [units]",
+    "item_size": "size of items [units]",
+    "family": "family",
+    "layout": "layout of walls",
+    "reflection": "reflection",
+    "split": "split",
+}
+"""Name of a table -> heading."""
+
+VALUES: Final[Mapping[str, Mapping[str, str]]] = {
+    "duration [frames]": {
+        "frames_min": "least",
+        "frames_median": "median",
+        "frames_max": "greatest",
+        "untrimmed": "share that moves to the end",
+    },
+    "speed of agents [units/s], by strength": {
+        "speed_mean": "mean, all",
+        **{f"speed_mean_{level}": f"mean, {level} N" for level in LEVELS},
+        "speed_p99": "99 %, all",
+        **{f"speed_p99_{level}": f"99 %, {level} N" for level in LEVELS},
+        "speed_max": "greatest, all",
+        **{f"speed_max_{level}": f"greatest, {level} N" for level in LEVELS},
+    },
+    "step of agents [units per frame]": {"step_median": "median", "step_max": "greatest"},
+    "share of time": {
+        "at_rest": "agent slower than 0.5 units/s",
+        **{f"at_rest_{level}": f"agent slower than 0.5, {level} N" for level in LEVELS},
+        "items_move": "item moves (0.5 units/s or more)",
+        "holding": "agent holds an item",
+    },
+}
+"""Heading -> name of a value -> label."""
+
+# heading -> digits after the point; of others 2
+_DIGITS: Final = {"duration [frames]": 0, "speed of agents [units/s], by strength": 1}
+
+
+class Row(NamedTuple):
+    """One figure of two sets.
+
+    The key is its name in the statistics, with the label where it is a count:
+    "relation/friendly".
+    """
+
+    heading: str
+    key: str
+    label: str
+    n: int | None  # how many in the first set, where they are counted
+    value: float
+    margin: float | None  # half of the 95 % interval
+    other_n: int | None = None
+    other: float | tuple[float, float] | None = None  # in the other set; two numbers are bounds
+    stands_out: bool = False  # whether the two differ by more than chance explains
+
+    def text(self, value: float) -> str:
+        """Return a figure as it is printed."""
+        digits = 2 if self.key == "untrimmed" else _DIGITS.get(self.heading, 2)
+        return f"{value:.{digits}f}"
+
+    @property
+    def other_text(self) -> str:
+        """The other set's figure as it is printed."""
+        bounds = () if self.other is None else np.atleast_1d(self.other).tolist()
+        return "..".join(map(self.text, bounds))
+
+
+def rows(here: Statistics, beside: Statistics = PHASE) -> list[Row]:
+    """Return the figures of a set beside those of another, in the order they are shown."""
+    found = []
+    for name, heading in TABLES.items():
+        if name in here["tables"]:
+            found += _table_rows(name, heading, here["tables"][name], beside["tables"].get(name))
+    for heading, labels in VALUES.items():
+        for name, label in labels.items():
+            if name in here["values"]:
+                value, other = here["values"][name], beside["values"].get(name)
+                found.append(_value_row(name, heading, label, value, other))
+    return found
+
+
+def _table_rows(
+    name: str, heading: str, here: Mapping[str, Any], beside: Mapping[str, Any] | None
+) -> list[Row]:
+    found = []
+    for label in {**here["counts"], **(beside["counts"] if beside else {})}:
+        share, count = here["shares"].get(label, 0.0), here["counts"].get(label, 0)
+        margin = Z * cautious(share, here["units"])[1]
+        row = Row(heading, f"{name}/{label}", label, count, share, margin)
+        if beside is not None:
+            other, other_n = beside["shares"].get(label, 0.0), beside["counts"].get(label, 0)
+            differs = shares_differ(share, here["units"], other, beside["units"])
+            row = row._replace(other_n=other_n, other=other, stands_out=differs)
+        found.append(row)
+    return found
+
+
+def shares_differ(first: float, n_first: int, second: float, n_second: int) -> bool:
+    """Whether two shares differ by more than samples of such sizes do in 95 of 100 cases.
+
+    The interval of Agresti and Caffo (2000), good for small samples too.
+    """
+    p, p_error = cautious(first, n_first)
+    q, q_error = cautious(second, n_second)
+    return abs(p - q) > Z * math.hypot(p_error, q_error)
+
+
+def _value_row(
+    name: str, heading: str, label: str, here: Mapping[str, Any], beside: Mapping[str, Any] | None
+) -> Row:
+    value, n = here["value"], here["units"]
+    error = None if here["se"] is None or n < FEWEST else _widened(here["se"], n)
+    row = Row(heading, name, label, None, value, None if error is None else Z * error)
+    if beside is None:
+        return row
+    low, high = beside.get("between") or (beside["value"], beside["value"])
+    row = row._replace(other=low if low == high else (low, high))
+    if error is None:
+        return row
+    # an error that is not told is taken to be as here, but for the number of events
+    known, other_n = beside.get("se"), beside["units"]
+    theirs = _widened(known, other_n) if known else error * math.sqrt(n / other_n)
+    beyond = max(low - value, value - high)
+    return row._replace(stands_out=beyond > Z * math.hypot(error, theirs))
+
+
+def _widened(error: float, n: int) -> float:
+    """Return a bootstrap's error over n events, so that 1.96 of it hold 95 % of means.
+
+    It has the spread of the events themselves, not of what they were drawn from, and takes that to
+    be known.
+    """
+    return error * math.sqrt(n / max(n - 1, 1)) * widened(n)
+
+
+def data_table(here: Statistics, beside: Statistics = PHASE) -> str:
+    """Return the statistics of a set beside those of another as text of at most 88 columns."""
+    head = _line("", clipped(here["name"], 21), clipped(beside["name"], 16))
+    lines, heading = [*textwrap.wrap(about(here), WIDTH), "", head], ""
+    shown = rows(here, beside)
+    for row in shown:
+        if row.heading != heading:
+            heading = row.heading
+            lines += [_line(heading, "", "")]
+        lines.append(_row_line(row))
+    if any(row.stands_out for row in shown):
+        note = (
+            f"* differs from {beside['name']} by more than chance explains, given how many events "
+            "there are (95\u00a0%); about one in twenty does by chance"
+        )
+        lines += ["", *textwrap.wrap(note, WIDTH, subsequent_indent="  ")]
+    if here["values"].get("holding") and here["holding_from"] == "geometry":
+        lines += ["", "Holding is estimated from where items are."]
+    return "\n".join([*lines, *_goals(here), *_draws(here)])
+
+
+def about(here: Statistics) -> str:
+    """Return of how many events the statistics are, and what is not known of these."""
+    events, unknown = here["events"], here["without_strength"]
+    words = f"{here['name']}: {events} event{'' if events == 1 else 's'}"
+    if here["units"] != events:
+        words += f", {here['units']} without copies"
+    if here["without_truth"]:
+        words += f", {here['without_truth']} without truth"
+    if unknown:
+        words += f", {unknown} agent{'' if unknown == 1 else 's'} of unknown strength"
+    return words
+
+
+def _line(label: str, here: str, beside: str, mark: str = "") -> str:
+    return f"{label:<40}{here:>23}{beside:>18} {mark}".rstrip()
+
+
+def _row_line(row: Row) -> str:
+    margin = " " * 7 if row.margin is None else f" ±{row.text(row.margin):>5}"
+    count, other_count = ("" if n is None else str(n) for n in (row.n, row.other_n))
+    here = f"{count:>7} {row.text(row.value):>6}{margin}"
+    other = f"{other_count:>7} {row.other_text:>8}"
+    return _line(f"  {clipped(row.label, 37)}", here, other, "*" if row.stands_out else "")
+
+
+class GoalGrid(NamedTuple):
+    """How often each goal occurs: those about landmarks as a grid, the others by name."""
+
+    landmarks: list[str]
+    rows: dict[str, list[int]]  # such as "Get blue item to" -> (landmark,) counts
+    others: dict[str, int]
+
+
+def goal_grid(here: Statistics) -> GoalGrid:
+    """Return how often each goal of a set's world occurs."""
+    counts = here["tables"].get("goal", {}).get("counts", {})
+    found = GoalGrid(list(here["landmarks"]), {}, {})
+    for goal, count in counts.items():
+        about_it = [n for n, name in enumerate(found.landmarks) if goal.endswith(f" {name}")]
+        if about_it and goal.startswith("Get "):
+            row = goal.removesuffix(f" {found.landmarks[about_it[0]]}")
+            found.rows.setdefault(row, [0] * len(found.landmarks))[about_it[0]] = int(count)
+        else:
+            found.others[goal] = int(count)
+    return found
+
+
+def _goals(here: Statistics) -> list[str]:
+    if "goal" not in here["tables"]:
+        return []
+    landmarks, rows, others = goal_grid(here)
+    lines = ["", f"{'goals':<28}" + "".join(f"{landmark:>11}" for landmark in landmarks)]
+    for name, counts in rows.items():
+        lines.append(f"  {name:<26}" + "".join(f"{count:>11}" for count in counts))
+    width = max([26, *map(len, others)])
+    return lines + [f"  {goal:<{width}}{count:>11}" for goal, count in others.items()]
+
+
+def _draws(here: Statistics) -> list[str]:
+    if not here["draws"]:
+        return []
+    lines = ["", f"{'draws':<28}{'kept':>6}{'of':>6}{'share':>7}  why not"]
+    for cell, draw in here["draws"].items():
+        share = "" if draw["share"] is None else f"{draw['share']:.2f}"
+        start = f"  {clipped(cell, 25):<26}{draw['kept']:>6}{draw['tried']:>6}{share:>7}  "
+        why = ", ".join(f"{reason} {n}" for reason, n in draw["reasons"].items())
+        indent = " " * len(start)
+        lines += textwrap.wrap(start + why, WIDTH, subsequent_indent=indent) or [start.rstrip()]
+    return lines
+
+
+def clipped(text: str, length: int) -> str:
+    """Return a text of at most so many characters."""
+    return text if len(text) <= length else text[: length - 1] + "…"
+
+
+# --- the card -------------------------------------------------------------------------------------
+
 HERE: Final = "#0072b2"
 BESIDE: Final = "#b4b4b4"
 """Colours: of the set, of the other."""
 
-LONGEST_LABEL: Final = 22  # characters of a label at most
+_LONGEST: Final = 22  # characters of a label at most
 
-GOAL_TYPE_NAMES: Final = {
+_GOAL_TYPES: Final = {
     "LMO+": "item to landmark",
     "LMO-": "item from landmark",
     "LMA+": "agent to landmark",
@@ -84,37 +321,36 @@ def data_card(
         part.subplots(1, len(w), width_ratios=w) for part, w in zip(parts, _WIDTHS, strict=False)
     ]
 
-    def groups(*names: str) -> list[list[Row]]:
-        return [[row for row in found if row.key.startswith(f"{name}/")] for name in names]
+    def groups(**labels: str) -> list[list[Row]]:
+        """Return the rows of tables, with their labels in other words."""
+        return [
+            [row._replace(label=words.format(_GOAL_TYPES.get(row.label, row.label)))
+             for row in found if row.key.startswith(f"{name}/")]
+            for name, words in labels.items()
+        ]  # fmt: skip
 
     kinds, types, goals = panels[0]
-    _paired_bars(kinds, "Relation, and scenario", groups("relation", "scenario"))
-    (of_types,) = groups("goal_type")
-    named = [row._replace(label=GOAL_TYPE_NAMES.get(row.label, row.label)) for row in of_types]
-    _paired_bars(types, "Goals of agents, by type", [named])
-    _goals(goals, statistics)
+    _paired_bars(kinds, "Relation, and scenario", groups(relation="{}", scenario="{}"))
+    _paired_bars(types, "Goals of agents, by type", groups(goal_type="{}"))
+    _goal_numbers(goals, statistics)
     bodies, durations, speeds, times = panels[1]
-    labels = ("{} N", "agent {}", "item {}")
-    sizes = [
-        [row._replace(label=label.format(row.label)) for row in group]
-        for label, group in zip(labels, groups("strength", "agent_size", "item_size"), strict=True)
-    ]
+    sizes = groups(strength="{} N", agent_size="agent {}", item_size="item {}")
     _paired_bars(bodies, "Strength, size of agents, of items", sizes)
-    _durations(durations, statistics, beside, found)
-    _speeds(speeds, statistics, beside, found)
-    of_time = {row.key: row for row in found}
-    shares = [of_time[k]._replace(label=v) for k, v in _TIME_NAMES.items() if k in of_time]
+    by_key = {row.key: row for row in found}
+    _durations(durations, statistics, beside, by_key["untrimmed"])
+    _speeds(speeds, statistics, beside, by_key)
+    shares = [by_key[k]._replace(label=v) for k, v in _TIME_NAMES.items() if k in by_key]
     _paired_bars(times, "Share of time", [shares])
     if statistics["holding_from"] == "geometry" and shares:
         times.set_xlabel("holding is estimated", color=GREY)
     if n_rows == 3:
         draws, layouts, looks = panels[2]
         if statistics["draws"]:
-            _draws(draws, statistics["draws"])
+            _draws_kept(draws, statistics["draws"])
         else:
-            _paired_bars(draws, "Families", groups("family"))
+            _paired_bars(draws, "Families", groups(family="{}"))
         _layouts(layouts, statistics)
-        _paired_bars(looks, "Reflections, and splits", groups("reflection", "split"))
+        _paired_bars(looks, "Reflections, and splits", groups(reflection="{}", split="{}"))
     return written(figure, path)
 
 
@@ -127,7 +363,7 @@ def _unknown(axes: Axes) -> None:
 def _with_star(row: Row) -> tuple[str, dict[str, Any]]:
     """Return the value as text and its style, with a star where it stands out."""
     style = {"weight": "bold" if row.stands_out else "normal"}
-    return number(row.value, row) + ("*" if row.stands_out else ""), style
+    return row.text(row.value) + ("*" if row.stands_out else ""), style
 
 
 def _paired_bars(axes: Axes, title: str, groups: Sequence[Sequence[Row]]) -> None:
@@ -149,14 +385,14 @@ def _paired_bars(axes: Axes, title: str, groups: Sequence[Sequence[Row]]) -> Non
             axes.barh(place + 0.2, top - low, 0.4, left=low, color=BESIDE)
         text, style = _with_star(row)
         axes.text(end + 0.02 * max(ends), place, text, va="center", **style)
-    axes.set_yticks(places, [clipped(row.label, LONGEST_LABEL) for row in shown])
+    axes.set_yticks(places, [clipped(row.label, _LONGEST) for row in shown])
     axes.set_ylim(places[-1] + 0.6, -0.6)
     axes.set_xlim(0, 1.2 * max(*ends, 0.01))
     axes.locator_params(axis="x", nbins=4)
     axes.tick_params(axis="y", length=0)
 
 
-def _goals(axes: Axes, here: Statistics) -> None:
+def _goal_numbers(axes: Axes, here: Statistics) -> None:
     """Draw how often each goal occurs, as a grid of numbers on shades."""
     axes.set_title("Goals of agents, numbers")
     if "goal" not in here["tables"]:
@@ -181,7 +417,7 @@ def _goals(axes: Axes, here: Statistics) -> None:
     axes.axhline(len(of_landmarks) - 0.5, color="white", lw=4)
 
 
-def _durations(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Row]) -> None:
+def _durations(axes: Axes, here: Statistics, beside: Statistics, untrimmed: Row) -> None:
     """Draw how long events are, with the least, the median and the greatest length."""
     axes.set_title("Duration")
     histogram = here["histograms"]["frames"]
@@ -204,10 +440,9 @@ def _durations(axes: Axes, here: Statistics, beside: Statistics, found: Sequence
         for value, x, (side, shift) in zip(figures, places, sides, strict=True):
             style: dict[str, Any] = {"ha": side, "va": "center", "color": ink}
             axes.annotate(f"{value:.0f}", (x, y), shift, textcoords="offset points", **style)
-    untrimmed = next(row for row in found if row.key == "untrimmed")
     words = f"share that moves to the end: {_with_star(untrimmed)[0]}"
     if untrimmed.other is not None:
-        words += f" (grey: {other_text(untrimmed)})"
+        words += f" (grey: {untrimmed.other_text})"
     axes.set_xlim(0, edges[-2] + 1.6 * width)
     axes.set_ylim(0, top * 1.6)
     axes.set_xticks([0, 25, 50, 75, 100])
@@ -215,12 +450,11 @@ def _durations(axes: Axes, here: Statistics, beside: Statistics, found: Sequence
     axes.set_xlabel(f"frames (12 per simulated second)\n{words}", fontsize=SMALL)
 
 
-def _speeds(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Row]) -> None:
+def _speeds(axes: Axes, here: Statistics, beside: Statistics, rows: Mapping[str, Row]) -> None:
     """Draw the agents' speeds for each strength: distribution, mean, 99 % and greatest."""
     axes.set_title("Speed of agents, by strength")
     kinds = {"": "all", **{f"_{level}": f"{level} N" for level in LEVELS}}
     shown = [kind for kind in kinds if f"speed_mean{kind}" in here["values"]]
-    of_speed = {row.key: row for row in found}
     for place, kind in enumerate(shown):
         histogram = here["histograms"][f"speed{kind}"]
         edges, counts = np.array(histogram["edges"], float), np.array(histogram["counts"], float)
@@ -231,9 +465,16 @@ def _speeds(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Ro
             (here["values"], HERE, place + 0.05),
         ):
             if f"speed_mean{kind}" in values:
-                _speed_marks(axes, values, kind, y, colour)
+                mean, high, most = (
+                    min(values[f"speed_{what}{kind}"]["value"], SPEED_EDGES[-1])
+                    for what in _SPEED_MARKS
+                )
+                axes.plot([mean, most], [y, y], color=colour, lw=1)
+                axes.plot(mean, y, "o", ms=4.5, color=colour)
+                axes.plot(high, y, "|", ms=6, mew=2, color=colour)
+                axes.plot(most, y, "o", ms=4, mfc="white", mec=colour)
         for column, what in enumerate(_SPEED_MARKS):
-            text, style = _with_star(of_speed[f"speed_{what}{kind}"])
+            text, style = _with_star(rows[f"speed_{what}{kind}"])
             x = _SPEED_TEXT + column * 12
             axes.text(x, place - 0.02, text, va="bottom", ha="center", **style)
     for column, (words, mark) in enumerate(_SPEED_MARKS.values()):
@@ -248,17 +489,7 @@ def _speeds(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Ro
     axes.tick_params(axis="y", length=0)
 
 
-def _speed_marks(axes: Axes, values: Mapping[str, Any], kind: str, y: float, colour: str) -> None:
-    mean, high, most = (
-        min(values[f"speed_{what}{kind}"]["value"], SPEED_EDGES[-1]) for what in _SPEED_MARKS
-    )
-    axes.plot([mean, most], [y, y], color=colour, lw=1)
-    axes.plot(mean, y, "o", ms=4.5, color=colour)
-    axes.plot(high, y, "|", ms=6, mew=2, color=colour)
-    axes.plot(most, y, "o", ms=4, mfc="white", mec=colour)
-
-
-def _draws(axes: Axes, draws: Mapping[str, Any]) -> None:
+def _draws_kept(axes: Axes, draws: Mapping[str, Any]) -> None:
     """Draw the share of draws kept, with the main reason against the others."""
     axes.set_title("Draws kept, of how many, and why not")
     tried = [(cell, draw) for cell, draw in draws.items() if draw["tried"]]
@@ -267,7 +498,7 @@ def _draws(axes: Axes, draws: Mapping[str, Any]) -> None:
         why = next(iter(draw["reasons"]), "")
         words = f"{draw['kept']} of {draw['tried']}" + (f": {clipped(why, 38)}" if why else "")
         axes.text(draw["share"] + 0.02, place, words, va="center")
-    axes.set_yticks(range(len(tried)), [clipped(cell, LONGEST_LABEL) for cell, _ in tried])
+    axes.set_yticks(range(len(tried)), [clipped(cell, _LONGEST) for cell, _ in tried])
     axes.set_ylim(len(tried) - 0.4, -0.6)
     axes.set_xlim(0, 3.3)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])

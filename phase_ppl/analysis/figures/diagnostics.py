@@ -7,7 +7,6 @@ import textwrap
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import scalars
 from phase_ppl.analysis.figures.style import (
@@ -33,10 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 
-NAMES: Final = {
-    "log_joint": "log joint",
-    "total_error": "total error [units]",
-}
+NAMES: Final = {"log_joint": "log joint", "total_error": "total error [units]"}
 """Scalar -> title of its panel, beside strengths."""
 
 _BEST: Final = "#d55e00"
@@ -120,18 +116,25 @@ def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
-    codes = {name: array(post.tree, "posterior", name) for name in post.goals_of.values()}
+    codes = [array(post.tree, "posterior", name) for name in post.goals_of.values()]
     goals = post.scene.world.goals
-    held = np.bincount(np.stack(list(codes.values())).ravel(), minlength=len(goals))
+    held = np.bincount(np.stack(codes).ravel(), minlength=len(goals))
     order = np.argsort(-held, kind="stable")[: np.count_nonzero(held)]
     room = len(MANY_COLOURS)
     coloured = order if len(order) <= room else order[: room - 1]
     table = np.tile(to_rgb(OTHER), (len(goals), 1))
     for code, colour in zip(coloured, MANY_COLOURS, strict=False):
         table[code] = to_rgb(colour)
+    n_chains, n_draws = codes[0].shape
     panels = figure.subplots(1, len(codes), squeeze=False)[0]
-    for axes, (agent, name) in zip(panels, post.goals_of.items(), strict=True):
-        _goal_panel(axes, codes[name], table)
+    for axes, agent, of_agent in zip(panels, post.goals_of, codes, strict=True):
+        extent = (0.5, n_draws + 0.5, n_chains + 0.5, 0.5)
+        axes.imshow(table[of_agent], aspect="auto", interpolation="nearest", extent=extent)
+        if n_draws <= _MOST_LINES / 2:
+            lines = np.arange(1, n_draws) + 0.5
+            axes.vlines(lines, 0.5, n_chains + 0.5, color="white", lw=0.5)
+        _whole_ticks(axes.xaxis, n_draws)
+        _chain_rows(axes, n_chains)
         axes.set(title=f"Goal of the {agent}", xlabel="draw")
     panels[0].set_ylabel("particle")
     entries = {goals[code]: c for code, c in zip(coloured, MANY_COLOURS, strict=False)}
@@ -143,32 +146,18 @@ def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
     )  # fmt: skip
 
 
-def _goal_panel(axes: Axes, codes: NDArray[Any], table: FloatArray) -> None:
-    """Draw (chain, draw) codes by a table (code, 3) of colours."""
-    n_chains, n_draws = codes.shape
-    extent = (0.5, n_draws + 0.5, n_chains + 0.5, 0.5)
-    axes.imshow(table[codes], aspect="auto", interpolation="nearest", extent=extent)
-    if n_draws <= _MOST_LINES / 2:
-        axes.vlines(np.arange(1, n_draws) + 0.5, 0.5, n_chains + 0.5, color="white", lw=0.5)
-    _whole_ticks(axes.xaxis, n_draws)
-    _chain_rows(axes, n_chains)
-
-
 def _trace(axes: Axes, values: FloatArray, best: int, name: str) -> None:
     """Draw (chain, draw) numbers, a line per chain; many chains pale, but for the best."""
     n = values.shape[1]
     few = len(values) <= _FEW
     for chain in [*(c for c in range(len(values)) if c != best), best]:
         leads = chain == best and not few
-        axes.plot(
-            np.arange(1, n + 1),
-            values[chain],
-            color=COLOURS[chain] if few else _BEST if leads else _PALE,
-            lw=0.6 if n > _MOST_LINES else 1.5 if leads else 0.8,
-            marker="o" if n == 1 else "",
-            ms=3,
-            alpha=0.85 if few or leads else 0.6,
-        )
+        style = {
+            "color": COLOURS[chain] if few else _BEST if leads else _PALE,
+            "lw": 0.6 if n > _MOST_LINES else 1.5 if leads else 0.8,
+            "alpha": 0.85 if few or leads else 0.6,
+        }
+        axes.plot(np.arange(1, n + 1), values[chain], "o" if n == 1 else "-", ms=3, **style)
     axes.set_xlim(*((0.5, 1.5) if n == 1 else (1, n)))
     _whole_ticks(axes.xaxis, n)
     axes.locator_params(axis="y", nbins=4)
@@ -194,9 +183,8 @@ def _ranks(axes: Axes, values: FloatArray) -> None:
         interpolation="nearest", extent=(0, 1, n_chains + 0.5, 0.5),
     )  # fmt: skip
     axes.set_xticks([0, 1], ["lowest", "highest"])
-    lowest, highest = axes.get_xticklabels()
-    lowest.set_horizontalalignment("left")
-    highest.set_horizontalalignment("right")
+    for label, side in zip(axes.get_xticklabels(), ("left", "right"), strict=True):
+        label.set_horizontalalignment(side)
     axes.set_title("ranks, per particle")
     _chain_rows(axes, n_chains)
     axes.tick_params(length=0)
@@ -214,7 +202,10 @@ def _step_errors(axes: Axes, post: Posterior, found: dict[str, Any]) -> None:
     axes.plot(time, error[best], color=_BEST, lw=1.7)
     top = 1.06 * max(float(error[:, -1].max()), float(error[best].max()), 1e-3)
     note = "grey: each particle's last draw; orange: the best draw"
-    coverage = _coverage(found["windows"], len(time))
+    windows, coverage = found["windows"], np.zeros(len(time))
+    for start, count in zip(windows["starts"], windows["counts"], strict=True):
+        coverage[start : start + (windows["frames"] or 1)] += count
+    coverage /= max(windows["proposals"], 1)
     if coverage.any():
         note += "; shaded: where the windows of proposals were"
         step = time[1] - time[0]
@@ -227,14 +218,6 @@ def _step_errors(axes: Axes, post: Posterior, found: dict[str, Any]) -> None:
     axes.set_xlim(time[0], time[-1])
     titled(axes, "Error per frame [units]", note)
     axes.set_xlabel(SIMULATED_TIME)
-
-
-def _coverage(windows: dict[str, Any], n_frames: int) -> FloatArray:
-    """Return (time,) the share of proposals whose window has the frame."""
-    coverage = np.zeros(n_frames)
-    for start, count in zip(windows["starts"], windows["counts"], strict=True):
-        coverage[start : start + (windows["frames"] or 1)] += count
-    return coverage / max(windows["proposals"], 1)
 
 
 def _acceptance(axes: Axes, rates: list[float]) -> None:

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from phase_ppl.analysis.event_posterior import EventPosterior
     from phase_ppl.world.scene import Scene
 
 Colour = tuple[float, float, float]
@@ -81,8 +80,19 @@ def posterior(
     agents = list(post.strengths_of)
     parts = right.subplot_mosaic([["tracks"] * len(agents), agents], height_ratios=(5.6, 1))
     _tracks(parts["tracks"], post)
+    table = post.to_dataframe()
     for agent, name in post.strengths_of.items():
-        _strength_histogram(parts[agent], post, name, agent)
+        axes = parts[agent]
+        axes.hist(
+            np.clip(table[name], *STRENGTH_RANGE),
+            bins=np.linspace(*STRENGTH_RANGE, 19).tolist(),
+            weights=table["weight"],
+            color=line_colour(world, world.agent(agent)),
+        )
+        axes.set(xlim=STRENGTH_RANGE, xticks=[150, 300, 450, 600], yticks=[])
+        axes.set_xlabel("strength [N]")
+        axes.set_title(f"{agent}: {post.mean(name)} N", fontsize=NORMAL)
+        axes.spines["left"].set_visible(False)
     lettered = [panels[0], *panels[len(agents) :], parts["tracks"], parts[agents[0]]]
     for letter, axes in zip("abcd", lettered, strict=False):
         axes.annotate(
@@ -161,43 +171,30 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
     predicted = None if isinstance(post, StepwisePosterior) else post.replay()
     draw_arena(axes, scene)
     world = scene.world
+    dot: dict[str, Any] = {"marker": "o", "ms": 5}
+    simulated = {"lw": 1.3, "ls": _DASHED}
     for entity in reversed(range(len(world.entities))):
         colour = line_colour(world, entity)
         seen = observed[:, entity, :2]
         guess = seen if predicted is None else predicted[:, entity, :2]
         if np.ptp(np.concatenate([seen, guess]), axis=0).max() > _MOVED:
             axes.plot(*seen.T, color=colour, lw=1.9, zorder=4)
-            axes.plot(*seen[-1], "o", ms=5, mfc=colour, mec=INK, mew=0.7, zorder=6)
+            axes.plot(*seen[-1], mfc=colour, mec=INK, mew=0.7, zorder=6, **dot)
             if predicted is not None:
                 dark = _shaded(colour, 0.6)
-                axes.plot(*guess.T, color=dark, lw=1.3, ls=_DASHED, zorder=5)
-                axes.plot(*guess[-1], "o", ms=5, mfc="white", mec=dark, mew=1.2, zorder=6)
+                axes.plot(*guess.T, color=dark, zorder=5, **simulated)
+                axes.plot(*guess[-1], mfc="white", mec=dark, mew=1.2, zorder=6, **dot)
         draw_entity(axes, entity, observed[0, entity], float(scene.radius[entity]), world=world)
-    dot: dict[str, Any] = {"marker": "o", "ms": 5}
     signs = {"observed": Line2D([], [], color=GREY, lw=1.9, mfc=GREY, mec=INK, mew=0.7, **dot)}
     if predicted is not None:
-        line = Line2D([], [], color=INK, lw=1.3, ls=_DASHED, mfc="white", **dot)
-        signs["best hypothesis, simulated"] = line
+        best = Line2D([], [], color=INK, mfc="white", **simulated, **dot)
+        signs["best hypothesis, simulated"] = best
     signs["start"] = Line2D([], [], ls="", marker=(4, 0, 0), ms=7, mfc="#dddddd", mec=INK, mew=0.7)
     axes.legend(
         signs.values(), signs, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3,
         handlelength=2.6, columnspacing=1.4,
     )  # fmt: skip
     axes.set_title("Tracks")
-
-
-def _strength_histogram(axes: Axes, post: EventPosterior, name: str, agent: str) -> None:
-    """Draw the posterior of one agent's strength, its mean, with its error, in the title."""
-    table = post.to_dataframe()
-    axes.hist(
-        np.clip(table[name], *STRENGTH_RANGE),
-        bins=np.linspace(*STRENGTH_RANGE, 19).tolist(),
-        weights=table["weight"],
-        color=line_colour(post.scene.world, post.scene.world.agent(agent)),
-    )
-    axes.set(xlim=STRENGTH_RANGE, xticks=[150, 300, 450, 600], yticks=[], xlabel="strength [N]")
-    axes.set_title(f"{agent}: {post.mean(name)} N", fontsize=NORMAL)
-    axes.spines["left"].set_visible(False)
 
 
 def bars(
@@ -244,14 +241,11 @@ def draw_arena(axes: Axes, scene: Scene) -> None:
     places = zip(scene.landmark_centres, scene.half_widths.tolist(), strict=True)
     for (centre, half), landmark in zip(places, scene.world.landmarks, strict=True):
         colour = _shaded(landmark.colour, 1 / 255)
-        axes.add_patch(
-            Rectangle(
-                centre - half, 2 * half, 2 * half, fc=(*colour, 0.22), ec=(*colour, 0.6), zorder=1
-            )
-        )
+        style: dict[str, Any] = {"fc": (*colour, 0.22), "ec": (*colour, 0.6), "zorder": 1}
+        axes.add_patch(Rectangle(centre - half, 2 * half, 2 * half, **style))
         above = centre[1] > (y0 + y1) / 2
         y = y1 + _ROOM_FOR_NAMES / 4 if above else y0 - _ROOM_FOR_NAMES / 4
-        style: dict[str, Any] = {"ha": "center", "va": "bottom" if above else "top"}
+        style = {"ha": "center", "va": "bottom" if above else "top"}
         axes.text(centre[0], y, landmark.name, color=_shaded(colour, 0.6), **style)
     for line in (*scene.border, *scene.walls):
         axes.plot(*np.asarray(line).T, color="black", lw=2.5, solid_capstyle="projecting", zorder=3)
@@ -271,16 +265,14 @@ def draw_entity(
     world: World = PHASE,
 ) -> None:
     """Draw an entity at a pose x, y, angle."""
-    from matplotlib.patches import Circle, Patch, Polygon
+    from matplotlib.patches import Circle, Polygon
 
     fill = _shaded(world.entity_colours[entity], 1 / 255)
     style: dict[str, Any] = {"fc": fill, "ec": INK, "lw": 0.7, "alpha": alpha}
-    shape: Patch
     if is_agent(entity, len(world.agents)):
-        shape = Polygon(agent_outline(pose, radius), closed=True, zorder=3.5, **style)
+        axes.add_patch(Polygon(agent_outline(pose, radius), zorder=3.5, **style))
     else:
-        shape = Circle((float(pose[0]), float(pose[1])), radius, zorder=3.4, **style)
-    axes.add_patch(shape)
+        axes.add_patch(Circle((float(pose[0]), float(pose[1])), radius, zorder=3.4, **style))
 
 
 def line_colour(world: World, entity: int) -> Colour:
