@@ -69,15 +69,14 @@ def diagnostics(
     * ``distinct_hypotheses``, ``distinct_goal_pairs``: among the draws.
     * ``effective_rows``: 1 / sum of squared weights, of the weighting in use.
     * ``weighted_draws_ess``: for kernels that weigh their draws, the effective share of them,
-      1 / (n * sum of squared weights); None for others. The next four count the draws' weights.
+      1 / (n * sum of squared weights); None for others. The next three count the draws' weights.
     * ``agreement``: per goal, the share of particles whose own leading goal leads overall.
     * ``leading_goals``: per goal, how many particles each goal leads in, most first.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
       variation between their marginals; None with one particle.
-    * ``leaders``: the most probable goals and relation, with errors, the next ones, and what they
-      would have ``without_prior``: with all pairs of goals that were simulated equally probable
-      beforehand; None where the file does not hold the prior of pairs. In other worlds than PHASE
-      a pair is what all agents want, and there is a relation for every two agents.
+    * ``leaders``: :meth:`~phase_ppl.analysis.hypotheses.Hypotheses.leaders`, and the probability
+      ``without_prior``, with all pairs of goals that were simulated equally probable beforehand;
+      None where the file does not hold the prior of pairs. A pair is what all agents want.
     * ``untried_rivals``: how many pairs that differ from the leading one in nothing but one
       agent's landmark were never simulated, though the prior allows them.
     * ``decided``: whether all leaders are sure, have more than ``ALONE`` without the prior, by

@@ -25,6 +25,9 @@ from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray, alike
 
+Sites = dict[str, tuple[Quantity, NDArray[Any]]]  # further ones, and their columns
+Values = tuple[tuple[str, tuple[float, ...]], ...]  # of further sites, all that there are
+
 _GROUPS: Final = 20
 _DRAWS: Final = 1000  # of every group, whose differences are the Monte-Carlo error
 _SEED: Final = 0
@@ -119,42 +122,16 @@ def with_sites(
     from phase_ppl.models import effective
 
     log_mass, *without = table.all_log_masses(frame)
-    levels = np.array(table.levels)
     values = effective.enumerable(prior)
-    sites: dict[str, tuple[Quantity, NDArray[Any]]]
-    if values is not None:
-        likelihood = table.log_likelihood(frame).reshape(-1, 1)
-        log_prior = effective.log_masses(prior, levels, values).reshape(len(likelihood), -1)
-        shares = np.exp(_log_shares(log_prior + likelihood))
-        flat, value = np.nonzero(shares > _LEAST)
-        weights = shares[flat, value]
-        columns = table.columns(*np.divmod(flat, len(table.combinations)))
-        codes = np.unravel_index(value, [len(options) for _, options in values])
-        sites = {
-            name: (_discrete(name, options), chosen)
-            for (name, options), chosen in zip(values, codes, strict=True)
-        }
+    if values is None:
+        places, weights, sites = _drawn(prior, table, log_mass)
     else:
-        cumulative = np.exp(_log_shares(log_mass)).cumsum()
-        rng = np.random.default_rng(_SEED)
-        steps = (np.arange(_DRAWS) + rng.random((_GROUPS, 1))) / _DRAWS  # systematic, by group
-        flat = np.searchsorted(cumulative, steps.ravel() * cumulative[-1], side="right")
-        flat = np.minimum(flat, len(cumulative) - 1)
-        places = np.unravel_index(flat, table.log_prior.shape)
-        columns = table.columns(*np.divmod(flat, len(table.combinations)))
-        given = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
-        drawn, log_weight = effective.drawn_beside(
-            prior, given, table.log_prior, places, levels, _SEED
-        )
-        weights = np.exp(_log_shares(log_weight))
-        sites = {
-            name: _drawn(name, drawn[name], site.discrete)
-            for name, site in effective.further_sites(prior).items()
-        }
-    weights /= weights.sum()
-    quantities = {**words.quantities, **{name: quantity for name, (quantity, _) in sites.items()}}
+        places, weights, sites = _summed(prior, values, table, frame)
+    weights = weights / weights.sum()
+    columns = table.columns(*np.divmod(places, len(table.combinations)))
     columns |= {name: column for name, (_, column) in sites.items()}
-    by_searches = _reweighted(weights, log_mass, without, flat)
+    quantities = {**words.quantities, **{name: quantity for name, (quantity, _) in sites.items()}}
+    by_searches = _reweighted(weights, log_mass, without, places)
     errors: Jackknife | Jackknives | None = by_searches
     if values is None:
         by_chance = leaving_out(weights, np.repeat(np.arange(_GROUPS), _DRAWS))
@@ -164,19 +141,55 @@ def with_sites(
     return WithSites(words, quantities, rows, values is not None, errors)
 
 
+def _summed(
+    prior: Callable[..., object], values: Values, table: PairTable, frame: int
+) -> tuple[IntArray, FloatArray, Sites]:
+    """Return hypotheses with all values of sites: (row,) which they are, masses, and the sites."""
+    from phase_ppl.models.effective import log_masses
+
+    likelihood = table.log_likelihood(frame).reshape(-1, 1)
+    log_prior = log_masses(prior, np.array(table.levels), values).reshape(len(likelihood), -1)
+    shares = np.exp(_log_shares(log_prior + likelihood))
+    places, value = np.nonzero(shares > _LEAST)
+    codes = np.unravel_index(value, [len(options) for _, options in values])
+    sites = {
+        name: (_discrete(name, options), chosen)
+        for (name, options), chosen in zip(values, codes, strict=True)
+    }
+    return places, shares[places, value], sites
+
+
+def _drawn(
+    prior: Callable[..., object], table: PairTable, log_mass: FloatArray
+) -> tuple[IntArray, FloatArray, Sites]:
+    """Return draws of hypotheses and sites: (row,) which they are, weights, and the sites."""
+    from phase_ppl.models.effective import drawn_beside, further_sites
+
+    cumulative = np.exp(_log_shares(log_mass)).cumsum()
+    rng = np.random.default_rng(_SEED)
+    steps = (np.arange(_DRAWS) + rng.random((_GROUPS, 1))) / _DRAWS  # systematic, by group
+    places = np.searchsorted(cumulative, steps.ravel() * cumulative[-1], side="right")
+    places = np.minimum(places, len(cumulative) - 1)
+    columns = table.columns(*np.divmod(places, len(table.combinations)))
+    given = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
+    of_table = table.log_prior, np.unravel_index(places, table.log_prior.shape)
+    drawn, log_weight = drawn_beside(prior, given, *of_table, np.array(table.levels), _SEED)
+    sites: Sites = {}
+    for name, site in further_sites(prior).items():
+        if site.discrete:
+            occurring, codes = np.unique(drawn[name], return_inverse=True)
+            sites[name] = _discrete(name, occurring.tolist()), codes
+        else:
+            sites[name] = Quantity(name), drawn[name].astype(np.float64)
+    return places, np.exp(_log_shares(log_weight)), sites
+
+
 def _log_shares(log_mass: FloatArray) -> FloatArray:
     return log_mass - log_sum_exp(log_mass.ravel())
 
 
 def _discrete(name: str, options: Sequence[float]) -> Quantity:
     return Quantity(name, tuple(map("{:g}".format, options)), tuple(options))
-
-
-def _drawn(name: str, drawn: NDArray[Any], discrete: bool) -> tuple[Quantity, NDArray[Any]]:
-    if not discrete:
-        return Quantity(name), drawn.astype(np.float64)
-    occurring, codes = np.unique(drawn, return_inverse=True)
-    return _discrete(name, occurring.tolist()), codes
 
 
 def _reweighted(
