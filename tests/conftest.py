@@ -68,9 +68,8 @@ WITHOUT_KERNELS = ("models", "analysis")
 WITH_KERNELS = (
     "test_plots.py",
     "test_predicate.py",
-    "test_stepwise_worlds.py",
+    "test_stepwise_posterior.py",
     "test_what_if.py",
-    "test_what_if_worlds.py",
 )
 """Files in these folders that do, and would compile them a second time."""
 

@@ -10,8 +10,7 @@ import pytest
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.cli.results import table
-from tests.analysis.factory import random_tree
-from tests.analysis.test_over_time import tree_by_frame
+from tests.analysis.factory import random_tree, tree_by_frame
 from tests.test_cli import Capture, fails, told
 
 pytestmark = pytest.mark.usefixtures("unpainted")

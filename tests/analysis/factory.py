@@ -244,3 +244,17 @@ def random_tree(
         )
         draws[chain, iteration] = len(simulations) - 1 if accepted else draws[chain, iteration - 1]
     return make_tree(simulations, draws[:, 1:].tolist(), n_frames=n_frames, **options)  # type: ignore[arg-type]
+
+
+def tree_by_frame(seed: int = 0) -> xr.DataTree:
+    """Return a random tree with a likelihood for each frame, which add up."""
+    tree = random_tree(seed)
+    rng = np.random.default_rng(seed)
+    table = tree["simulations"].dataset.to_dataframe()
+    by_frame = np.full((len(table), tree["observed_data"].sizes["time"]), np.nan)
+    pairs = zip(table["log_likelihood"], table["frames_simulated"], strict=True)
+    for row, (total, frames) in enumerate(pairs):
+        by_frame[row, :frames] = total * rng.dirichlet(np.ones(frames))
+    return with_variables(
+        tree, "simulations", step_log_likelihood=(("simulation", "time"), by_frame)
+    )
