@@ -153,7 +153,7 @@ WRONG = {
     "P(strength_red > strong)": (17, "unknown quantity 'strong'"),
     "P(strength_red > relation)": (15, "relation has categories"),
     "P(strength_red = strength_green)": (15, "is a real number"),
-    "P(target_red=target_green or strength_red = strength_green)": (42, "is a real number"),
+    "P(sign_red=to or strength_red = strength_green)": (30, "is a real number"),
     "H(same_goal, strength_red)": (13, "is a real number"),
     "P(relation = goal_red)": (11, "no value in common"),
     "P(relation=friendly or neutral)": (30, "one of several values: in {a, neutral}"),

@@ -152,7 +152,7 @@ def _trace(axes: Axes, values: FloatArray, best: int, name: str) -> None:
     few = len(values) <= _FEW
     for chain in [*(c for c in range(len(values)) if c != best), best]:
         leads = chain == best and not few
-        style = {
+        style: dict[str, Any] = {
             "color": COLOURS[chain] if few else _BEST if leads else _PALE,
             "lw": 0.6 if n > _MOST_LINES else 1.5 if leads else 0.8,
             "alpha": 0.85 if few or leads else 0.6,
@@ -184,7 +184,7 @@ def _ranks(axes: Axes, values: FloatArray) -> None:
     )  # fmt: skip
     axes.set_xticks([0, 1], ["lowest", "highest"])
     for label, side in zip(axes.get_xticklabels(), ("left", "right"), strict=True):
-        label.set_horizontalalignment(side)
+        label.set(ha=side)
     axes.set_title("ranks, per particle")
     _chain_rows(axes, n_chains)
     axes.tick_params(length=0)

@@ -172,7 +172,7 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
     draw_arena(axes, scene)
     world = scene.world
     dot: dict[str, Any] = {"marker": "o", "ms": 5}
-    simulated = {"lw": 1.3, "ls": _DASHED}
+    simulated: dict[str, Any] = {"lw": 1.3, "ls": _DASHED}
     for entity in reversed(range(len(world.entities))):
         colour = line_colour(world, entity)
         seen = observed[:, entity, :2]
