@@ -168,15 +168,17 @@ def assemble(
 # --- what is missing -----------------------------------------------------------------------------
 
 
-def _damage(folder: Path, slot: Slot) -> str | None:
-    """Return "" where the part of a slot is there, why not where it is damaged; None: none is."""
-    if not part_file(folder, slot).is_file():
-        return None
-    try:
-        read_part(folder, slot)
-    except InvalidEventError as error:
-        return str(error)
-    return ""
+def _missing(folder: Path, slots: Sequence[Slot]) -> tuple[list[Slot], list[str]]:
+    """Return the slots that have no part, or a damaged one; and the names of the latter."""
+    missing, damaged = [], []
+    for slot in slots:
+        if part_file(folder, slot).is_file():
+            with contextlib.suppress(InvalidEventError):
+                read_part(folder, slot)
+                continue
+            damaged.append(slot.name)
+        missing.append(slot)
+    return missing, damaged
 
 
 def _make_missing(
@@ -362,8 +364,7 @@ def generate(  # type: ignore[misc]
                 raise OutputError(f"{folder} holds a data set of another plan: {'; '.join(apart)}")
         writable_folder(folder / PARTS)
         finished = (folder / MANIFEST).is_file()
-        damage = {} if finished else {slot: _damage(folder, slot) for slot in slots}
-        missing = [slot for slot, wrong in damage.items() if wrong != ""]
+        missing, damaged = _missing(folder, () if finished else slots)
         if missing:
             made_by = versions_so_far(made_by, folder, other_versions)
             write_json(folder / PLAN, {**record, "versions": made_by})
@@ -378,7 +379,7 @@ def generate(  # type: ignore[misc]
                 "seconds": seconds,
                 "workers": at_once,
                 "made_now": len(missing),
-                "made_anew": [slot.name for slot, wrong in damage.items() if wrong],
+                "made_anew": damaged,
             }
             write_json(folder / COST, cost)
         for slot in slots:
