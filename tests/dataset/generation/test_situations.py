@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import cloudpickle
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from phase_ppl.dataset.generation.making import (
     recoloured,
     reflected,
 )
+from phase_ppl.dataset.generation.plan import Plan
 from phase_ppl.dataset.generation.situation import (
     LAYOUTS,
     LAYOUTS_OF_A_KIND,
@@ -214,6 +216,14 @@ def test_a_family_of_ones_own(own: Callable[..., Family]) -> None:
     family = own("side_by_side", "Get red agent to blue lm", scenario="collaborative")
     assert family_of("side_by_side").variant is None
     assert family.summary == "Both go to a place."
+    assert family.draw(np.random.default_rng(0)).hypothesis.scenario == "collaborative"
+
+
+def test_a_family_of_ones_own_goes_to_workers_with_its_plan(own: Callable[..., Family]) -> None:
+    own("side_by_side", "Get red agent to blue lm", scenario="collaborative")
+    sent = cloudpickle.dumps(Plan(cells={"side_by_side": 1}))
+    del families.FAMILIES.entries["side_by_side"]
+    family = cloudpickle.loads(sent).families["side_by_side"]
     assert family.draw(np.random.default_rng(0)).hypothesis.scenario == "collaborative"
 
 
