@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, check_name
 
 _REMOVED: Final = {"tree_reuse": False}
 """Settings of older versions -> the value that all of the present ones behave as."""
@@ -80,10 +80,8 @@ class PlannerConfig:
         """
         if isinstance(planner, PlannerConfig):
             return planner
-        presets: dict[str, Callable[[], PlannerConfig]] = {"paper": cls, "fast": cls.fast}
-        if planner not in presets:
-            raise unknown_name("planner", planner, presets)
-        return presets[planner]()
+        check_name("planner", planner, ("paper", "fast"))
+        return cls() if planner == "paper" else cls.fast()
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> PlannerConfig:
@@ -100,8 +98,7 @@ class PlannerConfig:
                     f"planner with {name}={value!r}: that setting was removed; only what was made "
                     f"with {name}={_REMOVED[name]!r} can be gone on with"
                 )
-            if name not in known:
-                raise unknown_name("setting of the planner", name, known)
+            check_name("setting of the planner", name, known)
         return cls(**given)
 
     def to_dict(self) -> dict[str, Any]:

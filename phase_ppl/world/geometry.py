@@ -112,17 +112,17 @@ def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) ->
     gaps = first.min(axis=0) - second.max(axis=0), second.min(axis=0) - first.max(axis=0)
     if np.max(gaps) > rounding:  # most are far apart
         return 0.0
-    axes = [first[i] - second[j] for i in range(len(first)) for j in range(len(second))]
+    axes = [(first[:, None] - second).reshape(-1, 2)]
     for shape in (first, second):
         edges = np.roll(shape, -1, axis=0) - shape
-        axes += [*np.column_stack([-edges[:, 1], edges[:, 0]]), *edges[: len(shape) == 2]]
-    depth = np.inf
-    for axis in axes:
-        length = float(np.hypot(*axis))
-        if length > 0:
-            a, b = first @ axis / length, second @ axis / length
-            depth = min(depth, a.max() - b.min() + rounding, b.max() - a.min() + rounding)
-    return max(0.0, rounding if np.isinf(depth) else float(depth))
+        axes += [edges[:, ::-1] * (-1, 1), edges[: len(shape) == 2]]
+    along = np.concatenate(axes)
+    along = along[along.any(axis=1)].T
+    if not along.size:  # the same point twice
+        return rounding
+    a, b = (shape @ along / np.hypot(*along) for shape in (first, second))
+    inside = np.minimum(a.max(axis=0) - b.min(axis=0), b.max(axis=0) - a.min(axis=0))
+    return max(0.0, float(inside.min()) + rounding)
 
 
 def deepest_overlap(scene: Any) -> tuple[str, float]:

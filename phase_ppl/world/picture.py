@@ -14,24 +14,9 @@ from phase_ppl.world.geometry import agent_outline, is_agent
 
 Colour = tuple[int, int, int]
 
-LANDMARK_COLOURS: Final[tuple[Colour, ...]] = (
-    (45, 45, 180),
-    (50, 150, 50),
-    (180, 45, 45),
-    (180, 180, 45),
-)
-ENTITY_COLOURS: Final[tuple[Colour, ...]] = (
-    (255, 0, 0),
-    (0, 255, 0),
-    (117, 216, 230),
-    (255, 153, 153),
-)
-TRAIL_COLOURS: Final[tuple[Colour, ...]] = (
-    (170, 0, 0),
-    (0, 140, 0),
-    (60, 150, 170),
-    (215, 100, 110),
-)
+LANDMARK_COLOURS: Final = ((45, 45, 180), (50, 150, 50), (180, 45, 45), (180, 180, 45))
+ENTITY_COLOURS: Final = ((255, 0, 0), (0, 255, 0), (117, 216, 230), (255, 153, 153))
+TRAIL_COLOURS: Final = ((170, 0, 0), (0, 140, 0), (60, 150, 170), (215, 100, 110))
 
 COLOURS: Final[dict[str, Colour]] = {
     "blue": (60, 90, 230),
