@@ -19,15 +19,7 @@ from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID, heading
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.scene import Scene
 
-X: Final = 0
-Y: Final = 1
-ANGLE: Final = 2
-VX: Final = 3
-VY: Final = 4
-SPIN: Final = 5
-BIAS_VX: Final = 6
-BIAS_VY: Final = 7
-BIAS_SPIN: Final = 8
+X, Y, ANGLE, VX, VY, SPIN, BIAS_VX, BIAS_VY, BIAS_SPIN = range(9)
 """Columns of ``bodies``. Bias velocities push overlapping bodies apart, once, at the beginning of
 the next inner step, so that pushing apart adds no momentum."""
 

@@ -13,10 +13,7 @@ AGENTS: Final = ENTITIES[:2]
 ITEMS: Final = ENTITIES[2:]
 LANDMARKS: Final = ("blue lm", "green lm", "red lm", "yellow lm")
 
-RED: Final = 0
-GREEN: Final = 1
-BLUE_ITEM: Final = 2
-PINK_ITEM: Final = 3
+RED, GREEN, BLUE_ITEM, PINK_ITEM = range(4)
 NOTHING: Final = -1
 """Index of the held item of an agent that holds nothing."""
 

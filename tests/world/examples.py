@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.scene import Scene
 
@@ -21,6 +24,15 @@ CENTRE = (16.0, 12.0)
 DIRECTIONS = {"up": (0, 1), "left": (-1, 0), "down": (0, -1), "right": (1, 0)}
 START = [[8.0, 20.0, 0.0], [24.0, 14.0, 1.0], [12.0, 8.0, 0.0], [20.0, 8.0, 0.0]]
 RADIUS = [0.8, 1.2, 1.01, 1.6]
+
+
+def check_refused(
+    make: Callable[[], object], message: str, error: type[Exception] = PhasePPLError
+) -> None:
+    """What cannot be gets one clear line."""
+    with pytest.raises(error, match=re.escape(message)) as raised:
+        make()
+    assert "\n" not in str(raised.value)
 
 
 def walls(**length: float) -> NDArray[np.float64]:
