@@ -76,7 +76,8 @@ def test_joint_actions_of_three_follow_from_few_trials(distance: float, toleranc
     observed, strengths = trial.frame.copy(), np.array([[450.0, 300.0, 600.0]])
     found = np.empty((1, N_ACTIONS**3))
     batch = [part[None] for part in state]
-    inverse.try_all(*batch, strengths, observed, 0.06, 0.06, 3.0, params, scratch, trial, found)
+    scatter = inverse.Scatter(0.06, 0.06, 3.0)
+    inverse.try_all(*batch, strengths, observed, scatter, params, scratch, trial, found)
     table = found.reshape((N_ACTIONS,) * 3)
     assert np.unravel_index(found.argmax(), table.shape) == doing
     deviations = []
@@ -84,8 +85,7 @@ def test_joint_actions_of_three_follow_from_few_trials(distance: float, toleranc
         trial.actions[:] = joint
         inverse.attempt(*state, params, scratch, trial)
         exact = sum(
-            inverse._entity_log_density(trial.frame, observed, e, e < 3, 0.06, 0.06, 3.0)
-            for e in range(5)
+            inverse._entity_log_density(trial.frame, observed, e, e < 3, scatter) for e in range(5)
         )
         deviations.append(abs(table[tuple(joint)] - exact))
     assert np.percentile(deviations, 95) < tolerance
