@@ -84,11 +84,14 @@ def test_a_slow_browser_misses_the_oldest_frames_and_nothing_else() -> None:
     assert [frame["number"] for frame in frames] == [*range(100 - Outbox.MOST, 100)]
 
 
-def room(event: ppl.Event, seats: list[Seat] | None = None, **changes: Any) -> Room:
-    play, truth = settings(steps_per_second=12, **changes), event.truth
-    assert truth is not None
-    goals = truth.goal_red, truth.goal_green
-    return Room(play.scene(event.scene), goals, (600.0, 600.0), play, seats or [Seat(), Seat()])
+def room(
+    event: ppl.Event, goals: tuple[str, str] | None = None,
+    computer: np.random.Generator | None = None, **changes: Any,
+) -> Room:  # fmt: skip
+    play = settings(steps_per_second=12, **changes)
+    goals = goals or (event.truth.goal_red, event.truth.goal_green)
+    seats = [Seat(), Seat()]
+    return Room(play.scene(event.scene), goals, (600.0, 600.0), play, seats, computer=computer)
 
 
 def test_a_clock_that_slips_is_seen_and_does_not_hurry() -> None:
@@ -111,9 +114,8 @@ def test_goals_must_hold_for_a_while_and_goals_of_avoidance_end_nothing() -> Non
     one = room(event, hold=3, limit=10)
     assert asyncio.run(one.run()) == "goals"
     assert len(one.steps) == 3
-    away = ppl.Truth("Get red agent away from red lm", "Get green agent to green lm")
-    goals = away.goal_red, away.goal_green
-    assert not Room(one.scene, goals, (600, 600), settings(), one.seats).ends_by_goals
+    away = "Get red agent away from red lm", "Get green agent to green lm"
+    assert not room(event, away).ends_by_goals
 
 
 @pytest.mark.parametrize("agent", [0, 1])
@@ -133,13 +135,8 @@ def test_the_outline_is_the_field_of_view_within_the_arena(agent: int) -> None:
 def test_a_computer_sees_no_more_than_its_agent() -> None:
     # the item of its goal is out of its sight, beside it
     start = [[12.0, 19.5, 0.0], [20.0, 12.0, 0.0], [12.0, 7.0, 0.0], [20.0, 5.0, 0.0]]
-    event = near_goals(start=start)
-    truth = ppl.Truth("get to green agent", "Get pink item to red lm")
-    play = settings(steps_per_second=12, limit=3)
-    one = Room(
-        play.scene(event.scene), (truth.goal_red, truth.goal_green), (600.0, 600.0), play,
-        [Seat(), Seat()], computer=np.random.default_rng(0),
-    )  # fmt: skip
+    goals = "get to green agent", "Get pink item to red lm"
+    one = room(near_goals(start=start), goals, computer=np.random.default_rng(0), limit=3)
     asyncio.run(one._planned())
     seen = one._computers[1].beliefs.observed
     assert not seen[3]
