@@ -302,10 +302,10 @@ def test_predicates_are_chosen_on_the_first_half(figures: Figures) -> None:
 @REAL
 def test_misses_of_an_evaluation_are_judged_once(tmp_path: Path, figures: Figures) -> None:
     events = sorted(ppl.load_events(VIDEOS / "dev.json"), key=lambda e: e.observation.n_frames)
-    planner = PlannerConfig(simulations=20)
-    tiny: dict[str, Any] = {"chains": 2, "budget": ppl.simulations(4), "planner": planner}
+    tiny: dict[str, Any] = {"kernel": "prior_mh", "chains": 2, "budget": ppl.simulations(4)}
     out = tmp_path / "simple"
-    ppl.evaluate(events[:3], "simple", out=out, workers=1, progress=False, **tiny)
+    quick = {"planner": PlannerConfig(simulations=20), "workers": 1, "progress": False}
+    ppl.evaluate(events[:3], "simple", out=out, **quick, **tiny)
     kept = tmp_path / "judged"
     options = [str(out), "--judging-seeds", "1", "--keep", str(kept)]
     report = figures("accuracy.py", *options)
