@@ -94,10 +94,12 @@ def test_likeness_needs_truth(tmp_path: Path) -> None:
 
 
 def test_without_the_extra_one_line_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     monkeypatch.setattr(study_module, "_NEEDS", ("no_such_module",))
-    for command in (["demo"], ["new", str(tmp_path / "s"), "collaborate"], ["run", str(tmp_path)]):
+    made = str(study.folder)
+    for command in (["demo"], ["new", str(tmp_path / "s"), "collaborate"], ["run", made]):
         assert main(["study", *command]) == 2
         told = capsys.readouterr().err
         assert told.count("\n") == 1
