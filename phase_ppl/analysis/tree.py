@@ -16,7 +16,6 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.events_netcdf import labels_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import PHASE, Scene, World
@@ -28,7 +27,6 @@ SIMULATED: Final = "simulated"
 """Group of the simulation that each draw rests on, as the simulator made it. Where the likelihood
 is the radial one, its attribute ``beta`` says how much noise the likelihood puts around it."""
 
-_SCENE_DIMS: Final = ("entity", "coord", "landmark", "bound")
 DRAW: Final = ("chain", "draw")
 SIMULATION: Final = ("simulation",)
 FRAME: Final = ("time", "entity", "coord")
@@ -209,7 +207,12 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
             "arena": (("bound",), np.array(scene.arena)),
             "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
         },
-        {dim: list(labels_of(scene.world)[dim]) for dim in _SCENE_DIMS},
+        {
+            "entity": list(scene.world.entities),
+            "coord": ["x", "y", "angle"],
+            "landmark": list(scene.world.landmark_names),
+            "bound": ["x_min", "x_max", "y_min", "y_max"],
+        },
         attrs,
     )
 

@@ -71,7 +71,6 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.dataset.documents import event_id, only, optional, per_name, require
-from phase_ppl.dataset.motion import observed_turning
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown
@@ -356,6 +355,8 @@ def _event_of_video(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Ev
             f"observed.n_frames is {n_frames}, but the trajectories have "
             f"{event.observation.n_frames}"
         )
+    from phase_ppl.dataset.motion import observed_turning
+
     return turned(event, observed_turning(event.observation.trajectory, event.scene.radius))
 
 

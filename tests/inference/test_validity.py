@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from jax import lax, random
 
-from phase_ppl.inference.kernels.particle import ParticleKernel
+from phase_ppl.inference.kernels.metropolis import ParticleKernel
 from phase_ppl.inference.registry import available_kernels, kernel_info
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.density import compiled_quickly

@@ -13,8 +13,13 @@ from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.metropolis import MHState, ProposalKernel, SiteMove, log_known
-from phase_ppl.inference.kernels.particle import chosen
+from phase_ppl.inference.kernels.metropolis import (
+    MHState,
+    ProposalKernel,
+    SiteMove,
+    chosen,
+    log_known,
+)
 from phase_ppl.inference.proposals.guide import NEVER
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings

@@ -26,7 +26,7 @@ from jax.scipy.special import logsumexp
 
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.particle import ParticleKernel
+from phase_ppl.inference.kernels.metropolis import ParticleKernel
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, Sites, log_density

@@ -16,7 +16,7 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.inference.kernels.particle import ParticleKernel, chosen
+from phase_ppl.inference.kernels.metropolis import ParticleKernel, chosen
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY, Sites, log_density
 from phase_ppl.models.effective import (

@@ -28,7 +28,7 @@ from numpyro.infer.ensemble import AIESState, EnsembleSamplerState
 from numpyro.infer.gibbs import DiscreteGibbs, Gibbs, discrete_latent_sites
 from numpyro.infer.mcmc import MCMCKernel
 
-from phase_ppl.inference.kernels.particle import EventKernel, ParticleKernel, chosen, log_uniform
+from phase_ppl.inference.kernels.metropolis import EventKernel, ParticleKernel, chosen, log_uniform
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, latent_sites, trace_log_density
 from phase_ppl.models.program import EventProgram
