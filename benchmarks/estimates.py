@@ -25,7 +25,7 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.draws import burn_in
-from phase_ppl.inference.proposals.tables import bottom_up_tables
+from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.priors import uniform
 from phase_ppl.world.arrays import FloatArray

@@ -3,7 +3,7 @@
     python benchmarks/goal_training.py FOLDER
 
 Simulates events in scenes like those of PHASE and maximises the log probability that the joint
-proposal of :mod:`~phase_ppl.inference.proposals.tables` gives to their true effective goals: for
+proposal of :mod:`~phase_ppl.inference.tables` gives to their true effective goals: for
 whole events, and for the mean over windows of the paper's length. Writes FOLDER/goal_weights.npz
 and the report FOLDER/goal_weights.json.
 """
@@ -28,7 +28,7 @@ from strength_training import draw_scene, in_processes
 from tqdm.auto import tqdm
 
 from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
-from phase_ppl.inference.proposals.tables import (
+from phase_ppl.inference.tables import (
     FEATURES,
     GOALS_ABOUT,
     KINDS,

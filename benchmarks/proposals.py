@@ -14,8 +14,8 @@ from typing import Any
 import common
 import numpy as np
 
-from phase_ppl.inference.proposals.tables import bottom_up_tables
 from phase_ppl.inference.settings import FORMS, Form, SimpleSettings
+from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, effective_goals

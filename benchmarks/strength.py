@@ -13,14 +13,14 @@ import common
 import numpy as np
 from strength_training import Quality, blurred, quality
 
-from phase_ppl.inference.proposals.strength import (
+from phase_ppl.inference.strength import (
     ESTIMATORS,
     Estimator,
     StrengthEstimates,
     StrengthNetwork,
     estimated_strengths,
 )
-from phase_ppl.inference.proposals.tables import window_count, window_length
+from phase_ppl.inference.tables import window_count, window_length
 from phase_ppl.world.event import Event, Observation
 
 JITTER = (0.0, 0.05, 0.1, 0.3)

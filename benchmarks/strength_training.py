@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
 from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES, SPOTS, walls_of
-from phase_ppl.inference.proposals.strength import (
+from phase_ppl.inference.strength import (
     FARTHEST,
     HIDDEN,
     SD_RANGE,

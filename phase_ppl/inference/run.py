@@ -20,16 +20,16 @@ import jax
 from jax import random
 from numpyro.infer.mcmc import MCMCKernel
 
+from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.proposals.guide import bottom_up_guide
-from phase_ppl.inference.proposals.tables import (
+from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
+from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
+from phase_ppl.inference.tables import (
     BottomUpTables,
     bottom_up_tables,
     padded,
     window_count,
 )
-from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
-from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
 from phase_ppl.models import priors
 from phase_ppl.models.bridge import Record
 from phase_ppl.models.density import remembered

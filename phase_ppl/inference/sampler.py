@@ -31,9 +31,9 @@ from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.draws import Columns, build_tree, particles_of
-from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
+from phase_ppl.inference.strength import estimator_name
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final, Literal, get_args
 
-from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
+from phase_ppl.inference.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
 from phase_ppl.world.checks import nonnegative_number, number_or_nan, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.scene import PHASE, World
@@ -36,7 +36,7 @@ class SimpleSettings:
         prior_share: weight of the prior in the proposal.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
         strength: what estimates the strengths of the proposal: a name of
-            :data:`~phase_ppl.inference.proposals.strength.ESTIMATORS`, or an estimator. None: the
+            :data:`~phase_ppl.inference.strength.ESTIMATORS`, or an estimator. None: the
             network, which has learned in PHASE; in other worlds the analytic rule.
 
     Raises:

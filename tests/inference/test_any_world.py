@@ -18,14 +18,14 @@ from jax import random
 
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import distances, of_truth
-from phase_ppl.inference.proposals.guide import bottom_up_guide
-from phase_ppl.inference.proposals.tables import (
+from phase_ppl.inference.guide import bottom_up_guide
+from phase_ppl.inference.registry import kernel_info
+from phase_ppl.inference.tables import (
     BottomUpTables,
     bottom_up_tables,
     goal_distances,
     window_count,
 )
-from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models import roles
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.likelihood import RadialLikelihood

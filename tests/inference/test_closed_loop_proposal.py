@@ -12,8 +12,8 @@ from jax import random
 from scipy.special import softmax
 
 import phase_ppl as ppl
-from phase_ppl.inference.proposals.guide import bottom_up_guide
-from phase_ppl.inference.proposals.tables import BottomUpTables, bottom_up_tables
+from phase_ppl.inference.guide import bottom_up_guide
+from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables
 from phase_ppl.models import roles
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model

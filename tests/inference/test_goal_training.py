@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from goal_training import Examples, draw_goals, learned, loss_of_whole
 
-from phase_ppl.inference.proposals.tables import (
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.tables import (
     FEATURES,
     GOALS_ABOUT,
     KINDS,
@@ -19,7 +20,6 @@ from phase_ppl.inference.proposals.tables import (
     goal_weights,
     joint_logits,
 )
-from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, goal_index

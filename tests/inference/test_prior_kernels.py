@@ -16,7 +16,7 @@ from jax import random
 
 import phase_ppl as ppl
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.proposals.tables import window_count
+from phase_ppl.inference.tables import window_count
 from phase_ppl.models.density import compiled_quickly, log_density
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.simulator.contract import SimulationResult

@@ -14,15 +14,15 @@ import pytest
 from jax import random
 from numpyro.infer.util import log_density as numpyro_log_density
 
-from phase_ppl.inference.proposals.guide import Mixture, bottom_up_guide
-from phase_ppl.inference.proposals.strength import StrengthEstimates
-from phase_ppl.inference.proposals.tables import (
+from phase_ppl.inference.guide import Mixture, bottom_up_guide
+from phase_ppl.inference.settings import Form, SimpleSettings
+from phase_ppl.inference.strength import StrengthEstimates
+from phase_ppl.inference.tables import (
     BottomUpTables,
     bottom_up_tables,
     window_count,
     window_length,
 )
-from phase_ppl.inference.settings import Form, SimpleSettings
 from phase_ppl.models import priors, sites
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model

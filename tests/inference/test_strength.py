@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.load import load_events
-from phase_ppl.inference.proposals.strength import (
+from phase_ppl.inference.strength import (
     VALIDATION_SD,
     analytic_strengths,
     network_strengths,

@@ -29,7 +29,8 @@ from strength_training import (
 
 from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES
 from phase_ppl.dataset.load import bundled_events, load_event
-from phase_ppl.inference.proposals.strength import (
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.strength import (
     ESTIMATORS,
     N_FEATURES,
     SHAPES,
@@ -41,8 +42,7 @@ from phase_ppl.inference.proposals.strength import (
     shipped_network,
     window_features,
 )
-from phase_ppl.inference.proposals.tables import bottom_up_tables
-from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError

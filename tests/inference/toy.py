@@ -15,9 +15,9 @@ from jax import lax
 from numpy.typing import NDArray
 from numpyro.infer.mcmc import MCMCKernel
 
-from phase_ppl.inference.proposals.guide import Mixture, bottom_up_guide
-from phase_ppl.inference.proposals.tables import BottomUpTables, window_count
+from phase_ppl.inference.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.tables import BottomUpTables, window_count
 from phase_ppl.models import sites
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.density import compiled_quickly

@@ -12,6 +12,7 @@ import numpy as np
 from jax import random
 from numpy.typing import NDArray
 
+from phase_ppl.inference.guide import NEVER
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import (
     MHState,
@@ -20,7 +21,6 @@ from phase_ppl.inference.kernels.metropolis import (
     chosen,
     log_known,
 )
-from phase_ppl.inference.proposals.guide import NEVER
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program

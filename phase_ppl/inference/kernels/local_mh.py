@@ -36,11 +36,11 @@ from jax import random
 from jax.scipy.special import logsumexp
 from numpyro import handlers
 
+from phase_ppl.inference.guide import Mixture
 from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move
-from phase_ppl.inference.proposals.guide import Mixture
-from phase_ppl.inference.proposals.tables import window_length
 from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.tables import window_length
 from phase_ppl.models.density import Program, Sites, draw, log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import unknown_name

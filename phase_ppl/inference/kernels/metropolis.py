@@ -28,10 +28,10 @@ from numpyro import handlers
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.proposals.guide import Mixture
-from phase_ppl.inference.proposals.tables import window_count
+from phase_ppl.inference.guide import Mixture
 from phase_ppl.inference.registry import Validity
 from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.tables import window_count
 from phase_ppl.models.density import NO_DENSITY, Program, Sites, draw
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError

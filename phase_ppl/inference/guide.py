@@ -25,7 +25,7 @@ from numpyro import handlers
 from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
-from phase_ppl.inference.proposals.tables import BottomUpTables
+from phase_ppl.inference.tables import BottomUpTables
 from phase_ppl.models.density import Program, draw, log_density, remembered
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.roles import space_of_prior

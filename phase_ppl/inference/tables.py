@@ -29,19 +29,20 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.proposals.strength import Estimator, estimated_strengths
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.strength import estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.names import AGENTS, Predicate
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
@@ -86,26 +87,10 @@ def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
     return tables._replace(**{name: longer(table) for name, table in given.items()})
 
 
-class Settings(Protocol):
-    """What decides the tables, of :class:`~phase_ppl.inference.settings.SimpleSettings`."""
-
-    @property
-    def window(self) -> int: ...
-    @property
-    def proposal(self) -> str | None: ...
-    @property
-    def gamma(self) -> float: ...
-    @property
-    def sign(self) -> str: ...
-    @property
-    def strength(self) -> str | Estimator | None: ...
-    def settled(self, world: World, *, guided: bool) -> Settings: ...
-
-
 def bottom_up_tables(
     scene: Scene,
     observation: Observation,
-    settings: Settings,
+    settings: SimpleSettings,
     progress: bool | None = None,
     threads: int | None = None,
 ) -> BottomUpTables:

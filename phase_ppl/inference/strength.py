@@ -283,7 +283,7 @@ def analytic_strengths(
     Where agents stand still after each step, two frames in a row tell: driving from rest moves an
     agent by (F - 100 N) / m times the sum over the substeps of the time that is left.
 
-    Arguments as for :class:`~phase_ppl.inference.proposals.strength.Estimator`.
+    Arguments as for :class:`~phase_ppl.inference.strength.Estimator`.
     """
     radius = scene.radius[: len(scene.world.agents)]
     hits = _driving_hits(observation.trajectory, radius, scene.resets_velocity)

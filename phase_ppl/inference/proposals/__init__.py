@@ -1,1 +1,0 @@
-"""What the observation suggests: bottom-up proposals of goals, alpha and strengths."""
