@@ -168,7 +168,6 @@ _ASKED: Final = (
     *("iterations", "budget", "weights", "burn_in"),
     *("on_failure", "retries", "simulation_seconds"),
 )
-_OLDER: Final = {"weights": None, "burn_in": None}  # of files that had no such entries
 _BUDGETS: Final = {"simulations": simulations, "frames": frames, "seconds": seconds}
 
 
@@ -215,7 +214,8 @@ class Checkpoint:
         self.event = dataclasses.replace(event, id=str(document["event_id"]))
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
-        given = {**_OLDER, **document["target"], **document["failures"]}
+        # files of older versions had no weights and burn-in
+        given = {"weights": None, "burn_in": None, **document["target"], **document["failures"]}
         self.asked = {name: given[name] for name in _ASKED}
         if self.asked["budget"] is not None:
             amount, unit = self.asked["budget"]

@@ -45,12 +45,9 @@ PARTICLE_COLUMNS: Final = ("sim_seed", *_PARTICLE)
 def particles_of(state: Any) -> Columns:
     """Return the particles of a kernel's state, on the host.
 
-    Returns:
-        The hypotheses, site by site, and, all (chain,): ``sim_seed``, of their simulations;
-        ``accepted``, whether the iteration's proposal was; ``window``, the first frame of the
-        window it came from, -1 where there is none; ``log_weight``, of the draws up to a constant,
-        0 where the kernel gives none; ``log_evidence`` of the observation, where the kernel
-        estimates it, else NaN.
+    The hypotheses, site by site, the seeds of their simulations, and, all (chain,), whether the
+    iteration's proposal was accepted, the first frame of the window it came from, the log weight of
+    the draw up to a constant and the log evidence of the observation.
     """
     seed = np.asarray(state.sim_seed).astype(np.int64)
     columns = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
@@ -121,11 +118,8 @@ def build_tree(
             {"trajectory": (FRAME, event.observation.trajectory)}, frame_coords
         ),
         "simulations": xr.Dataset(
-            {
-                **{
-                    name: _variable(name, SIMULATION, values, space)
-                    for name, values in table.items()
-                },
+            {name: _variable(name, SIMULATION, values, space) for name, values in table.items()}
+            | {
                 "step_log_likelihood": (
                     (*SIMULATION, "time"),
                     np.where(simulated, by_frame, np.nan).astype(np.float64),

@@ -120,9 +120,11 @@ def window_features(
         size = float(radius[agent])
         rows = []
         for first, last in windows:
-            parts = [_scalars(size, int(last - first), jitter)]
-            parts.append(grips[:, first : last + 1].max(axis=0).mean(axis=0))
-            parts.append(meets[first : last + 1].mean(keepdims=True))
+            parts = [
+                _scalars(size, int(last - first), jitter),
+                grips[:, first : last + 1].max(axis=0).mean(axis=0),
+                meets[first : last + 1].mean(keepdims=True),
+            ]
             for motion, (pooled, driven) in zip(motions, seen, strict=True):
                 inside = slice(first, max(last + 1 - 2 * motion.reach, first))
                 noise = mass(agent, size) * motion.noise / FORCE_UNIT
@@ -307,8 +309,9 @@ def _driving_hits(trajectory: FloatArray, radius: FloatArray, resets: bool) -> F
     n_agents = len(radius)
     hits = np.zeros((max(len(trajectory) - 2, 0), n_agents))
     for agent, size in enumerate(radius.tolist()):
-        own_mass = mass(agent, size, n_agents)
-        force, heading = driving_force(trajectory[:, agent], own_mass)
+        force = driving_force(trajectory[:, agent], mass(agent, size, n_agents))
+        angle = trajectory[1:-1, agent, 2]
+        heading = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
         newtons = np.linalg.norm(force, axis=-1)
         nearest = np.abs(newtons[:, None] - levels).argmin(axis=1)
         exact = np.abs(newtons - levels[nearest]) < TOLERANCE * levels[nearest]
@@ -317,20 +320,18 @@ def _driving_hits(trajectory: FloatArray, radius: FloatArray, resets: bool) -> F
     return hits
 
 
-def _driving_force(track: FloatArray, agent_mass: float) -> tuple[FloatArray, FloatArray]:
-    """Return the force (time - 2, 2) that explains an agent's free motion, and its heading."""
+def _driving_force(track: FloatArray, agent_mass: float) -> FloatArray:
+    """Return the force (time - 2, 2) that explains an agent's free motion."""
     steps = np.diff(track[:, :2], axis=0)
     acceleration = np.diff(steps, axis=0) / STEP**2
     velocity = (steps[1:] + steps[:-1]) / (2 * STEP)
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     moving = speed > MIN_SPEED
     friction = np.where(moving, FLOOR_FRICTION * velocity / np.where(moving, speed, 1.0), 0.0)
-    force = np.where(moving, agent_mass * acceleration + friction, 0.0)
-    angle = track[1:-1, 2]
-    return force, np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    return np.where(moving, agent_mass * acceleration + friction, 0.0)
 
 
-def _force_from_rest(track: FloatArray, agent_mass: float) -> tuple[FloatArray, FloatArray]:
+def _force_from_rest(track: FloatArray, agent_mass: float) -> FloatArray:
     """As :func:`_driving_force`, for agents that stand still after each step."""
     way = np.diff(track[:, :2], axis=0)
     length = np.linalg.norm(way, axis=-1, keepdims=True)
@@ -339,9 +340,7 @@ def _force_from_rest(track: FloatArray, agent_mass: float) -> tuple[FloatArray, 
     force = direction * (FLOOR_FRICTION + agent_mass * length / _FROM_REST)
     # a frame lies within its step: only evenly driven steps show what a step does
     even = np.linalg.norm(np.diff(way, axis=0), axis=-1, keepdims=True) < TOLERANCE * length[1:]
-    angle = track[1:-1, 2]
-    heading = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-    return np.where(even, force[1:], 0.0), heading
+    return np.where(even, force[1:], 0.0)
 
 
 HIDDEN: Final = 64  # units of each of the two hidden layers, as in the paper

@@ -167,22 +167,17 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
     x0, x1, y0, y1 = scene.arena
     farthest = float(np.hypot(x1 - x0, y1 - y0))
     distance = np.empty((len(position), len(world.agents), len(world.goals)))
-    for holder in range(len(world.agents)):
-        for goal in range(len(world.goals)):
-            literal = goal_literal(goal, holder, world)
-            if literal.predicate is Predicate.OWN:
-                own = world.predicates[literal.target]
-                apart, near = own.apart(position, scene), own.brings_near is literal.positive
-                distance[:, holder, goal] = apart if near else np.maximum(0.0, farthest - apart)
-                continue
-            if literal.predicate is Predicate.ON:
-                target = scene.landmark_centres[literal.target]
-            else:
-                target = position[:, literal.target]
+    for holder, goal in np.ndindex(distance.shape[1:]):
+        literal = goal_literal(goal, holder, world)
+        near = literal.positive
+        if literal.predicate is Predicate.OWN:
+            own = world.predicates[literal.target]
+            apart, near = own.apart(position, scene), own.brings_near is literal.positive
+        else:
+            on = literal.predicate is Predicate.ON
+            target = scene.landmark_centres[literal.target] if on else position[:, literal.target]
             apart = np.linalg.norm(position[:, literal.subject] - target, axis=-1)
-            distance[:, holder, goal] = (
-                apart if literal.positive else np.maximum(0.0, farthest - apart)
-            )
+        distance[:, holder, goal] = apart if near else np.maximum(0.0, farthest - apart)
     return distance
 
 
@@ -306,19 +301,14 @@ class _Goals(NamedTuple):
 
 def _goals() -> _Goals:
     rows = []
-    for holder in range(len(AGENTS)):
-        for goal in range(N_GOALS):
-            literal = goal_literal(goal, holder)
-            touch = literal.predicate is Predicate.TOUCH
-            if touch:
-                about = "touch"
-            elif literal.subject >= len(AGENTS):
-                about = "item"
-            else:
-                about = "self" if literal.subject == holder else "other"
-            number = KINDS.index(about) + (not literal.positive)
-            place = (literal.target, 0) if touch else (0, literal.target)
-            rows.append((number, literal.subject, touch, *place))
+    for holder, goal in np.ndindex(len(AGENTS), N_GOALS):
+        literal = goal_literal(goal, holder)
+        touch = literal.predicate is Predicate.TOUCH
+        about = "self" if literal.subject == holder else "other"
+        about = "item" if literal.subject >= len(AGENTS) else about
+        number = KINDS.index("touch" if touch else about) + (not literal.positive)
+        place = (literal.target, 0) if touch else (0, literal.target)
+        rows.append((number, literal.subject, touch, *place))
     columns = np.array(rows).reshape(len(AGENTS), N_GOALS, -1)
     kind, subject, about_agent, agent, landmark = (columns[..., i] for i in range(5))
     return _Goals(kind, subject, about_agent.astype(bool), agent, landmark)
@@ -334,11 +324,8 @@ def goal_features(
 
     A stretch goes from its first to its last frame.
     """
-    tracks = _Tracks(scene, observation)
-    columns = [
-        _features_of(tracks, agent, np.asarray(first), np.asarray(last))
-        for agent in range(len(AGENTS))
-    ]
+    tracks, first, last = _Tracks(scene, observation), np.asarray(first), np.asarray(last)
+    columns = [_features_of(tracks, agent, first, last) for agent in range(len(AGENTS))]
     return np.stack(columns, axis=1)
 
 

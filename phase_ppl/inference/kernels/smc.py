@@ -147,22 +147,10 @@ class SMCState(NamedTuple):
     log_evidence_so_far: jax.Array
     rng_key: jax.Array  # of the places; the population's randomness comes from the first
 
-    @property
-    def z(self) -> dict[str, jax.Array]:
-        sites: dict[str, jax.Array] = self.particle.z
-        return sites
-
-    @property
-    def sim_seed(self) -> Any:
-        return self.particle.sim_seed
-
-    @property
-    def accepted(self) -> Any:
-        return self.particle.accepted
-
-    @property
-    def n_accepted(self) -> Any:
-        return self.particle.n_accepted
+    z = property(lambda self: self.particle.z)
+    sim_seed = property(lambda self: self.particle.sim_seed)
+    accepted = property(lambda self: self.particle.accepted)
+    n_accepted = property(lambda self: self.particle.n_accepted)
 
 
 @register_kernel(
