@@ -147,10 +147,21 @@ class SMCState(NamedTuple):
     log_evidence_so_far: jax.Array
     rng_key: jax.Array  # of the places; the population's randomness comes from the first
 
-    z = property(lambda self: self.particle.z)
-    sim_seed = property(lambda self: self.particle.sim_seed)
-    accepted = property(lambda self: self.particle.accepted)
-    n_accepted = property(lambda self: self.particle.n_accepted)
+    @property
+    def z(self) -> Any:
+        return self.particle.z
+
+    @property
+    def sim_seed(self) -> Any:
+        return self.particle.sim_seed
+
+    @property
+    def accepted(self) -> Any:
+        return self.particle.accepted
+
+    @property
+    def n_accepted(self) -> Any:
+        return self.particle.n_accepted
 
 
 @register_kernel(
