@@ -3,7 +3,7 @@
 from phase_ppl import render as render
 from phase_ppl import study as study
 from phase_ppl.agents.config import PlannerConfig as PlannerConfig
-from phase_ppl.analysis import plots as _plots
+from phase_ppl.analysis import figures as _plots
 from phase_ppl.analysis.comparison import Comparison as Comparison
 from phase_ppl.analysis.design import Design as Design
 from phase_ppl.analysis.estimate import Estimate as Estimate

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 def test_every_public_name_is_there_and_is_what_it_is_called(name: str) -> None:
     found = getattr(ppl, name)
     called = getattr(found, "__name__", name).split(".")[-1]
-    others = {"plot": "plots"}
+    others = {"plot": "figures"}
     assert called == others.get(name, name)
 
 

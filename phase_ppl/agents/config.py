@@ -6,8 +6,13 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final
 
-from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, check_name
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_name,
+    nonnegative_number,
+    positive_number,
+    whole_number,
+)
 
 _REMOVED: Final = {"tree_reuse": False}
 """Settings of older versions -> the value that all of the present ones behave as."""

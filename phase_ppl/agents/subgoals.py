@@ -12,9 +12,8 @@ import dataclasses
 import functools
 from collections.abc import Callable
 
-from phase_ppl.agents.operators import Finder, Step, Target, plans_of, start_node
 from phase_ppl.agents.standpoints import Stance
-from phase_ppl.agents.symbols import SymbolicState
+from phase_ppl.agents.symbols import Finder, Step, SymbolicState, Target, plans_of, start_node
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 

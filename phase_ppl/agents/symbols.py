@@ -1,22 +1,40 @@
-"""From belief particles to symbolic states: the facts that the subgoal planner reasons over.
+"""The world in symbols, as the subgoal planner sees it: states, operators, and A* over them.
 
-Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
+A belief particle becomes a symbolic state. Operators of agents: go to a room, touch, attach, carry
+(one or more holders) to a room, place on the landmark, let go, settle on a landmark, stand in a
+door. Preconditions come from the physics: door width against size, force of the holders against
+floor friction, who holds. Costs are path lengths between rooms. Source: paper, Appendices
+"Predicates, Symbolic States, Goals, and Subgoals" and "Hierarchical Planner" (the paper names A*
+and the predicates; the operators are ours).
 """
 
 from __future__ import annotations
 
+import functools
+import heapq
+import itertools
 import struct
+import typing
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.world_model import DISTANCE_UNIT, Layout, body_origin, path_distance, room_of
+from phase_ppl.agents.world_model import (
+    DISTANCE_UNIT,
+    Abilities,
+    Layout,
+    body_origin,
+    path_distance,
+    room_of,
+)
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.names import Predicate
+from phase_ppl.world.names import NOTHING, Literal, Predicate
 
 NEAR_AGENT_ON: Final = 0.02 * DISTANCE_UNIT
 """An agent is done with ON(itself, landmark) this close to the centre, units."""
@@ -148,3 +166,214 @@ def describe(
         for g in range(goals.shape[0]):
             done[g, k] = _done(particle, goals[g], params, layout)
             costs[g, k] = _cost_to_go(particle, held[k], agent, goals[g], params, layout)
+
+
+# --- operators ---------------------------------------------------------------------------------
+
+TOUCH_COST: Final = 3.0
+GRIP_COST: Final = 0.5
+PLACE_COST: Final = 3.0
+MAX_EXPANSIONS: Final = 4000
+
+
+class Node(NamedTuple):
+    """A state of the search: rooms and holds change; ``near`` and ``placed`` are reached facts."""
+
+    rooms: tuple[int, ...]
+    held: tuple[int, ...]
+    near: tuple[int, ...]
+    """Entity each agent is at, within grab range; -1 for none."""
+    placed: tuple[bool, ...]
+    """Whether each entity has been brought to the landmark of its room."""
+    clear: tuple[int, ...]
+    """Door filled by each item, or -1."""
+
+
+class Target(NamedTuple):
+    """What a plan is to attain: something of an entity has one of some values."""
+
+    field: typing.Literal["rooms", "held", "clear"]
+    entity: int  # as ``field`` of a node counts: all entities, the agents, or the items
+    values: frozenset[int]
+    placed: bool = False  # and it has been brought to the landmark of its room
+
+    def reached(self, node: Node) -> bool:
+        """Whether a state has it."""
+        value = getattr(node, self.field)[self.entity]
+        return value in self.values and (not self.placed or node.placed[self.entity])
+
+
+class Step(NamedTuple):
+    """One operator in a plan: who acts, the subgoal literal, and the state it leads to."""
+
+    agents: tuple[int, ...]
+    literal: Literal
+    cost: float
+    result: Node
+
+
+def _set(values: tuple, index: int, value: object) -> tuple:  # type: ignore[type-arg]
+    return (*values[:index], value, *values[index + 1 :])
+
+
+def start_node(state: SymbolicState, done: tuple[bool, ...], targets: frozenset[int]) -> Node:
+    """Return the search node of a symbolic state; only targets count as near."""
+    n_agents, n_items = len(state.held), len(state.door_filled_by)
+    near = [NOTHING] * n_agents
+    for agent, item in np.argwhere(np.reshape(state.in_reach, (n_agents, n_items))).tolist():
+        if near[agent] == NOTHING and n_agents + item in targets:
+            near[agent] = n_agents + item
+    return Node(state.rooms, state.held, tuple(near), done, state.door_filled_by)
+
+
+def _door_free(node: Node, abilities: Abilities, door: int, carried: int) -> bool:
+    return not any(
+        filled == door and abilities.fills[item][door] and len(node.held) + item != carried
+        for item, filled in enumerate(node.clear)
+    )
+
+
+def moves(
+    node: Node, agent: int, willing: tuple[int, ...], targets: frozenset[int], abilities: Abilities
+) -> Iterator[Step]:
+    """Yield the operators of one agent that can be used in a state.
+
+    Args:
+        node: the state.
+        agent: who acts.
+        willing: agents that take part in the plan.
+        targets: entities that matter; others are not touched, carried or placed.
+        abilities: what the bodies can do.
+    """
+    rooms, held, near, placed, clear = node
+    n_agents, item, room = len(held), held[agent], rooms[agent]
+    actors: tuple[int, ...] = (agent,)
+
+    def step(predicate: Predicate, subject: int, target: int, cost: float, node: Node) -> Step:
+        return Step(actors, Literal(predicate, subject, target), cost, node)
+
+    if item == NOTHING:
+        for door, following in abilities.neighbours[room]:
+            if abilities.passes[agent][door] and _door_free(node, abilities, door, NOTHING):
+                there = _set(rooms, agent, following), held, _set(near, agent, NOTHING)
+                after = Node(*there, _set(placed, agent, False), clear)
+                length = abilities.room_distance[room][following]
+                yield step(Predicate.CLOSE, agent, following, length, after)
+        for target in targets:
+            if target != agent and rooms[target] == room and near[agent] != target:
+                after = Node(rooms, held, _set(near, agent, target), placed, clear)
+                yield step(Predicate.TOUCH, agent, target, TOUCH_COST, after)
+        target = near[agent]
+        if target >= n_agents and target in targets:
+            after = Node(rooms, _set(held, agent, target), near, placed, clear)
+            yield step(Predicate.ATTACH, agent, target, GRIP_COST, after)
+        landmark = abilities.landmark_in[room]
+        if agent in targets and not placed[agent] and landmark != NOTHING:
+            after = Node(rooms, held, near, _set(placed, agent, True), clear)
+            yield step(Predicate.ON, agent, landmark, PLACE_COST, after)
+        return
+    after = Node(rooms, _set(held, agent, NOTHING), _set(near, agent, item), placed, clear)
+    yield Step(actors, Literal(Predicate.ATTACH, agent, item, positive=False), GRIP_COST, after)
+    others = [a for a, thing in enumerate(held) if a != agent and thing == item]
+    actors = (agent, *(other for other in others if other in willing))
+    if not abilities.carries(*actors, holders=1 + len(others)) or item not in targets:
+        return
+    movers = (agent, item, *others)
+    emptied = _set(clear, item - n_agents, -1)
+    apart = [e for e in movers if abilities.route((e,), rooms[e], rooms[item]) is None]
+    for door, following in abilities.neighbours[rooms[item]]:
+        # a holder beyond the door need not pass it; one before it must also be with the item
+        passing = all(
+            abilities.passes[e][door] and e not in apart for e in movers if rooms[e] != following
+        )
+        if passing and _door_free(node, abilities, door, item):
+            moved, lifted = rooms, placed
+            for entity in movers:
+                moved, lifted = _set(moved, entity, following), _set(lifted, entity, False)
+            length = abilities.room_distance[rooms[item]][following]
+            after = Node(moved, held, near, lifted, emptied)
+            yield step(Predicate.CLOSE, item, following, length, after)
+    landmark = abilities.landmark_in[rooms[item]]
+    if not apart and not placed[item] and landmark != NOTHING:
+        after = Node(rooms, held, near, _set(placed, item, True), emptied)
+        yield step(Predicate.ON, item, landmark, PLACE_COST, after)
+
+
+def plan(
+    start: Node,
+    willing: tuple[int, ...],
+    targets: frozenset[int],
+    is_goal: Callable[[Node], bool],
+    heuristic: Callable[[Node], float],
+    abilities: Abilities,
+    hopeless: set[Node] | None = None,
+) -> list[Step] | None:
+    """Return the cheapest sequence of operators to a goal node by A*, or None.
+
+    Args:
+        start: where the search begins.
+        willing: agents whose operators may be used.
+        targets: entities that matter to the goal; others are not touched or carried.
+        is_goal: goal test.
+        heuristic: admissible lower bound of the cost left.
+        hopeless: states from which such a goal is known to be out of reach; where a search ends as
+            no state is left, all that it saw are added.
+    """
+    if hopeless is not None and start in hopeless:
+        return None
+    order = itertools.count()
+    frontier: list[tuple[float, int, float, Node]] = [(heuristic(start), next(order), 0.0, start)]
+    best = {start: 0.0}
+    came: dict[Node, tuple[Node, Step]] = {}
+    for _ in range(MAX_EXPANSIONS):
+        if not frontier:
+            if hopeless is not None:
+                hopeless.update(best)
+            return None
+        _, _, cost, node = heapq.heappop(frontier)
+        if cost > best[node]:
+            continue
+        if is_goal(node):
+            steps: list[Step] = []
+            while node in came:
+                node, step = came[node]
+                steps.append(step)
+            return steps[::-1]
+        for agent in willing:
+            for step in moves(node, agent, willing, targets, abilities):
+                total = cost + step.cost
+                if total < best.get(step.result, np.inf):
+                    best[step.result] = total
+                    came[step.result] = (node, step)
+                    estimate = total + heuristic(step.result)
+                    heapq.heappush(frontier, (estimate, next(order), total, step.result))
+    return None
+
+
+Finder = Callable[
+    [Node, tuple[int, ...], frozenset[int], Target, tuple[int, int] | None], list[Step] | None
+]
+"""Arguments as of :func:`plan`; at last an entity, and a room that it has to get to, if there is
+one: a lower bound of the cost left."""
+
+
+def plans_of(abilities: Abilities) -> Finder:
+    """Return what finds the cheapest plans of bodies; each is looked for once."""
+    distance = abilities.room_distance
+    hopeless: defaultdict[tuple[object, ...], set[Node]] = defaultdict(set)
+
+    @functools.cache
+    def find(
+        start: Node,
+        willing: tuple[int, ...],
+        targets: frozenset[int],
+        goal: Target,
+        heading: tuple[int, int] | None,
+    ) -> list[Step] | None:
+        def heuristic(node: Node) -> float:
+            return 0.0 if heading is None else distance[node.rooms[heading[0]]][heading[1]]
+
+        known = hopeless[willing, targets, goal]
+        return plan(start, willing, targets, goal.reached, heuristic, abilities, known)
+
+    return find

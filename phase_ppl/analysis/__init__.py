@@ -12,5 +12,5 @@ Numbers, each built on those before it:
   models apart.
 
 ``diagnostics`` says how chains went and has draws for ArviZ, ``verdict`` says whether they can be
-trusted. ``plots`` lists the figures, which are in ``figures/``.
+trusted. ``figures`` draws them, as ``ppl.plot``.
 """

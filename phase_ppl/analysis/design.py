@@ -25,8 +25,13 @@ from scipy.special import gammaln, logsumexp
 from phase_ppl.analysis.estimate import Estimate, entropy
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    check_name,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.files import write_json
 from phase_ppl.world.picture import plain, preformatted
 

@@ -22,12 +22,12 @@ from phase_ppl.analysis.quantities import Quantity, relations_of
 from phase_ppl.analysis.query import Clause, Conditions, conditions, understood
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     QueryError,
     check_name,
+    whole_number,
 )
 from phase_ppl.world.picture import LABEL, bars, preformatted
 from phase_ppl.world.space import HypothesisSpace

@@ -29,8 +29,7 @@ from phase_ppl.analysis.tree import (
 )
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, whole_number
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
 

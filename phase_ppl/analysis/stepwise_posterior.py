@@ -37,12 +37,12 @@ from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     QueryError,
     UnknownNameError,
+    whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import existing_file

@@ -24,8 +24,15 @@ from phase_ppl.simulator.contract import Simulator, random_generator, simulate_t
 from phase_ppl.simulator.joint import JointSimulator, Past
 from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown, unknown_name
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_name,
+    number_of_workers,
+    positive_number,
+    shown,
+    unknown_name,
+    whole_number,
+)
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true
 from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, Roles, checked_strength

@@ -19,8 +19,7 @@ from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
 from phase_ppl.dataset.statistics import PHASE
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import check_output, writable_folder, write_json
 

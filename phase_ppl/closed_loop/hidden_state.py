@@ -27,8 +27,12 @@ from phase_ppl.physics.constants import WORLD_INNER_STEPS
 from phase_ppl.physics.flat import to_state
 from phase_ppl.simulator.joint import Past
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    nonnegative_number,
+    positive_number,
+    whole_number,
+)
 from phase_ppl.world.event import State
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.scene import Scene

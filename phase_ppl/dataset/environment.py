@@ -18,8 +18,13 @@ from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.render.frames import Painter
 from phase_ppl.world import worlds
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of, whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    instance_of,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event, Observation, Truth
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
 from phase_ppl.world.hypothesis import STRENGTH, Roles

@@ -72,8 +72,7 @@ import numpy as np
 
 from phase_ppl.dataset.documents import event_id, only, optional, per_name, require
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, shown
+from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import (
     FRAMES_PER_SECOND,
     SHOWN_SECONDS_PER_FRAME,

@@ -57,8 +57,7 @@ from phase_ppl.dataset.events_json import (
     turned,
 )
 from phase_ppl.dataset.hdf5 import check_hdf5, netcdf_bytes, reading
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, shown
+from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.scene import PHASE, Turning, World, finite_array, one_or_all

@@ -14,8 +14,7 @@ from typing import Any, Final
 from phase_ppl.dataset import events_json
 from phase_ppl.dataset.documents import check_ids, naming, parse_document, read_document
 from phase_ppl.dataset.events_json import Entries, event_from_record, turned
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import whole_number
 
 Figure = dict[str, float | None]  # ``value``, ``ci_low``, ``ci_high``
 LEVEL: Final = 0.95  # share of the resampled values between ``ci_low`` and ``ci_high``

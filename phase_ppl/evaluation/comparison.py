@@ -31,13 +31,14 @@ from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evalua
 from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_curve
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.tables import world_of
-from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     PhasePPLError,
     check_name,
+    number_or_nan,
     shown,
+    whole_number,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json

@@ -25,8 +25,12 @@ from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_wor
 from phase_ppl.evaluation.tables import world_of
 from phase_ppl.simulator.contract import described
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    SimulationError,
+    UnknownNameError,
+    whole_number,
+)
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions

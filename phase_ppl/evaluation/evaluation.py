@@ -43,13 +43,13 @@ from phase_ppl.evaluation.metrics import (
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.tables import world_of
-from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
     PhasePPLError,
     check_name,
+    number_or_nan,
     shown,
 )
 from phase_ppl.world.event import Event

@@ -32,10 +32,15 @@ from typing import Any, Final, Literal
 import numpy as np
 import pandas as pd
 
-from phase_ppl.evaluation.csv_file import read_columns
+from phase_ppl.dataset.documents import read_columns
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import positive_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    check_name,
+    positive_number,
+    shown,
+)
 
 LABELS: Final = (
     "not interacting", "interacting unintentionally", "chasing", "running away", "stalking",

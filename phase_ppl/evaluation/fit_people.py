@@ -16,8 +16,7 @@ from phase_ppl.evaluation.judgments import Study, all_events, judged, load_judgm
 from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of
 from phase_ppl.evaluation.observers.fit import PeopleFit, as_observer, sampled
 from phase_ppl.models.observers import Evidence, Perception, Program
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.errors import InvalidEventError, whole_number
 from phase_ppl.world.event import Event
 from phase_ppl.world.scene import check_is_phase
 

@@ -51,8 +51,13 @@ from phase_ppl.evaluation.paper import (
 )
 from phase_ppl.evaluation.registry import model_info, not_installed
 from phase_ppl.inference.settings import simulations
-from phase_ppl.world.checks import number_of_workers, whole_number
-from phase_ppl.world.errors import InvalidSettingError, OutputError, check_name
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    OutputError,
+    check_name,
+    number_of_workers,
+    whole_number,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
@@ -398,7 +403,7 @@ def _drawings(
     events: Sequence[Event], tags: Tags | None, likeness: Likeness | None, real: bool
 ) -> Iterator[tuple[str, str, Callable[[], Drawn]]]:
     """Yield title, words and what draws it."""
-    from phase_ppl.analysis import plots
+    from phase_ppl.analysis import figures as plots
     from phase_ppl.dataset.statistics import statistics
 
     yield (

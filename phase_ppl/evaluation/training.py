@@ -35,8 +35,13 @@ from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.graphs import Examples, frame_graphs
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, needs_torch
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    OutputError,
+    PhasePPLError,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import differences, versions

@@ -58,13 +58,14 @@ from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STREN
 from phase_ppl.simulator.processes import slots_of
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of, whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     SimulationError,
+    instance_of,
     shown,
     unknown_name,
+    whole_number,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked

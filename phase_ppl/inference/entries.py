@@ -14,8 +14,7 @@ from phase_ppl.inference.registry import KernelInfo, described
 from phase_ppl.inference.run import Kernel, Run
 from phase_ppl.inference.settings import PRESETS, SimpleSettings, completed
 from phase_ppl.models.model import Model
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
+from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, instance_of, shown
 from phase_ppl.world.event import Event
 
 Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]  # A kernel, or a kernel and its options

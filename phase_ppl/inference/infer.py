@@ -14,8 +14,7 @@ from phase_ppl.inference.sampler import RunOptions, sample
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, OutputError, shown
+from phase_ppl.world.errors import InvalidSettingError, OutputError, instance_of, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
 from phase_ppl.world.identity import differences, event_digest, versions_so_far

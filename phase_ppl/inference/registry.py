@@ -28,8 +28,7 @@ from numpyro.infer.hmc import HMC
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, shown, whole_number
 from phase_ppl.world.registry import Registry
 
 Validity = Literal["exact", "consistent", "approximate"]

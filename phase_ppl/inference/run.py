@@ -38,8 +38,13 @@ from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, event_salt
 from phase_ppl.models.roles import WorldPrior, as_given
-from phase_ppl.world.checks import instance_of, whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    instance_of,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
 from phase_ppl.world.scene import check_is_phase

@@ -41,13 +41,14 @@ from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.roles import drawn_stated
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
-from phase_ppl.world.checks import check_memory, whole_number
 from phase_ppl.world.errors import (
     InvalidSettingError,
     OutputError,
     SimulationError,
+    check_memory,
     check_name,
     shown,
+    whole_number,
 )
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.identity import versions

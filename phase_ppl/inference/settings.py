@@ -7,8 +7,15 @@ from collections.abc import Mapping
 from typing import Any, Final, Literal, get_args
 
 from phase_ppl.inference.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
-from phase_ppl.world.checks import nonnegative_number, number_or_nan, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    nonnegative_number,
+    number_or_nan,
+    positive_number,
+    shown,
+    unknown_name,
+    whole_number,
+)
 from phase_ppl.world.scene import PHASE, World
 
 Sign = Literal["intended", "printed"]

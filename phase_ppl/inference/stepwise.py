@@ -22,8 +22,13 @@ from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    instance_of,
+    number_of_workers,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.progress import counted, is_shown

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.world.checks import positive_number
+from phase_ppl.world.errors import positive_number
 from phase_ppl.world.names import ENTITIES
 
 if TYPE_CHECKING:

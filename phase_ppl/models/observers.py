@@ -32,8 +32,13 @@ from numpy.typing import ArrayLike
 
 from phase_ppl.dataset.motion import items_held, moves_to_the_end
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.checks import nonnegative_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_name,
+    nonnegative_number,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS

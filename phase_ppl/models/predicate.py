@@ -22,13 +22,27 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.operators import TOUCH_COST, Node, Step, moves, plan
-from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
+from phase_ppl.agents.symbols import (
+    NEAR_AGENT_ON,
+    NEAR_ITEM_ON,
+    NEAR_TOUCH,
+    TOUCH_COST,
+    Node,
+    Step,
+    moves,
+    plan,
+)
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.dataset.motion import HELD_WITHIN, items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
-from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_name,
+    nonnegative_number,
+    positive_number,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import Observation
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, possible_goals
@@ -136,7 +150,7 @@ def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
 
 
 # --- what is left to do for a goal, in symbols: the cost of the cheapest plan ---------------------
-# Plans are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.operators`) by bodies that
+# Plans are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.symbols`) by bodies that
 # can do everything: they pass every door, close none, and carry any item alone. Costs are its
 # too: lengths of ways from room to room, and constants for touching, gripping and placing.
 

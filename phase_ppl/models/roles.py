@@ -39,8 +39,7 @@ from phase_ppl.models.density import Program, remembered
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, shown, whole_number
 from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Roles
 from phase_ppl.world.identity import qualified_name

@@ -17,8 +17,13 @@ from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models import effective, roles
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    nonnegative_number,
+    positive_number,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.scene import PHASE, World
 
 

@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, whole_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation

@@ -27,8 +27,14 @@ from phase_ppl.render.frames import (
     side_by_side,
     write_centred,
 )
-from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    number_of_workers,
+    positive_number,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, atomic_output, writable_folder
 from phase_ppl.world.progress import Bar, counted

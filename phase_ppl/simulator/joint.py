@@ -17,8 +17,14 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action, executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.contract import Simulator, simulate_trajectory
-from phase_ppl.world.checks import check_memory, instance_of, nonnegative_number, whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    check_memory,
+    instance_of,
+    nonnegative_number,
+    whole_number,
+)
 from phase_ppl.world.event import MIN_FRAMES, Event, Observation, State, Thoughts, Truth
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, deepest_overlap
 from phase_ppl.world.hypothesis import STRENGTH, Hypothesis, Roles

@@ -20,7 +20,7 @@ from phase_ppl.agents.world_model import WorldModel, body_origin
 from phase_ppl.physics import compiled
 from phase_ppl.simulator.joint import run_briefly
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import positive_number
+from phase_ppl.world.errors import positive_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, State
 from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.names import NOTHING, Literal, Predicate

@@ -37,8 +37,7 @@ import cloudpickle
 import loky
 
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, described, too_long
-from phase_ppl.world.checks import number_of_workers
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, number_of_workers, shown
 
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")

@@ -32,8 +32,14 @@ from phase_ppl.simulator.processes import (
     slots_of,
 )
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    SimulationError,
+    check_name,
+    positive_number,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.scene import Scene

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
 import json
 import math
 import statistics
@@ -16,7 +18,6 @@ import numpy as np
 
 from phase_ppl import __version__
 from phase_ppl.dataset.load import save_events
-from phase_ppl.evaluation.csv_file import csv_bytes
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.physics.pymunk_world import PymunkWorld
@@ -244,7 +245,7 @@ def write(
     for name, rows in tables.items():
         columns = list(_columns(settings.world)[name])
         cells = ([row[column] for column in columns] for row in rows)
-        write_bytes(out / name, (".csv",), csv_bytes(columns, cells))
+        write_bytes(out / name, (".csv",), _csv_bytes(columns, cells))
     readme = _readme(store, settings, len(included), include, files, _totals(asked))
     write_bytes(out / README, (".md",), readme.encode())
 
@@ -449,3 +450,12 @@ def _others(include: Sequence[str]) -> str:
     beside = [name for name in ("unfinished", "excluded") if name in include]
     text = f", and those {' or '.join(beside)}" if beside else ""
     return text + ("" if "flagged" in include else ", without those flagged by attention checks")
+
+
+def _csv_bytes(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
+    """Return a CSV file of rows; cells that are None stay empty."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(["" if cell is None else cell for cell in row] for row in rows)
+    return text.getvalue().encode()

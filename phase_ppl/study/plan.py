@@ -15,7 +15,7 @@ from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.evaluation.prediction import pairs_of
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Participant
-from phase_ppl.world.checks import number_or_nan
+from phase_ppl.world.errors import number_or_nan
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import Literal, Predicate

@@ -29,7 +29,7 @@ from phase_ppl.study import plan
 from phase_ppl.study.clips import clips_of
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Participant, Refused, Store
-from phase_ppl.world.checks import number_or_nan
+from phase_ppl.world.errors import number_or_nan
 from phase_ppl.world.event import Event
 
 STATIC: Final = Path(__file__).parent / "static"

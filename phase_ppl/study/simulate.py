@@ -35,8 +35,14 @@ from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
 from phase_ppl.study.study import CLIPS_FOLDER, VIDEOS, Study
-from phase_ppl.world.checks import nonnegative_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    SimulationError,
+    check_name,
+    nonnegative_number,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.hypothesis import scenario
 from phase_ppl.world.progress import Bar
 

@@ -32,8 +32,13 @@ from phase_ppl.study.clips import clips_of, make_clips
 from phase_ppl.study.exports import Status
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.store import Stimulus, Store
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, check_name
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    check_name,
+    whole_number,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, existing_file, locked, writable_folder, write_bytes
 from phase_ppl.world.goals import goal_index

@@ -10,8 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    check_name,
+    instance_of,
+    shown,
+)
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import (
     RELATIONS,

@@ -12,8 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.world.checks import check_fields, instance_of
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    UnknownNameError,
+    check_fields,
+    check_name,
+    instance_of,
+    shown,
+)
 from phase_ppl.world.goals import (
     GOALS,
     N_GOALS,

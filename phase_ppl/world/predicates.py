@@ -16,8 +16,15 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.world.arrays import BoolArray, FloatArray
-from phase_ppl.world.checks import check_fields, instance_of, number_or_nan, positive_number
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_fields,
+    check_name,
+    instance_of,
+    number_or_nan,
+    positive_number,
+    shown,
+)
 from phase_ppl.world.rooms import in_words
 
 _MARGIN: Final = 0.5

@@ -19,13 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import check_fields, instance_of, number_or_nan, whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
+    check_fields,
     check_name,
+    instance_of,
+    number_or_nan,
     shown,
     unknown_name,
+    whole_number,
 )
 from phase_ppl.world.geometry import deepest_overlap
 from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS, Predicate

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import check_name
+from phase_ppl.world.errors import check_name, instance_of
 from phase_ppl.world.scene import PHASE, World
 
 __all__ = ["PHASE", "SOLO", "TRIO", "available", "named"]

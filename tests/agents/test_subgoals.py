@@ -14,10 +14,9 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.agents.operators import Target, plan, plans_of, start_node
 from phase_ppl.agents.standpoints import stance
 from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planners
-from phase_ppl.agents.symbols import SymbolicState
+from phase_ppl.agents.symbols import SymbolicState, Target, plan, plans_of, start_node
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.goals import goal_index, goal_literal, possible_goals
 from phase_ppl.world.names import STOP, Literal, Predicate

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from phase_ppl.analysis import plots
+from phase_ppl.analysis import figures as plots
 from phase_ppl.analysis.comparison import (
     CURVE_COLUMNS,
     MEASURES,

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
 import phase_ppl as ppl
-from phase_ppl.analysis import plots
+from phase_ppl.analysis import figures as plots
 from phase_ppl.analysis.figures.beliefs import beliefs_of, discovery
 from phase_ppl.analysis.figures.style import MANY_COLOURS, OTHER
 from phase_ppl.analysis.posterior import Posterior
@@ -68,7 +68,7 @@ def test_figures_are_written_and_bad_paths_are_named(tmp_path: Path) -> None:
 
 def test_importing_the_figures_imports_neither_pyplot_nor_arviz_nor_jax() -> None:
     code = (
-        "import sys, phase_ppl.analysis.plots;"
+        "import sys, phase_ppl.analysis.figures;"
         "print([m for m in ('matplotlib', 'arviz', 'jax', 'numpyro') if m in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

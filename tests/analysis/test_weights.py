@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from phase_ppl.analysis import plots
+from phase_ppl.analysis import figures as plots
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import log_sum_exp, normalised, truncated

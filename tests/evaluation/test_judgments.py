@@ -153,7 +153,7 @@ def test_bad_file_is_refused_with_its_line(
 def test_what_is_no_file_or_too_large_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phase_ppl.evaluation.csv_file.MAX_BYTES", 100)
+    monkeypatch.setattr("phase_ppl.dataset.documents.MAX_BYTES", 100)
     for path, message in (
         (tmp_path / "none.csv", "no such file"),
         (tmp_path, "no such file"),

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -16,6 +15,8 @@ from phase_ppl.world.errors import (
     PhasePPLError,
     SimulationError,
     UnknownNameError,
+    nonnegative_number,
+    positive_number,
     shown,
     unknown_name,
 )

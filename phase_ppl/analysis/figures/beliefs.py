@@ -14,8 +14,7 @@ from phase_ppl.analysis.figures.posterior import draw_arena, draw_entity
 from phase_ppl.analysis.figures.style import NORMAL, figure_of, in_style, new_figure, written
 from phase_ppl.dataset.motion import items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, whole_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, State
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis

@@ -24,8 +24,7 @@ from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, instance_of, shown
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.picture import trail_colour

@@ -17,8 +17,16 @@ from phase_ppl.dataset.motion import observed_turning
 from phase_ppl.render.frames import BACKGROUND, Painter, Pixels, panel, side_by_side, write_centred
 from phase_ppl.world import worlds
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import instance_of, nonnegative_number, number_or_nan, whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    instance_of,
+    nonnegative_number,
+    number_or_nan,
+    shown,
+    unknown_name,
+    whole_number,
+)
 from phase_ppl.world.event import MIN_FRAMES, SHOWN_SECONDS_PER_FRAME, Event, Observation
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.geometry import agent_outline, is_agent

@@ -40,8 +40,13 @@ from phase_ppl.dataset.generation.situation import (
     item_to,
 )
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown, unknown_name
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_name,
+    shown,
+    unknown_name,
+    whole_number,
+)
 from phase_ppl.world.goals import goal_literal, is_true
 from phase_ppl.world.hypothesis import (
     RELATION_OF_SCENARIO,

@@ -25,8 +25,7 @@ from phase_ppl.dataset.motion import last_motion
 from phase_ppl.physics.actions import DIRECTIONS, NO_ACTION, Action
 from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals

@@ -20,8 +20,15 @@ import numpy as np
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.families import MOST_CHANGES, Family, family_of
 from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.world.checks import check_memory, instance_of, number_or_nan, whole_number
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_memory,
+    check_name,
+    instance_of,
+    number_or_nan,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World

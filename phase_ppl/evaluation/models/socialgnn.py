@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import register_model
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, whole_number
 from phase_ppl.world.event import Observation
 from phase_ppl.world.scene import Scene
 

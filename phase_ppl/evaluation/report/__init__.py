@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 import phase_ppl
-from phase_ppl.analysis import plots
+from phase_ppl.analysis import figures as plots
 from phase_ppl.analysis.figures.posterior import titles
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior

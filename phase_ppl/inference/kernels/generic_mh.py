@@ -25,8 +25,7 @@ from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.checks import number_or_nan, positive_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, number_or_nan, positive_number, shown
 from phase_ppl.world.goals import neighbouring_goals
 from phase_ppl.world.space import HypothesisSpace
 

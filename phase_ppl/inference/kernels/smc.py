@@ -32,8 +32,7 @@ from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, Sites, log_density
 from phase_ppl.models.likelihood import TrajectoryLikelihood
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.checks import number_or_nan
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
 
 _BISECTIONS = 40
 

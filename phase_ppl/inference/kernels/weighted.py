@@ -32,8 +32,7 @@ from phase_ppl.models.program import EventProgram
 from phase_ppl.models.roles import WorldPrior, masses_of, space_of_prior
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import number_or_nan, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, whole_number
 
 
 class WeightedState(NamedTuple):

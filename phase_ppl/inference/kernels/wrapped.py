@@ -32,8 +32,7 @@ from phase_ppl.inference.kernels.metropolis import EventKernel, ParticleKernel, 
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, latent_sites, trace_log_density
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.checks import positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, positive_number, whole_number
 
 SEED_BITS: Final = 24  # so many bits of a uniform number in single precision make a seed
 

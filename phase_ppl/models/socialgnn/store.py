@@ -31,8 +31,14 @@ from phase_ppl.models.socialgnn.graphs import (
     n_context,
     n_nodes,
 )
-from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_name,
+    instance_of,
+    number_or_nan,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS

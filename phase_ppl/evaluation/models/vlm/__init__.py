@@ -16,8 +16,9 @@ for each request and seed, ``KEY-SEED.json``, where KEY is a hash of what determ
     }
 
 An attempt has either a text or a failure, and what is known of ``finish``, ``model``,
-``tokens_in``, ``tokens_out`` and ``requests`` (:class:`~phase_ppl.evaluation.vlm.request.Reply`);
-one request goes without saying. ``seconds`` include the drawing.
+``tokens_in``, ``tokens_out`` and ``requests``
+(:class:`~phase_ppl.evaluation.models.vlm.request.Reply`); one request goes without saying.
+``seconds`` include the drawing.
 """
 
 from __future__ import annotations
@@ -40,9 +41,7 @@ from phase_ppl.dataset.documents import (
     read_json,
     require,
 )
-from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.registry import Answer, register_model
-from phase_ppl.evaluation.vlm.request import (
+from phase_ppl.evaluation.models.vlm.request import (
     REMAINING,
     TEXT,
     Client,
@@ -56,15 +55,19 @@ from phase_ppl.evaluation.vlm.request import (
     sha256,
     writable,
 )
-from phase_ppl.evaluation.vlm.services import LONGEST_WAIT, Service, make_service
-from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
+from phase_ppl.evaluation.models.vlm.services import LONGEST_WAIT, Service, make_service
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.registry import Answer, register_model
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
     InvalidSettingError,
     OutputError,
     check_name,
+    instance_of,
+    number_or_nan,
     shown,
+    whole_number,
 )
 from phase_ppl.world.event import Observation
 from phase_ppl.world.files import writable_folder, write_json
@@ -276,7 +279,7 @@ def vlm(
 
     Args:
         client: "google", "openai" (or whatever speaks the same), or a function that takes a
-            :class:`~phase_ppl.evaluation.vlm.request.Request` and returns a text.
+            :class:`~phase_ppl.evaluation.models.vlm.request.Request` and returns a text.
         name: of the model, as the service calls it; for Google the paper's, gemini-2.5-pro. For a
             function, the name under which its answers are kept, by default its own.
         store: folder in which answers are kept; one that is there is not asked for again.
@@ -293,9 +296,9 @@ def vlm(
         timeout: seconds that a service may take for an answer; by default 300.
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
-        remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.request.REMAINING`).
+        remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.models.vlm.request.REMAINING`).
         prompt: a text file with a prompt of one's own, in which ``{goals}`` stands for the names of
-            the goals; by default :data:`phase_ppl.evaluation.vlm.request.TEXT`.
+            the goals; by default :data:`phase_ppl.evaluation.models.vlm.request.TEXT`.
     """
     if client is None:
         raise InvalidSettingError(

@@ -24,8 +24,13 @@ import numpy as np
 from phase_ppl.dataset.documents import parse_text
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import number_or_nan
-from phase_ppl.world.errors import AnswerError, InvalidEventError, shown, unknown_name
+from phase_ppl.world.errors import (
+    AnswerError,
+    InvalidEventError,
+    number_or_nan,
+    shown,
+    unknown_name,
+)
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS

@@ -21,10 +21,9 @@ import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from phase_ppl.evaluation.models.vlm.request import NoReply, Reply, Request, in_a_line
 from phase_ppl.evaluation.registry import check_installed
-from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request, in_a_line
-from phase_ppl.world.checks import number_or_nan
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
 
 SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the module that it needs
 
