@@ -7,7 +7,6 @@ import json
 import pickle
 import shutil
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -131,8 +130,7 @@ def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(tmp_
     cells = {"chasing": 1, "hinder:LMA": 1}
     given = {**QUICK, "cells": cells, "seed": 4, "frames": 34}
     one = generate(tmp_path / "one", **given)
-    with ThreadPoolExecutor(2) as executor:  # which is given what processes are
-        two = generate(tmp_path / "two", **{**given, "workers": 2, "executor": executor})
+    two = generate(tmp_path / "two", **{**given, "workers": 2})
     assert [event.id for event in one] == [event.id for event in two]
     for first, second in zip(one, two, strict=True):
         np.testing.assert_array_equal(first.observation.trajectory, second.observation.trajectory)

@@ -43,6 +43,7 @@ from phase_ppl.dataset.generation.situation import (
     walls_of,
 )
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.geometry import heading
 from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
 from phase_ppl.world.names import BLUE_ITEM, NOTHING, Predicate
@@ -275,11 +276,17 @@ def test_opponents_must_meet() -> None:
     assert verdict(made, "opposing") is None
 
 
-def test_items_that_were_touched_are_named() -> None:
-    made = recording(walk(0, (14.0, 18.4)), layout=0)
+def test_partners_and_rivals_must_both_touch_the_item_that_they_want() -> None:
+    made = recording(walk(0, (14.0, 18.4)), red="Get blue item to yellow lm",
+                     green="Get blue item to red lm", layout=0)  # fmt: skip
     assert measures(made)["touched"] == [["blue item"], []]
     made.trajectory[10:, 1, :2] = 20.0, 4.0
     assert measures(made)["touched"] == [["blue item"], ["pink item"]]
+    assert verdict(made, "competing") == "not both touch the item"
+    assert verdict(made, "collaborative") == "not both touch the item"
+    made.trajectory[10:, 1, :2] = 16.0, 20.0
+    assert verdict(made, "competing") is None
+    assert verdict(made, "collaborative") == "a goal is not reached"
 
 
 def test_an_agent_that_pushes_a_wall_for_long_is_stuck() -> None:
@@ -327,7 +334,10 @@ def test_a_reflection_of_a_reflection_is_the_original(name: str) -> None:
 @pytest.mark.parametrize("name", REFLECTIONS)
 def test_what_can_be_seen_is_the_same_in_a_mirror(name: str) -> None:
     made = recording()
-    before, after = measures(made), measures(reflected(made, name))
+    mirrored, matrix = reflected(made, name), REFLECTIONS[name].matrix
+    for angle, other in zip(made.scene.start[:2, 2], mirrored.scene.start[:2, 2], strict=True):
+        np.testing.assert_allclose(heading(other), matrix @ heading(angle), atol=1e-12)
+    before, after = measures(made), measures(mirrored)
     assert before["at_end"] == [True, False]
     for key in ("closest", "moved"):
         assert after.pop(key) == pytest.approx(before.pop(key))
