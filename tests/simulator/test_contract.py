@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from phase_ppl.simulator.contract import (
@@ -165,7 +165,6 @@ def test_below_zero_nothing_is_simulated(ceiling: float) -> None:
     assert (result.frames_simulated, result.completed, result.failure) == (0, False, None)
 
 
-@settings(max_examples=25)
 @given(seed=st.integers(0, 2**31), ceiling=st.floats(0, 2))
 def test_a_ceiling_never_changes_what_stays_under_it(seed: int, ceiling: float) -> None:
     free = simulate(toys.drift, seed=seed)

@@ -376,8 +376,9 @@ def unlucky(scene: Any, hypothesis: Any, rng: np.random.Generator) -> Iterator[A
     yield from toys.drift(scene, hypothesis, rng)
 
 
-def test_raise_names_hypothesis_and_seed() -> None:
-    with runner(toys.fails_for_weak, workers=2, on_failure="raise") as strict:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_raise_names_hypothesis_and_seed(workers: int) -> None:
+    with runner(toys.fails_for_weak, workers=workers, on_failure="raise") as strict:
         assert strict.run([GO], [1])[0].completed
         with pytest.raises(SimulationError, match=r"150.* with seed 2 failed: ValueError: too w"):
             strict.run([GO, WEAK, GO], [1, 2, 3])
