@@ -98,6 +98,12 @@ def test_two_touch_up_to_where_the_enlarged_one_reaches(
         assert touches(entity, other, poses, np.array(radii)) is touching
 
 
+def test_an_item_inside_an_agent_touches_it() -> None:
+    poses = np.array(FAR)
+    poses[RED], poses[BLUE_ITEM] = 0.0, (0.1, -0.2, 0.0)
+    assert touches(RED, BLUE_ITEM, poses, np.array([1.6, 1.0, 0.1, 0.8]))
+
+
 def contains(
     entity: int, pose: FloatArray, radius: float, enlarge: float, points: FloatArray
 ) -> BoolArray:

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.world import worlds
-from phase_ppl.world.errors import PhasePPLError
+from phase_ppl.world.errors import PhasePPLError, UnknownNameError
 from phase_ppl.world.geometry import deepest_overlap
 from phase_ppl.world.goals import (
     GOALS,
@@ -269,7 +269,7 @@ def test_paths_are_symmetric_and_cross_no_wall(
 # --- what cannot be ------------------------------------------------------------------------------
 
 PLACES = {"red agent": (3, 3), "green agent": (20, 3), "ball": (20, 20)}
-WRONG: dict[str, tuple[Any, str]] = {
+WRONG: dict[str, tuple[Any, ...]] = {
     "no agent": (lambda: house(agents=[]), "0 agents, expected 1 to 4"),
     "five agents": (lambda: house(agents=list("abcde")), "5 agents, expected 1 to 4"),
     "seven items": (lambda: house(items=list("abcdefg")), "7 items, expected 0 to 6"),
@@ -318,7 +318,8 @@ WRONG: dict[str, tuple[Any, str]] = {
     "touching nobody": (lambda: house(touchable=["boll"]), "unknown agent or item 'boll'"),
     "a goal about nobody": (lambda: house().goal_index("bell to home"),
      "unknown goal 'bell to home'; did you mean 'Get ball to home'"),
-    "a goal that nobody can have": (lambda: SOLO.goal_index("get to red agent"), "unknown goal"),
+    "a goal that nobody can have": (lambda: SOLO.goal_index("get to red agent"), "unknown goal",
+     UnknownNameError),
     "nobody's start": (lambda: house().scene(start={**PLACES, "box": (1, 1)}),
      "unknown agent or item 'box'"),
     "no start": (lambda: house().scene(start={"red agent": (3, 3), "ball": (5, 5)}),
