@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -327,10 +328,11 @@ def test_a_definition_sees_labels_numbers_and_the_pair_alpha_once_per_hypothesis
     ]
 
 
-def test_a_definition_can_be_replaced() -> None:
+def test_a_definition_can_be_replaced_and_is_not_saved(tmp_path: Path) -> None:
     post = Posterior(random_tree(2)).define("x", lambda h: h.relation)
     post.define("x", lambda h: h.strength_red / 2)
     assert post.mean("x") == pytest.approx(post.mean("strength_red") / 2)
+    assert "x" not in Posterior.load(post.save(tmp_path / "x.nc")).quantities
 
 
 def _fails(h: object) -> bool:
