@@ -150,6 +150,14 @@ def test_settings_of_simple_ask_for_it_in_any_world(monkeypatch: pytest.MonkeyPa
     assert (asked[0].info.name, asked[0].chains) == ("local_mh", 2)
 
 
+def test_a_run_as_printed_says_that_it_is_approximate() -> None:
+    given = completed("as_printed", {"chains": 4, "iterations": 1}) | {"planner": None}
+    model = ppl.Model(simulator=walkers)
+    post = ppl.infer(walking_event(), model, progress=False, workers=1, **given)
+    assert post.settings["kernel"] == {"name": "local_mh", "rule": "paper"}
+    assert post.tree.attrs["validity"] == "approximate"
+
+
 def test_infer_takes_single_settings_and_writes_the_word_down(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
