@@ -17,6 +17,7 @@ from phase_ppl.evaluation.cells import WIDTH
 from phase_ppl.evaluation.differences import holm
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.figures import DRAWINGS, NothingToDrawError, draw_figures
+from phase_ppl.evaluation.report import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
 from tests.analysis.pages import texts_apart
@@ -462,6 +463,11 @@ def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelCompa
     pairs, column = (DRAWINGS["differences"].draw(c) for c in (crowd, one))
     texts_apart(column)
     assert column.get_figheight() < pairs.get_figheight() - 0.5
+
+
+def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
+    shown = event_page(crowd.events[0], crowd.answers)
+    assert all(words in shown for words in ("people", "SIMPLE", "planning", "physics", "$y$"))
 
 
 def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:

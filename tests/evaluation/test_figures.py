@@ -24,7 +24,8 @@ from phase_ppl.world.errors import (
     OutputError,
     PhasePPLError,
 )
-from tests.analysis.pages import texts_of
+from tests.analysis.pages import texts_apart, texts_of
+from tests.evaluation.judged import BLUE_TO_RED
 
 from .small import events, make_folder
 
@@ -137,6 +138,15 @@ def test_a_figure_that_cannot_be_drawn_says_what_is_missing(tmp_path: Path) -> N
     folder = make_folder(tmp_path / "results", events(judgments=None))
     with pytest.raises(NothingToDrawError, match="people judged no goal"):
         figures.scatter_goals(folder.path)
+
+
+def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
+    said = {"goals": {"red agent": BLUE_TO_RED}, "relation_probs": {"adversarial": 1.0}}
+    names = ["x", "a model with a name that is long", "another"]
+    folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, said)))
+    results = opened(folder.path)
+    for drawing in drawings_of(results).values():
+        texts_apart(drawing.draw(results))
 
 
 # --- what people said -----------------------------------------------------------------------------
