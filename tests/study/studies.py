@@ -35,6 +35,7 @@ NURSERY = ppl.World(
                 ppl.Predicate("get cosy", "ball", "cot", within=3)],
     name="nursery",
 )  # fmt: skip
+EMPTY = ppl.World(["Bo", "Mia"], [], {"home": (4, 4)}, arena=(0, 12, 0, 12), name="empty")
 GOALS = {
     "solo": {"red agent": "ball to home"},
     "trio": {"red agent": "get to green agent", "green agent": "blue ball to home",

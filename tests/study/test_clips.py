@@ -12,7 +12,7 @@ import phase_ppl as ppl
 from phase_ppl.study.clips import CLIPS, make_clips
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.world.scene import check_inside
-from tests.study.studies import NURSERY, STILL
+from tests.study.studies import EMPTY, NURSERY, STILL
 
 RED, GREEN, BLUE, PINK = range(4)
 TRACKS = {name: clip.trajectory(clip.scene()) for name, clip in CLIPS.items()}
@@ -61,7 +61,7 @@ def test_every_page_has_a_film_that_there_is(
             assert not clip or (tmp_path / "clips" / f"{clip}.mp4").stat().st_size > 500
 
 
-@pytest.mark.parametrize("world", [ppl.worlds.SOLO, ppl.worlds.TRIO, NURSERY])
+@pytest.mark.parametrize("world", [ppl.worlds.SOLO, ppl.worlds.TRIO, NURSERY, EMPTY])
 def test_films_of_other_worlds_show_their_agents_move(
     world: ppl.World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

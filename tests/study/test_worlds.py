@@ -24,6 +24,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, Phase
 from phase_ppl.world.goals import goal_literal, possible_goals
 from tests.browser import needs_browser, running_browser
 from tests.study.studies import (
+    EMPTY,
     NURSERY,
     PHASE,
     Person,
@@ -37,7 +38,6 @@ from tests.study.studies import (
 from tests.study.test_browser import Prepared
 
 SOLO, TRIO = ppl.worlds.SOLO, ppl.worlds.TRIO
-EMPTY = ppl.World(["Bo", "Mia"], [], {"home": (4, 4)}, arena=(0, 12, 0, 12), name="empty")
 
 every_world = pytest.mark.parametrize(
     "world", [PHASE, SOLO, TRIO, NURSERY, EMPTY], ids=lambda world: world.name
@@ -214,7 +214,7 @@ def test_scripted_people_answer_as_a_model_believes_in_the_worlds_names(
         assert true_answers(event) == true_answers(study.events[event.id])
 
 
-@pytest.mark.parametrize("world", [SOLO, TRIO], ids=lambda world: world.name)
+@other_worlds
 def test_likeness_is_asked_of_events_and_of_what_the_planner_makes_of_their_goals(
     world: ppl.World, tmp_path: Path
 ) -> None:
