@@ -72,7 +72,7 @@ import numpy as np
 
 from phase_ppl.dataset.documents import event_id, only, optional, per_name, require
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, instance_of, shown
+from phase_ppl.world.errors import InvalidEventError, UnknownNameError, instance_of, shown
 from phase_ppl.world.event import (
     FRAMES_PER_SECOND,
     SHOWN_SECONDS_PER_FRAME,
@@ -322,6 +322,17 @@ def _layout(value: Any, indent: int) -> str:
 _AUTHORS_DOCUMENTS: Final = {"judgments": "human", "predictions": "models"}
 """What the package calls them -> what the authors do."""
 
+_AUTHORS_PLACES: Final = {
+    "scene.arena": "arena",
+    "scene.walls": "observed.wall_segments",
+    "scene.landmarks": "observed.landmarks",
+    "scene.radius": "observed.entities",
+    "trajectories": "observed.trajectories",
+    "truth.strengths": "truth.strength_id",
+    **_AUTHORS_DOCUMENTS,
+}
+"""Place in an event's record -> that in the authors' files, as errors have to name it."""
+
 
 def _event_of_video(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Event:
     """Return what a video is in the package's own words, read."""
@@ -331,23 +342,25 @@ def _event_of_video(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Ev
         levels = optional(truth, "strength_id", dict, "truth")
         if levels is not None:
             levels = {agent: _newtons(level) for agent, level in levels.items()}
-        known = {name: truth.get(name) for name in ("goals", "relation", "scenario")}
+        known = {name: truth[name] for name in ("goals", "relation", "scenario") if name in truth}
         truth = {**known, "strengths": levels}
-    event = event_from_record(
-        {
-            "id": record.get("id"),
-            "scene": {
-                "arena": head.get("arena"),
-                "walls": require(observed, "wall_segments", list, "observed"),
-                "landmarks": _by_its_name(observed, "landmarks", "centre"),
-                "landmark_half_width": head.get("landmark_half_width", LANDMARK_HALF_WIDTH),
-                "radius": _by_its_name(observed, "entities", "radius"),
-            },
-            "trajectories": require(observed, "trajectories", dict, "observed"),
-            "truth": truth,
-            **{ours: record.get(theirs) for ours, theirs in _AUTHORS_DOCUMENTS.items()},
-        }
-    )
+    own = {
+        "id": record.get("id"),
+        "scene": {
+            "arena": require(head, "arena", dict),
+            "walls": require(observed, "wall_segments", list, "observed"),
+            "landmarks": _by_its_name(observed, "landmarks", "centre"),
+            "landmark_half_width": head.get("landmark_half_width", LANDMARK_HALF_WIDTH),
+            "radius": _by_its_name(observed, "entities", "radius"),
+        },
+        "trajectories": require(observed, "trajectories", dict, "observed"),
+        "truth": truth,
+        **{name: record.get(theirs) for name, theirs in _AUTHORS_DOCUMENTS.items()},
+    }
+    try:
+        event = event_from_record(own)
+    except (InvalidEventError, UnknownNameError) as error:
+        raise type(error)(_in_their_words(str(error))) from None
     n_frames = optional(observed, "n_frames", int, "observed")
     if n_frames not in (None, event.observation.n_frames):
         raise InvalidEventError(
@@ -357,6 +370,14 @@ def _event_of_video(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Ev
     from phase_ppl.dataset.motion import observed_turning
 
     return turned(event, observed_turning(event.observation.trajectory, event.scene.radius))
+
+
+def _in_their_words(message: str) -> str:
+    """Return what an error says of a place in the package's records, of that in the file."""
+    for ours, theirs in _AUTHORS_PLACES.items():
+        if message.startswith((ours, f"unknown field of {ours}")):
+            return message.replace(ours, theirs, 1)
+    return message
 
 
 def _by_its_name(observed: Mapping[str, Any], field: str, value: str) -> dict[str, Any]:

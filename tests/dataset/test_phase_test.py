@@ -126,7 +126,7 @@ def test_a_bad_video_does_not_keep_the_others_from_being_read(tmp_path: Path) ->
     del broken["observed"]["trajectories"]["red agent"]
     path = write(tmp_path, video("fine"), broken)
     assert load_event(path, video="fine").id == "fine"
-    with pytest.raises(InvalidEventError, match="video broken: trajectories has no red"):
+    with pytest.raises(InvalidEventError, match=r"video broken: observed\.trajectories has no red"):
         load_events(path)
 
 
@@ -135,20 +135,20 @@ CHANGES = {
     "goal": (("truth", "goals", "red agent"), "Get ball", "unknown goal 'Get ball'"),
     "scenario": (("truth", "scenario"), "racing", "unknown scenario 'racing'"),
     "n_frames": (("observed", "n_frames"), 6, "observed.n_frames is 6"),
-    "walls": (("observed", "wall_segments"), [[[16, 12]]], "scene.walls has shape"),
+    "walls": (("observed", "wall_segments"), [[[16, 12]]], "observed.wall_segments has shape"),
     "wall_off": (
         ("observed", "wall_segments"),
         [[[10, 10], [10, 20]]],
         "does not run from the arena's centre",
     ),
-    "entities": (("observed", "entities"), [], "scene.radius has no red agent and no green"),
+    "entities": (("observed", "entities"), [], "observed.entities has no red agent and no green"),
     "entity": (("observed", "entities", 0), {"name": "red agent"}, "the red agent, has no radius"),
     "twice": (("observed", "entities", 0, "name"), "blue item", "names 'blue item' twice"),
     "stranger": (("observed", "entities", 0, "name"), "red item", "'red item'; did you mean"),
     "radius": (
         ("observed", "entities", 1, "radius"),
         "big",
-        "scene.radius holds 'big'",
+        "observed.entities holds 'big'",
     ),
     "landmark": (("observed", "landmarks", 2, "centre"), [0, 0], "scene.landmark_centres"),
     "observed": (("observed",), None, "observed is None, expected an object"),
