@@ -449,7 +449,7 @@ def draw_strip(
     return picture
 
 
-# --- A whole set of events as one picture ---------------------------------------------------------
+# --- a whole set of events as one picture ---------------------------------------------------------
 
 SCENARIO_COLOURS: Final[dict[str, Colour]] = {
     "collaborative": (0, 158, 115),

@@ -138,7 +138,7 @@ def in_words(counts: Iterable[int]) -> str:
     return f"n = {most}" if least == most else f"n = {least} to {most}"
 
 
-# --- right answers, and agreement with people ---------------------------------------------------
+# --- right answers, and agreement with people -----------------------------------------------------
 
 Part = tuple[str, ...]  # where the metrics have a part of the answers; (): all
 
