@@ -7,6 +7,7 @@ an agent's centre of mass lies at local (0, -R / 6).
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any, Final
 
@@ -87,7 +88,7 @@ def shapes_meet(
     """
     one, rounding = _shape(first, poses, radii, n_agents, enlarge_first)
     other, more = _shape(second, poses, radii, n_agents, enlarge_second)
-    return penetration(one, other, rounding + more) > 0
+    return _depth(one, other, rounding + more) >= 0
 
 
 def touches(
@@ -109,9 +110,15 @@ def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) ->
         first, second: (n, 2) corners in order; two are a segment, one is a disc's centre.
         rounding: radii of the discs in all.
     """
+    return max(0.0, _depth(first, second, rounding))
+
+
+def _depth(first: FloatArray, second: FloatArray, rounding: float) -> float:
+    """As :func:`penetration`, but below 0 for shapes that are apart; 0 for those that touch."""
     gaps = first.min(axis=0) - second.max(axis=0), second.min(axis=0) - first.max(axis=0)
-    if np.max(gaps) > rounding:  # most are far apart
-        return 0.0
+    gap = float(np.max(gaps))
+    if gap > rounding:  # most are far apart
+        return rounding - gap
     axes = [(first[:, None] - second).reshape(-1, 2)]
     for shape in (first, second):
         edges = np.roll(shape, -1, axis=0) - shape
@@ -122,7 +129,7 @@ def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) ->
         return rounding
     a, b = (shape @ along / np.hypot(*along) for shape in (first, second))
     inside = np.minimum(a.max(axis=0) - b.min(axis=0), b.max(axis=0) - a.min(axis=0))
-    return max(0.0, float(inside.min()) + rounding)
+    return float(inside.min()) + rounding
 
 
 def deepest_overlap(scene: Any) -> tuple[str, float]:
@@ -154,15 +161,13 @@ def deepest_overlap(scene: Any) -> tuple[str, float]:
 def overlaps(
     start: FloatArray, radius: FloatArray, walls: FloatArray, n_agents: int = len(AGENTS)
 ) -> bool:
-    """Whether any two shapes overlap, or one a wall.
+    """Whether any two shapes overlap or touch, or one overlaps a wall.
 
     The shapes start at (entity, coord) x, y [units], angle [rad], and have sizes (entity,) [units];
     walls (n, 2, 2) are along the axes. The first entities are agents.
     """
     shapes = [_shape(entity, start, radius, n_agents) for entity in range(len(start))]
-    things = [*shapes, *((wall, 0.0) for wall in walls)]
     return any(
-        penetration(one, other, rounding + more) > 0
-        for place, (one, rounding) in enumerate(shapes, 1)
-        for other, more in things[place:]
-    )
+        _depth(one, other, rounding + more) >= 0
+        for (one, rounding), (other, more) in itertools.combinations(shapes, 2)
+    ) or any(penetration(shape, wall, rounding) > 0 for shape, rounding in shapes for wall in walls)

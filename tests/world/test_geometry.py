@@ -16,6 +16,8 @@ from phase_ppl.world.geometry import (
     centre_of_mass,
     heading,
     is_on,
+    overlaps,
+    penetration,
     rotation,
     shapes_meet,
     touches,
@@ -102,6 +104,20 @@ def test_an_item_inside_an_agent_touches_it() -> None:
     poses = np.array(FAR)
     poses[RED], poses[BLUE_ITEM] = 0.0, (0.1, -0.2, 0.0)
     assert touches(RED, BLUE_ITEM, poses, np.array([1.6, 1.0, 0.1, 0.8]))
+
+
+@pytest.mark.parametrize("place", [(2.0, 0.0), (0.0, 2.0)])
+def test_two_that_just_touch_meet_and_are_not_inside_each_other(
+    place: tuple[float, float],
+) -> None:
+    poses = np.array(FAR)
+    poses[BLUE_ITEM], poses[PINK_ITEM] = 0.0, (*place, 0.0)
+    assert shapes_meet(BLUE_ITEM, PINK_ITEM, poses, np.ones(4))
+    assert overlaps(poses, np.ones(4), np.empty((0, 2, 2)))
+    assert penetration(poses[BLUE_ITEM, None, :2], poses[PINK_ITEM, None, :2], 2.0) == 0
+    beside = np.array([[[-1.0, -3.0], [-1.0, 3.0]]])
+    poses[PINK_ITEM] = FAR[PINK_ITEM]
+    assert not overlaps(poses, np.ones(4), beside)  # a wall may be touched
 
 
 def contains(
