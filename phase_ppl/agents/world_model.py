@@ -165,7 +165,6 @@ class Abilities:
         for room, landmark in enumerate(landmark_in):
             if landmark != NOTHING:
                 middle[room] = scene.landmark_centres[landmark]
-        apart = [[float(rooms.path_distance(a, b)) for b in middle] for a in middle]
         return cls(
             passes=tuple(tuple(bool(w < gap) for gap in rooms.door_width) for w in width),
             fills=tuple(
@@ -181,7 +180,11 @@ class Abilities:
                 if sum(strengths[agent] for agent in pulling) > (holders + 1) * FLOOR_FRICTION
             ),
             room_distance=tuple(
-                tuple(np.inf if d == UNREACHABLE else d for d in row) for row in apart
+                tuple(
+                    np.inf if rooms.route(a, b) is None else float(rooms.path_distance(start, end))
+                    for b, end in enumerate(middle)
+                )
+                for a, start in enumerate(middle)
             ),
             neighbours=tuple(tuple(rooms.exits(room)) for room in range(len(rooms))),
             landmark_rooms=landmark_rooms,
