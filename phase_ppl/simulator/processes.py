@@ -394,7 +394,6 @@ class Dispatch(Generic[Job]):
             if not source or (self._suspects and self._running):
                 return
             task = source[0]
-            task.begun = time.perf_counter()
             given = self._function, self._arguments(task.job), task.with_thing
             try:
                 future = self._pool.submit(*given)
@@ -405,6 +404,7 @@ class Dispatch(Generic[Job]):
                 self._pool.stop(())
                 future = self._pool.submit(*given)
             self._running[future] = source.popleft()
+            task.begun = time.perf_counter()
             if task.losses and self._pool.restarts:
                 return
 
