@@ -107,8 +107,9 @@ class EventPosterior(Hypotheses):
         self, time: FloatArray, tables: Mapping[str, FloatArray], **attrs: str
     ) -> xr.Dataset:
         """Return tables (time, label) of quantities, and of their ``_error``, as one dataset."""
-        of = {name: name.removesuffix("_error") for name in tables}
-        labels = {f"{q}_is": list(self._words.quantities[q].categories()) for q in of.values()}
+        known = self._words.quantities
+        of = {name: name if name in known else name.removesuffix("_error") for name in tables}
+        labels = {f"{one}_is": list(known[one].categories()) for one in of.values()}
         found = {name: (("time", f"{of[name]}_is"), table) for name, table in tables.items()}
         return xr.Dataset(found, {"time": ("time", time, {"units": "s"}), **labels}, attrs)
 

@@ -162,7 +162,8 @@ class StepwisePosterior(EventPosterior):
 
     def _names_sites(self, said: object) -> bool:
         """Whether words name a further site, or what is defined by one."""
-        words = re.findall(r"\w+", said) if isinstance(said, str) else ()
+        # a name may have other characters than those of words
+        words = (said, *re.findall(r"\w+", said)) if isinstance(said, str) else ()
         return not {*self._site_names, *self._of_sites}.isdisjoint(words)
 
     def _knowing(self, *names: str, given: Given = None) -> Hypotheses:
@@ -282,7 +283,8 @@ class StepwisePosterior(EventPosterior):
         Log sum_h P(h) prod_t p(s_t | s_<t, h), each frame counted in full whatever the
         likelihood's ``weight``, but as evidence for strengths, which stays tempered
         (``Tracking.strength_weight``): of two priors, or models with the same tracking, the one
-        with more explains the video better.
+        with more explains the video better; where they differ in strengths, by more than this
+        says.
         """
         return self._table.log_evidence(self._frame)
 

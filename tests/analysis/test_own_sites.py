@@ -113,17 +113,18 @@ def test_what_depends_on_strengths_has_no_error_beside_sites_either(
 
 def test_a_site_whose_values_depend_on_another_is_drawn() -> None:
     def trying() -> None:
-        spared = numpyro.sample("spared", dist.DiscreteUniform(1, 4))
+        spared = numpyro.sample("spared ones", dist.DiscreteUniform(1, 4))
         numpyro.sample("hits", dist.Binomial(5 - spared, 0.5))
         ppl.sites.goals()
         ppl.sites.alpha()
         ppl.sites.strengths()
 
     start = StepwisePosterior(FOUND, 0).with_prior(trying)
-    for question, exact in (("E[hits]", 1.25), ("P(spared=4)", 0.25), ("P(hits=4)", 1 / 64)):
+    for question, exact in (("E[hits]", 1.25), ("P('spared ones'=4)", 0.25), ("P(hits=4)", 1 / 64)):
         found = start.query(question)
         assert 0 < found.error < 0.02
         assert abs(found - exact) < 4 * found.error
+    assert start.mean("spared ones") == start.query("E['spared ones']")
 
 
 def test_few_draws_do_not_make_what_is_drawn_sure(drawn: StepwisePosterior) -> None:
