@@ -90,6 +90,16 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
         described(7)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("name", ["smc", "enumerate", "importance", "aies", "sa", "gibbs"])
+def test_what_is_made_of_a_kernel_counts_its_draws_as_it_does(name: str) -> None:
+    info: Any = described(name)
+    own = described(type("Own", (info.factory,), {}))
+    for what in ("even_chains", "keeps", "weighted"):
+        assert getattr(own, what) == getattr(info, what), what
+    assert own.validity == "unknown"  # before it is made
+    assert info.factory.validity == info.validity
+
+
 def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
     for kernel in (NUTS, NUTS(lambda: None)):
         with pytest.raises(InvalidSettingError, match="kernel NUTS needs a gradient"):

@@ -184,6 +184,9 @@ class SMC(ParticleKernel):
         UnknownNameError: there is no such move.
     """
 
+    validity = "consistent"
+    keeps = "last"
+    weighted = True
     initial_tries = 1
 
     def __init__(

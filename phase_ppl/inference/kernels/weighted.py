@@ -97,6 +97,10 @@ class Importance(ParticleKernel):
     covers whatever the prior does. Nothing is stopped early.
     """
 
+    validity = "consistent"
+    keeps = "start"
+    weighted = True
+
     initial_tries = 1
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
@@ -298,6 +302,10 @@ class Enumeration(ParticleKernel):
         InvalidSettingError: the prior cannot be enumerated, or takes too many simulations; more
             than one seed where the model's noise is fixed.
     """
+
+    validity = "consistent"
+    keeps = "start"
+    weighted = True
 
     initial_tries = 1
 

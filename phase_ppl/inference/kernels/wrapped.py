@@ -2,8 +2,8 @@
 
 These see the model as a function of uniform numbers: every latent site of the prior is its inverse
 distribution function at a uniform number, site after site, and the simulator's seed is a function
-of one more. Such a model has no discrete site, and its prior is the same
-for every site; samplers move on the whole real line, u = 1 / (1 + exp(-x)).
+of one more. Such a model has no discrete site, and its prior is the same for every site; samplers
+move on the whole real line, u = 1 / (1 + exp(-x)).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import functools
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -117,6 +117,8 @@ class UniformKernel(EventKernel):
         InvalidSettingError: a site of the prior has no inverse distribution function.
     """
 
+    validity: ClassVar[str] = "exact"
+
     def __init__(self, program: EventProgram | None = None) -> None:
         super().__init__(program)
         if program is not None:  # refuses sites that it cannot draw
@@ -201,6 +203,8 @@ class Ensemble(UniformKernel):
             are fewer than twice as many chains as sites, so that they might move in a subspace.
     """
 
+    even_chains = True
+
     def start(self, keys: jax.Array, points: jax.Array) -> jax.Array:
         """Return the points: they are the whole state."""
         chains, dimensions = points.shape
@@ -246,6 +250,8 @@ class SampleAdaptive(UniformKernel):
     Raises:
         InvalidSettingError: ``pool`` is below 2, or a site has no inverse distribution function.
     """
+
+    validity = "consistent"
 
     def __init__(self, program: EventProgram | None = None, *, pool: int | None = None) -> None:
         super().__init__(program)
@@ -363,6 +369,8 @@ class GibbsKernel(ParticleKernel):
         InvalidSettingError: ``step`` is no positive number, or a discrete site's values are not
             0, 1, ..., n.
     """
+
+    validity = "exact"
 
     def __init__(self, program: EventProgram | None = None, *, step: float = 0.5) -> None:
         super().__init__(program)
