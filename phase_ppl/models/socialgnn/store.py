@@ -231,10 +231,14 @@ def load(path: str | os.PathLike[str]) -> Trained:
         raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {words}") from None
 
 
-@functools.cache
 def shipped(variant: str) -> Trained:
     """Return the networks that come with the package; UnknownNameError: of no such variant."""
     check_name("variant", variant, VARIANTS)
+    return _shipped(variant)
+
+
+@functools.cache
+def _shipped(variant: str) -> Trained:
     with resources.as_file(_WEIGHTS / f"{variant}.npz") as file:
         return load(file)
 
