@@ -40,7 +40,8 @@ def test_a_pair_shows_the_behaviour(battery: ModuleType, name: str) -> None:
 def test_two_too_weak_for_it_do_not_move_an_item(battery: ModuleType) -> None:
     together = importlib.import_module("behaviours.together")
     episode_of = importlib.import_module("behaviours.episode")
-    (trial,) = together.lift(together.np.random.default_rng(0))
+    carrying = next(one for one in together.BEHAVIOURS if one.name == "carry_together_weak")
+    (trial,) = carrying.trials(together.np.random.default_rng(0))
     weak = dataclasses.replace(trial.hypothesis, strength_red=150.0, strength_green=150.0)
     episode = episode_of.record(trial.scene, weak, PLANNER, 0, 60)
     both = episode.both_hold(episode_of.BLUE)
