@@ -257,8 +257,8 @@ class Hypotheses:
         Returns:
             quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
             ``next_probability``; ``sure``: whether the probability exceeds 1/2 by :data:`SURE`
-            errors, if these are known. Whether it matters what was never simulated, and whether
-            the prior decides, ``diagnostics()`` says.
+            errors, if these are known. What was never simulated counts as impossible; whether
+            that matters, and whether the prior decides, ``diagnostics()`` says.
         """
         found = {}
         for name in (*self.goals_of.values(), *self.relations_of.values()):
@@ -488,7 +488,8 @@ class Hypotheses:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
 
         The least over the goals of sum p (1 - p) / sum of squared errors, or the number of chains
-        where all say the same; at most what the weights are worth (Kish), or that number.
+        where all say the same; at most what the weights are worth (Kish), or that number: that
+        leaving out any chain changes nothing proves no more.
         """
         without = self._jackknife(0.0)
         if without is None or self._rows.groups is None:

@@ -13,15 +13,16 @@ Every query is a sum over such a table. Which weighting is valid when:
     goals weighs P(pair) times the mean likelihood of the pair's simulations, each of which counts
     in it by P(h) / Q(h), with Q the density of the proposal that it was drawn from, given all that
     was done before (post-stratification: the prior says what the share of a stratum is, not how
-    often it was drawn). Pairs that were proposed fewer than twenty times are one stratum together.
-    It does not matter how it was chosen to simulate a pair, so that rivals, which earlier results
-    called for, are strata of their own. The weights P / Q within a stratum, and then those of all,
-    are truncated twice at the square root of their number times their mean (Ionides 2008, JCGS
-    17:295), so that no simulation decides alone. A simulation that could have been stopped early
-    weighs more by the reciprocal of the probability that it was not. Consistent, whatever the
-    acceptance rule, for kernels whose proposals have a density that covers the prior
-    (``local_mh``, ``prior_mh``, the local moves of ``mixture``), given all that was done before
-    (Rudolf & Sprungk 2020, Electronic Journal of Statistics 14:857).
+    often it was drawn). Pairs that were proposed fewer than twenty times are one stratum together,
+    which stands for all that was tried less, or never. It does not matter how it was chosen to
+    simulate a pair, so that rivals, which earlier results called for, are strata of their own. The
+    weights P / Q within a stratum, and then those of all, are truncated twice at the square root of
+    their number times their mean (Ionides 2008, JCGS 17:295), so that no simulation decides alone;
+    what that changes vanishes as they grow. A simulation that could have been stopped early weighs
+    more by the reciprocal of the probability that it was not, which makes up for those that were.
+    Consistent, whatever the acceptance rule, for kernels whose proposals have a density that covers
+    the prior (``local_mh``, ``prior_mh``, the local moves of ``mixture``), given all that was done
+    before (Rudolf & Sprungk 2020, Electronic Journal of Statistics 14:857).
 ``"likelihood"``
     Every draw weighs its own likelihood. This is how the authors' published probabilities
     behave, and for reproducing them only: on the draws of an exact kernel the likelihood

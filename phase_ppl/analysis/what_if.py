@@ -227,7 +227,8 @@ class Change:
         walls: Any = None,
     ) -> Change:
         """Return the change that is said in names; arguments and errors as of ``do``."""
-        space, sites, words = space_of(world), dict[str, Any](), []
+        space, words = space_of(world), []
+        sites: dict[str, Any] = {}
         goals: dict[str, int] = {}
         for name, value in given.items():
             if value is None:

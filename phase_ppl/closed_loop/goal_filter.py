@@ -193,6 +193,8 @@ class GoalFilter:
         weight: what a frame counts as evidence.
         log_prior: log prior masses of goals. With the weight it only says which goals are probable
             by now.
+
+    ``combinations`` has the strengths that are followed (combination, agent), newtons.
     """
 
     def __init__(
@@ -380,7 +382,8 @@ class PolicyFilter(GoalFilter):
         super().__init__(sets, conduct, weight, log_prior)
         world = sets.scene.world
         self._points = [standpoints(agent, world) for agent in range(len(world.agents))]
-        # (agent) (goal,) the first standpoint of each goal; -1: the agent cannot have it
+        # (agent) (goal,) the first standpoint of each goal, where the others want something else;
+        # -1: the agent cannot have it
         self._usual = [np.full(len(world.goals), -1) for _ in world.agents]
         for usual, points in zip(self._usual, self._points, strict=True):
             for one in reversed(points.alike):

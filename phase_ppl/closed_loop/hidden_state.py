@@ -413,6 +413,9 @@ def reconstructed(scene: Scene, trajectory: FloatArray, tracking: Tracking | Non
 
 
 def most_probable_actions(density: FloatArray) -> tuple[Action, ...]:
-    """Return what agents intended, most probably, by a density of :meth:`HiddenState.advance`."""
+    """Return the intended actions under which a frame is most probable, of all agents.
+
+    The density is that of :meth:`HiddenState.advance`.
+    """
     best = np.unravel_index(int(density.argmax()), density.shape)
     return tuple(Action(int(action)) for action in best)

@@ -46,8 +46,9 @@ def particles_of(state: Any) -> Columns:
     """Return the particles of a kernel's state, on the host.
 
     The hypotheses, site by site, the seeds of their simulations, and, all (chain,), whether the
-    iteration's proposal was accepted, the first frame of the window it came from, the log weight of
-    the draw up to a constant and the log evidence of the observation.
+    iteration's proposal was accepted, the first frame of the window it came from (-1: none), the
+    log weight of the draw up to a constant (0 where the kernel gives none) and the log evidence of
+    the observation (NaN where the kernel does not estimate it).
     """
     seed = np.asarray(state.sim_seed).astype(np.int64)
     columns = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}

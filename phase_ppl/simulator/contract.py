@@ -158,7 +158,8 @@ def in_time(
     """Return what ``work`` returns, from a thread of its own where something can end it.
 
     A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
-    unheeded, and does not keep its process from ending. Arguments as of :func:`simulate_one`.
+    unheeded, and does not keep its process from ending. ``failed`` makes a result of the reason why
+    there is none; other arguments are as of :func:`simulate_one`.
     """
     if math.inf == limit == deadline and not stop:
         return work()
