@@ -94,9 +94,9 @@ class Policies(Perception):
 
     Args:
         agent, model, config: as of :class:`Perception`.
-        seed: of beliefs and searches. From a whole number, the step and the intent follows the
-            seed of each search, whose result does not depend on what else is searched then. From
-            a generator one search after the other takes its random numbers.
+        seed: of beliefs and searches. With a whole number each search has a seed of its own, made
+            of that, the step and the intent, so that its result does not depend on what else is
+            searched. With a generator the searches take random numbers from it in turn.
         goals: of all agents, that it can be asked for; None: all.
 
     Attributes:

@@ -389,7 +389,7 @@ class Hypotheses:
         raise InvalidSettingError(f"weights={weights!r}: this has no draws to be weighted")
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return one row per draw (or visited hypothesis): labels, numbers, ``weight``.
+        """Return one row per draw, simulation or hypothesis: labels, numbers, ``weight``.
 
         Columns of quantities from :meth:`define` hold what the function returned.
         """
@@ -432,7 +432,7 @@ class Hypotheses:
     # --- rows, conditions, and how far answers differ between chains ---------------------------
 
     def _knowing(self, *names: str, given: Given = None) -> Hypotheses:
-        """Return the table that knows what is named; in ``given`` words may name it."""
+        """Return the table that knows these names, and those in ``given``, be it a question."""
         return self
 
     def _quantity(self, name: str) -> Quantity:

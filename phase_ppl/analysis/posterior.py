@@ -61,7 +61,7 @@ class Posterior(EventPosterior):
             as its default.
         burn_in: draws at the beginning of each chain that do not count; None: what the run
             recorded, a quarter of a run of twenty iterations or more, else none. Weights
-            other than "count" and "likelihood" are of all simulations.
+            "stratified" are of all simulations, whatever it is.
         scenario: replaces the paper's scenario of two effective goals: (goal of red, goal of
             green) -> one of "collaborative", "independent", "competing", "opposing". The
             relation follows from it.

@@ -84,7 +84,7 @@ class Table:
     dimensions: ClassVar[Mapping[str, tuple[str, ...]]]
     attrs: ClassVar[tuple[str, ...]] = ("event_id", "settings", "cost", "weight", "schema")
     most_rows: ClassVar[float]
-    """Of a table, each a hypothesis with a combination of strengths."""
+    """Rows of one table at most, each a hypothesis with a combination of strengths."""
 
     least_of_best: ClassVar[float]
     least_of_all: ClassVar[float]
@@ -243,7 +243,7 @@ class Table:
         return values
 
     def rows(self, frame: int) -> tuple[Rows, FloatArray]:
-        """Return the hypotheses that have any mass to speak of, and (set, row) weights without."""
+        """Return hypotheses with any mass to speak of, and (set, row) weights without each set."""
         weights = self.weights(frame)
         kept = np.flatnonzero(weights[0] > self.least_of_best * weights[0].max())
         weights, strengths = weights[:, kept], self.strengths(frame)

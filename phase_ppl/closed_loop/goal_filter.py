@@ -70,13 +70,13 @@ class Conduct(NamedTuple):
 
 
 class SearchSets:
-    """Every agent's policies, in ``n`` independent sets, at what was seen; first a scene at rest.
+    """What every agent would do given the frames so far, found ``n`` times independently.
 
     Each set plans with strengths of its own, which together stand for what is believed of them. At
     most ``threads`` are at work at a time; the result does not depend on it.
 
     Attributes:
-        hidden: velocities, holds and strengths; whoever reads frames takes them there.
+        hidden: filter of velocities, holds and strengths, whose ``advance`` takes in a frame.
     """
 
     def __init__(
@@ -222,12 +222,12 @@ class GoalFilter:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad]."""
         hidden = self._sets.hidden
         looked = self._sets.look(self._choose_wanted())
-        density = hidden.advance(frame, self._sets.map)
-        highest = float(density.max())
-        relative = np.exp(density - highest)
-        of_goals = self._of_goals(looked, density, relative)
-        self._sets.done(most_probable_actions(density))
-        axes = range(density.ndim)
+        log_density = hidden.advance(frame, self._sets.map)
+        highest = float(log_density.max())
+        relative = np.exp(log_density - highest)
+        of_goals = self._of_goals(looked, log_density, relative)
+        self._sets.done(most_probable_actions(log_density))
+        axes = range(log_density.ndim)
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         actions /= actions.sum(axis=1, keepdims=True)
         held, peak = hidden.best().held.copy(), hidden.log_peak
@@ -244,10 +244,10 @@ class GoalFilter:
         """Return what there is to say of goals before the first frame."""
         raise NotImplementedError
 
-    def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
-        """Return what a frame says, from plans at the moment before and densities of the frame.
+    def _of_goals(self, looked: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
+        """Return what a frame says, from plans at the moment before and its density.
 
-        These are (action of the first agent, of the second, ...): logarithms, and over the highest.
+        Both (action of the first agent, of the second, ...); ``relative`` is over the highest.
         """
         raise NotImplementedError
 
@@ -289,12 +289,12 @@ class PairFilter(GoalFilter):
         self._probable = found.reshape(self._log_mass.shape)
         return [found] * len(AGENTS)
 
-    def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
+    def _of_goals(self, looked: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
         likelihood, without = frame_log_likelihood(
             looked, self._probable, relative, self._log_mass, self._conduct
         )
-        likelihood += density.max()
-        without = (without + density.max()).astype(np.float32)
+        likelihood += log_density.max()
+        without = (without + log_density.max()).astype(np.float32)
         self._log_mass += self._weight * likelihood
         return {"log_likelihood": likelihood, "log_likelihood_without": without}
 
@@ -398,11 +398,11 @@ class PolicyFilter(GoalFilter):
             "marginals": self._log_mass.copy(),
         }
 
-    def _of_goals(self, looked: _All, density: FloatArray, relative: FloatArray) -> OfGoals:
+    def _of_goals(self, looked: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
         policies, policy_of = self._policies(looked)
         self._update_marginals(relative, policies, policy_of)
         return {
-            "density": density.ravel(),
+            "density": log_density.ravel(),
             # searches are coarser than single precision
             "policies": stacked(policies).astype(np.float32),
             "policy_of": stacked(policy_of).astype(np.int32),

@@ -175,9 +175,9 @@ class Expected(NamedTuple):
     """Strengths of all agents, and the most probable state given them."""
 
     strengths: tuple[float, ...]  # (agent,) newtons
-    bodies: FloatArray  # (entity, 9), (agent,), (agent, 3), as in ``compiled``
-    held: IntArray
-    weld: FloatArray
+    bodies: FloatArray  # (entity, 9), as in ``physics.compiled``, like those below
+    held: IntArray  # (agent,)
+    weld: FloatArray  # (agent, 3)
 
 
 class HiddenState:
@@ -258,11 +258,11 @@ class HiddenState:
         list(share(try_part, range(len(self._spaces))))
         found += beam.within[:, None]
         before = self._log_strengths()
-        density = np.logaddexp.reduce(found + before[beam.combination][:, None], axis=0)
+        log_density = np.logaddexp.reduce(found + before[beam.combination][:, None], axis=0)
         self._noise.update(observed)
         gains = filter_gains(tracking.scale, self._noise.now)
         self._go_on(found + self._log_prior, observed, gains)
-        return np.asarray(density.reshape((N_ACTIONS,) * self._n_agents)[self._all_executed])
+        return np.asarray(log_density.reshape((N_ACTIONS,) * self._n_agents)[self._all_executed])
 
     def strengths(self) -> FloatArray:
         """Return (combination,) probabilities."""
@@ -412,10 +412,10 @@ def reconstructed(scene: Scene, trajectory: FloatArray, tracking: Tracking | Non
     return Past(states, actions)
 
 
-def most_probable_actions(density: FloatArray) -> tuple[Action, ...]:
+def most_probable_actions(log_density: FloatArray) -> tuple[Action, ...]:
     """Return the intended actions under which a frame is most probable, of all agents.
 
-    The density is that of :meth:`HiddenState.advance`.
+    The log density is that of :meth:`HiddenState.advance`.
     """
-    best = np.unravel_index(int(density.argmax()), density.shape)
+    best = np.unravel_index(int(log_density.argmax()), log_density.shape)
     return tuple(Action(int(action)) for action in best)

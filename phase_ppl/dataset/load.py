@@ -124,12 +124,12 @@ def _entries(path: PathLike, format: str | None) -> Entries:
 
     with naming(path):
         if format:
-            # brings the simulator, by way of the reflections
+            # imported only here, as it brings the simulator
             from phase_ppl.dataset.authors import videos
 
             entries = videos.read(path)
         elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
-            # brings xarray
+            # likewise xarray
             from phase_ppl.dataset import events_netcdf
 
             entries = events_netcdf.read(path)

@@ -71,8 +71,8 @@ def infer(
 
     In a run that is too short for draws to be counted all its simulations are weighed. Before it
     answers, the rivals of the leading goals that none has tried are simulated, those with which one
-    agent wants the same thing at another landmark: one more simulation for each particle, unless
-    there is a ``budget``, or all were tried. The draws stay as they are.
+    agent wants the same thing at another landmark: one simulation or a few more for each particle,
+    unless there is a ``budget``, or all were tried. The draws stay as they are.
 
     Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. The same
     seed gives the same result with any number of workers.

@@ -174,8 +174,8 @@ class Run:
     ) -> Data:
         """Return what compiled code is told of the event and the bridge with that handle.
 
-        The closed loop reads the video in so many ``threads``; or as if it had not to, to see
-        whether a kernel works.
+        Where the closed loop proposes, it reads the video in so many ``threads``; not if it is to
+        be ``unread``: other tables then stand for its own, which is enough to check a kernel.
         """
         scene, observation, settings = self.event.scene, self.event.observation, self.settings
         if unread and settings.proposal == "closed_loop":
@@ -387,8 +387,8 @@ class Length(NamedTuple):
 class Pace:
     """What a run has cost so far, and whether another iteration is to begin.
 
-    The call began at that :func:`clock`; ``seconds`` the run took before, in other calls, and
-    ``recent`` its last iterations there.
+    ``began`` is the :func:`clock` when the call began; in earlier calls the run took ``seconds``,
+    and its last iterations ``recent``.
 
     Attributes:
         done: finished iterations; -1: not even the initial particles are there.

@@ -96,7 +96,7 @@ def bottom_up_tables(
 ) -> BottomUpTables:
     """Return the tables of an event under some settings.
 
-    What these leave open is as where the closed loop does not propose.
+    What these leave open is decided by ``SimpleSettings.settled`` with ``guided=False``.
     ``progress`` says whether to show a bar where it takes long, as the closed loop does, which
     searches in so many ``threads``, by default one per usable core.
     """
@@ -183,7 +183,7 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
 
 # --- what the closed loop makes of a video --------------------------------------------------------
 
-_LEAST: Final = 1e-12  # of the mass, which what has less is proposed with
+_LEAST: Final = 1e-12  # share of the mass with which whatever has less is proposed
 _EVENTS_KEPT: Final = 8
 
 
@@ -238,7 +238,7 @@ def _sums(way: IntArray, masses: FloatArray, n: int) -> FloatArray:
 def _read(
     scene: Scene, observation: Observation, progress: bool | None, threads: int | None
 ) -> Table:
-    # by object: kernels that are compared share it
+    # remembered for the same two objects, so that kernels that are compared share it
     from phase_ppl.analysis.stepwise_table import table_of
     from phase_ppl.inference.stepwise import read_event
     from phase_ppl.models.model import Model

@@ -34,7 +34,7 @@ from phase_ppl.world.scene import PHASE, World
 
 COMPANY_SITE: Final = "company"
 ALPHA_SITE: Final = "alpha"
-"""Sites of the way in which agents stand to each other, elsewhere and in PHASE."""
+"""Sites of the way in which agents stand to each other, in other worlds and in PHASE."""
 
 
 class HypothesisSpace:
@@ -43,7 +43,7 @@ class HypothesisSpace:
     Attributes:
         world: whose agents and goals.
         is_phase: whether it is the paper's.
-        ways: in which agents can stand to each other, by code.
+        ways: in which agents can stand to each other, by code; each as :attr:`Roles.towards`.
         company_site: name of the site of the ways.
         goal_sites: names of the sites of stated goals; in files and posteriors, of effective ones.
         stated_sites: names of stated goals in files and posteriors.

@@ -45,7 +45,7 @@ class EventKernel(MCMCKernel):
 
     Their simulations reach the runner in one call (``chain_method="vectorized"``). States hold
     constrained values, so nothing is replayed after the run; beside what the registry asks for they
-    have ``n_accepted``, how many of ``i`` iterations changed the hypothesis, or could be simulated.
+    have ``n_accepted``, how many of ``i`` iterations accepted, or could simulate, a hypothesis.
     The proposal program ``guide(window)`` counts windows by their first frame; the index after the
     last one stands for the whole observation.
     """
@@ -161,12 +161,12 @@ class ParticleKernel(EventKernel):
     the draw is weighed, since the best of several has another density."""
 
     def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> Any:
-        return jax.vmap(self._init)(keys, sites)
+        def start(key: jax.Array, given: dict[str, jax.Array] | None) -> Any:
+            key, key_sites, key_start = random.split(key, 3)
+            first = self._initial_sites(key_sites) if given is None else given
+            return _strongly_typed(self.start_one(key, key_start, first))
 
-    def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> Any:
-        key, key_sites, key_start = random.split(key, 3)
-        start = self._initial_sites(key_sites) if sites is None else sites
-        return _strongly_typed(self.start_one(key, key_start, start))
+        return jax.vmap(start)(keys, sites)
 
     def _step(self, state: Any) -> Any:
         return jax.vmap(self.step_one)(state)
@@ -237,7 +237,7 @@ class MHState(NamedTuple):
     z: dict[str, jax.Array]  # site -> value, the current hypothesis with any further sites
     sim_seed: jax.Array
     log_prior: jax.Array  # its log prior density
-    memo: dict[str, jax.Array]  # what else the kernel knows of it, see ``memo``
+    memo: dict[str, jax.Array]  # what else is known of it, see ``MetropolisKernel.memo``
     step_error: jax.Array  # (time,) errors of its simulation, units; never simulated again
     log_joint: jax.Array  # log prior + log likelihood, in single precision
     window: jax.Array  # the window of the last proposal, by its first frame; -1 where it had none
@@ -251,7 +251,7 @@ class Move(NamedTuple):
 
     sites: dict[str, jax.Array]  # the hypothesis
     log_prior: jax.Array  # its log prior density
-    memo: dict[str, jax.Array]  # of the hypothesis, see ``memo``
+    memo: dict[str, jax.Array]  # of the hypothesis, see ``MetropolisKernel.memo``
     # the log ratio as far as it is known: all but the likelihoods and ``log_after``
     log_known: jax.Array
     # errors (time,) of the proposal's simulation -> the rest of the log ratio, for moves that are
