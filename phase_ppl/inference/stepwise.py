@@ -43,10 +43,6 @@ _OF_FRAMES: Final = ("strengths", "actions", "held", "unexplained", "log_peak")
 class Watch:
     """An observer of one event, to be given its frames one by one.
 
-    Example:
-        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
-        ``event.observation.trajectory``, ``post = watch.update(frame)``
-
     What it says after a frame is the same whatever follows, and after the last frame it is what
     :func:`phase_ppl.infer` returns. It holds threads until ``close()``; as a context manager it
     closes itself.
@@ -200,7 +196,12 @@ def watch(
     threads: int | None = None,
     event_id: str = "",
 ) -> Watch:
-    """Return an observer of an event, to be given its frames: all as of :class:`Watch`."""
+    """Return an observer of an event, to be given its frames: all as of :class:`Watch`.
+
+    Example:
+        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
+        ``event.observation.trajectory``, ``post = watch.update(frame)``
+    """
     return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
 
 
