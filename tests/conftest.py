@@ -45,7 +45,7 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(COMPILED))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
-# what is traced fills the heap with objects that stay, which need not be looked through again and again
+# what is traced fills the heap with objects that stay: it is looked through less often
 gc.set_threshold(50_000, 20, 100)
 
 # how long an example takes is the machine's affair
