@@ -87,7 +87,7 @@ $(VENV)/.installed-dev: $(BIN)/python pyproject.toml constraints.txt
 	@touch $(VENV)/.installed $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
-	$(INSTALL) -e '.[docs]'
+	$(INSTALL) -e '.[docs,env]'
 	@touch $@
 
 $(BIN)/python:
