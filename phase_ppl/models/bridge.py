@@ -140,10 +140,18 @@ class SimulatorBridge:
             ends = [r for r in alike if result.completed and result.total_error <= ceiling[r]]
             row = ends[0] if ends else longest
             sites = {name: values[row] for name, values in flat.items()}
-            place, chain = len(self.records), row // rows_per_chain
-            densities = float(log_proposal[row]), float(log_bound[row])
-            asker = float(log_prior[row]), chain, self.iteration
-            self.remember(Record(result, sites, *asker, *densities))
+            place = len(self.records)
+            self.remember(
+                Record(
+                    result,
+                    sites,
+                    log_prior=float(log_prior[row]),
+                    chain=row // rows_per_chain,
+                    iteration=self.iteration,
+                    log_proposal=float(log_proposal[row]),
+                    log_bound=float(log_bound[row]),
+                )
+            )
             for other in alike:
                 if other > row or (other < row and not ends):
                     self._ask_again(place, float(log_proposal[other]))

@@ -126,10 +126,12 @@ def simulate_one(
         stop: whatever of these is done ends it, also within a frame.
         deadline: time, by ``time.perf_counter``, that ends it.
     """
+
+    def start() -> Iterable[NDArray[Any]]:
+        return simulator(scene, hypothesis.effective(), random_generator(seed))
+
     follow = functools.partial(
-        _follow,
-        lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
-        *(hypothesis, seed, observed_positions, error_ceiling, cancelled),
+        _follow, start, hypothesis, seed, observed_positions, error_ceiling, cancelled
     )
     if error_ceiling < 0:
         return follow()
@@ -137,7 +139,9 @@ def simulate_one(
     return in_time(
         follow,
         lambda why: SimulationResult.failed(hypothesis, seed, n_frames, why, limit),
-        *(limit, stop, deadline),
+        limit,
+        stop,
+        deadline,
     )
 
 

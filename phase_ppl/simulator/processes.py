@@ -343,14 +343,14 @@ class Dispatch(Generic[Job]):
     ``time.perf_counter``. ``retries`` jobs were run again so far.
     """
 
-    _pool: OwnWorkers | BorrowedExecutor
-    _function: Callable[..., Any]
+    pool: OwnWorkers | BorrowedExecutor
+    function: Callable[..., Any]
     jobs: dataclasses.InitVar[Sequence[Job]]
-    _arguments: Callable[[Job], tuple[Any, ...]]
-    _failed: Callable[[Job, str, BaseException | None], Any]
-    _stop: Future[None] = dataclasses.field(default_factory=Future)
-    _limit: Callable[[], float] = lambda: math.inf
-    _deadline: float = math.inf
+    arguments: Callable[[Job], tuple[Any, ...]]
+    failed: Callable[[Job, str, BaseException | None], Any]
+    stop: Future[None] = dataclasses.field(default_factory=Future)
+    limit: Callable[[], float] = lambda: math.inf
+    deadline: float = math.inf
 
     def __post_init__(self, jobs: Sequence[Job]) -> None:
         self.retries = 0
@@ -358,8 +358,8 @@ class Dispatch(Generic[Job]):
         self._waiting = deque(_Task(job) for job in jobs)
         self._suspects: deque[_Task[Job]] = deque()
         self._running: dict[Future[Any], _Task[Job]] = {}
-        if isinstance(self._pool, OwnWorkers):
-            self._pool.suffice(len(jobs))
+        if isinstance(self.pool, OwnWorkers):
+            self.pool.suffice(len(jobs))
 
     def results(self) -> Generator[tuple[Job, Any], None, None]:
         """Yield each job with its result, as they finish. Closing this ends what runs."""
@@ -373,39 +373,39 @@ class Dispatch(Generic[Job]):
                     if not self._again(task, future):
                         yield task.job, self._result(task, future)
         except BaseException:
-            self._pool.stop(self._running)
+            self.pool.stop(self._running)
             raise
 
     def _warm_up(self) -> None:
         """Let one worker do what all can then share; what it raises, the jobs will raise again."""
-        future = self._pool.warm_up()
+        future = self.pool.warm_up()
         if future is None:
             return
-        while not wait([future, self._stop], _POLL_SECONDS, FIRST_COMPLETED).done:
+        while not wait([future, self.stop], _POLL_SECONDS, FIRST_COMPLETED).done:
             self._check_cancelled()
         self._check_cancelled()
         if isinstance(_error_of(future), BrokenExecutor):
-            self._pool.stop(())
+            self.pool.stop(())
 
     def _send(self) -> None:
         """Give the pool as much as it takes and no more, so that it can be stopped at once."""
-        while self._pool.slots is None or len(self._running) < self._pool.slots:
+        while self.pool.slots is None or len(self._running) < self.pool.slots:
             source = self._suspects or self._waiting
             if not source or (self._suspects and self._running):
                 return
             task = source[0]
-            given = self._function, self._arguments(task.job), task.with_thing
+            given = self.function, self.arguments(task.job), task.with_thing
             try:
-                future = self._pool.submit(*given)
+                future = self.pool.submit(*given)
             except BrokenExecutor:
                 if self._running:  # they are about to end as lost
                     return
                 # a worker died while there was nothing to do
-                self._pool.stop(())
-                future = self._pool.submit(*given)
+                self.pool.stop(())
+                future = self.pool.submit(*given)
             self._running[future] = source.popleft()
             task.begun = time.perf_counter()
-            if task.losses and self._pool.restarts:
+            if task.losses and self.pool.restarts:
                 return
 
     def _finished(self) -> list[Future[Any]]:
@@ -413,19 +413,19 @@ class Dispatch(Generic[Job]):
         finished: list[Future[Any]] = []
         self._hung.clear()
         while not finished:
-            wait([*self._running, self._stop], _POLL_SECONDS, FIRST_COMPLETED)
+            wait([*self._running, self.stop], _POLL_SECONDS, FIRST_COMPLETED)
             self._check_cancelled()
             # whoever waits is not told of what was cancelled
             finished = [future for future in self._running if future.done()]
-            if not finished and self._pool.restarts:
-                patience = _PATIENCE * self._limit() + _STARTUP_SECONDS
+            if not finished and self.pool.restarts:
+                patience = _PATIENCE * self.limit() + _STARTUP_SECONDS
                 late = time.perf_counter() - patience
                 self._hung = {id(task) for task in self._running.values() if task.begun < late}
                 if self._hung:
                     break
         broken = any(isinstance(_error_of(future), BrokenExecutor) for future in finished)
-        if self._hung or (broken and self._pool.restarts):
-            self._pool.stop(self._running)
+        if self._hung or (broken and self.pool.restarts):
+            self.pool.stop(self._running)
             return list(self._running)
         return finished
 
@@ -444,14 +444,14 @@ class Dispatch(Generic[Job]):
         if isinstance(error, (SimulationError, CannotLoad)) or not isinstance(error, Exception):
             raise error
         died = isinstance(error, BrokenExecutor)
-        if died and not self._pool.restarts:
+        if died and not self.pool.restarts:
             raise SimulationError(f"the executor is broken: {error}") from error
         task.losses += 1
         # what is raised in a worker of ours would be raised again
-        if task.losses >= RUNS or (self._pool.restarts and not died):
+        if task.losses >= RUNS or (self.pool.restarts and not died):
             return False
         self.retries += 1
-        (self._suspects if self._pool.restarts else self._waiting).append(task)
+        (self._suspects if self.pool.restarts else self._waiting).append(task)
         return True
 
     def _result(self, task: _Task[Job], future: Future[Any]) -> Any:
@@ -459,17 +459,17 @@ class Dispatch(Generic[Job]):
         if error is None:
             return future.result()
         if self._hung:
-            why, error = too_long(self._limit()), None
+            why, error = too_long(self.limit()), None
         elif isinstance(error, BrokenExecutor):
             why, error = f"its worker process died, in {task.losses} of {task.losses} runs", None
         else:
             why = described(error)
-        return self._failed(task.job, why, error)
+        return self.failed(task.job, why, error)
 
     def _check_cancelled(self) -> None:
-        if self._stop.done():
+        if self.stop.done():
             raise Cancelled("the run was cancelled")
-        if time.perf_counter() >= self._deadline:
+        if time.perf_counter() >= self.deadline:
             raise OutOfTime("the time of the run is over")
 
 
@@ -525,7 +525,11 @@ def results(
     slots = number_of_workers(workers) if executor is None else workers or AT_ONCE
     pool = pool_for(thing, what, slots, executor, hasattr(thing, "warm_up"))
     dispatch = Dispatch(
-        *(pool, _attempt, jobs, lambda job: (function, job), lambda _, *why: Failure(*why))
+        pool,
+        _attempt,
+        jobs,
+        arguments=lambda job: (function, job),
+        failed=lambda _, *why: Failure(*why),
     )
     try:
         with contextlib.closing(dispatch.results()) as found:

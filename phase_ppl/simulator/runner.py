@@ -280,8 +280,14 @@ class Runner:
         self, pool: OwnWorkers | BorrowedExecutor, requests: Sequence[Request]
     ) -> dict[Request, SimulationResult]:
         dispatch = Dispatch(
-            *(pool, Work.simulate, requests, lambda request: (*request, self._limit())),
-            *(self._failed, self._stop, self._limit, self.deadline),
+            pool,
+            Work.simulate,
+            requests,
+            arguments=lambda request: (*request, self._limit()),
+            failed=self._failed,
+            stop=self._stop,
+            limit=self._limit,
+            deadline=self.deadline,
         )
         try:
             with contextlib.closing(dispatch.results()) as results:
