@@ -174,7 +174,7 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
         found["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
     tracks = np.moveaxis(found["trajectory"], 1, 0)
     turning, resets = _text(dataset, "turning", required=True), _number(dataset, _RESETS)
-    if resets not in (None, 0, 1):
+    if _RESETS in dataset.variables and resets not in (0, 1):
         raise InvalidEventError(f"{_RESETS} is {shown(resets)}, expected 0 or 1")
     record: dict[str, Any] = {
         "world": given,

@@ -97,6 +97,15 @@ class GeneratedEvents(StoredEvents):
             return _Entries(self)
         return [self.manifest["entries"][one.place] for one in self._stored]
 
+    def _entry(self, index: int) -> dict[str, Any]:
+        """Return what is known about one of the events of a set in blocks."""
+        id, number, within = self._stored[index]
+        folder = self._files[number].parent
+        entries = _entries_of(folder / ENTRIES)
+        if within >= len(entries) or entries[within]["id"] != id:
+            raise InvalidEventError(f"{folder}: {EVENTS} and {ENTRIES} are not of the same events")
+        return entries[within]
+
     @property
     def cost(self) -> dict[str, Any]:
         """What the call that finished it took, ``seconds`` and ``workers``; {} where shards did."""
@@ -140,12 +149,7 @@ class _Entries(Sequence[dict[str, Any]]):
     def __getitem__(self, index: int | slice) -> dict[str, Any] | Sequence[dict[str, Any]]:
         if isinstance(index, slice):
             return self._events[index].entries
-        id, number, within = self._events._stored[index]
-        folder = self._events._files[number].parent
-        entries = _entries_of(folder / ENTRIES)
-        if within >= len(entries) or entries[within]["id"] != id:
-            raise InvalidEventError(f"{folder}: {EVENTS} and {ENTRIES} are not of the same events")
-        return entries[within]
+        return self._events._entry(index)
 
     def __len__(self) -> int:
         return len(self._events)

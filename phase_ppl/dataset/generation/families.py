@@ -215,8 +215,9 @@ def register_family(
     if not layouts or ":" in name:
         raise InvalidSettingError(f"family {name!r}: expected layouts, and a name without ':'")
     world = None if world is None else named(world)
-    least = {"agents": agents, "items": items, "landmarks": landmarks}
-    needs = {what: whole_number(what, n, 0) for what, n in least.items() if world is None}
+    given = {"agents": agents, "items": items, "landmarks": landmarks}
+    least = {what: whole_number(what, n, 0) for what, n in given.items()}
+    needs = least if world is None else {}
     registry = FAMILIES if world == PHASE else CAST_FAMILIES
     kinds = tuple(variants), tuple(layouts)
     return registry.register(

@@ -193,6 +193,11 @@ def test_unknown_variants_are_refused_with_what_there_is(cell: str, there: str) 
         family_of(cell)
 
 
+def test_numbers_of_a_family_are_checked_whatever_world_it_is_of() -> None:
+    with pytest.raises(InvalidSettingError, match="agents='x'"):
+        register_family("few", scenario="independent", agents="x")  # type: ignore[arg-type]
+
+
 @pytest.fixture
 def own(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Registers a family in which both go somewhere, from the same room; it is then forgotten."""
