@@ -119,6 +119,15 @@ class RunOptions:
             check_name("weights", self.weights, WEIGHTINGS)
         if self.burn_in is not None:
             whole_number("burn_in", self.burn_in, minimum=0)
+            self.check_burn_in(self.iterations)
+
+    def check_burn_in(self, iterations: int | None) -> None:
+        """Raise InvalidSettingError if the burn-in leaves none of so many iterations."""
+        # what is no number is refused where the length of the run is made
+        if isinstance(iterations, int) and (self.burn_in or 0) >= iterations > 0:
+            raise InvalidSettingError(
+                f"burn_in={self.burn_in}, but there are {iterations} iterations: expected fewer"
+            )
 
 
 def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
@@ -188,11 +197,7 @@ class Sampler:
             *(self._kernel, run.info, run.chains, options.iterations, options.budget),
             self._n_frames,
         )
-        iterations, burn_in = self._length.iterations, options.burn_in
-        if iterations is not None and burn_in is not None and burn_in >= iterations:
-            raise InvalidSettingError(
-                f"burn_in={burn_in}, but there are {iterations} iterations: expected fewer"
-            )
+        options.check_burn_in(self._length.iterations)
         self._check_memory()
         self._init, self._step = compiled(run.recipe)
         self._state: Any = None

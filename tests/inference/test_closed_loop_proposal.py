@@ -114,3 +114,6 @@ def test_what_is_wrong_is_refused_before_the_video_is_read(
     for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
         with pytest.raises(ppl.PhasePPLError, match=r"too small|papr|burn_in=7"):
             ppl.infer(seen, kernel="local_mh", chains=2, workers=1, progress=False, **wrong)
+    table = ppl.Model(likelihood=ppl.StepwiseLikelihood())
+    with pytest.raises(ppl.PhasePPLError, match="burn_in=7"):
+        ppl.infer(seen, table, kernel="prior_mh", iterations=6, burn_in=7, progress=False)
