@@ -74,13 +74,17 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
 def parse_document(content: bytes) -> dict[str, Any]:
     """Return the JSON object that ``content`` spells."""
     _refuse_binary(content[:_HEAD_BYTES])
+    return parse_text(_decoded(content, "is not text"))
+
+
+def _decoded(content: bytes, otherwise: str) -> str:
+    """Return the text of a file, or raise what it is ``otherwise``."""
     if len(content) > MAX_BYTES:
         raise too_large(MAX_BYTES)
     try:
-        text = content.decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InvalidEventError(f"is not text: byte {error.start} is not UTF-8") from None
-    return parse_text(text)
+        raise InvalidEventError(f"{otherwise}: byte {error.start} is not UTF-8") from None
 
 
 def parse_text(text: str) -> dict[str, Any]:
@@ -241,13 +245,7 @@ def naming(path: str | os.PathLike[str], video: str | None = None) -> Iterator[N
 def csv_text(source: Path) -> str:
     """Return the text of a file (InvalidEventError: it is none)."""
     with reading_bytes("a CSV file"), open(source, "rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise too_large(MAX_BYTES)
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InvalidEventError(f"is no CSV file: byte {error.start} is not UTF-8") from None
+        text = _decoded(file.read(MAX_BYTES + 1), "is no CSV file")
     if "\0" in text:
         raise InvalidEventError("is no CSV file in UTF-8: it holds zero bytes")
     return text
