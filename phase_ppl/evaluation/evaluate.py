@@ -200,6 +200,8 @@ def evaluate(
                     bar.say(failure)
                     bar.one_more(event_id, None)
         except KeyboardInterrupt as stop:
+            if folder is not None:  # one may have been kept just now
+                done.update(folder.readable()[0])
             raise EvaluationInterrupted(evaluation()) from stop
         except SimulationError as error:
             error.evaluation = evaluation()  # type: ignore[attr-defined]

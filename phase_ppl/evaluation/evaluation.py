@@ -353,16 +353,7 @@ class ResultsFolder:
             return cls.create(path, settings, events), {}, []
         folder = cls.open(path)
         folder.check_same(settings)
-        done: dict[str, Prediction] = {}
-        notes = []
-        for event in folder.events:
-            try:
-                prediction = folder.prediction(event.id)
-            except InvalidEventError as error:
-                notes.append(f"{error}; the event is predicted again")
-                continue
-            if prediction is not None:
-                done[event.id] = prediction
+        done, notes = folder.readable()
         before = folder.settings.get("versions") or {}
         other = differences(before, settings["versions"])
         if other and len(done) < len(events):
@@ -440,6 +431,19 @@ class ResultsFolder:
         """Return event id -> prediction of the finished events, in the order of the events."""
         found = {event.id: self.prediction(event.id) for event in self.events}
         return {name: given for name, given in found.items() if given is not None}
+
+    def readable(self) -> tuple[dict[str, Prediction], list[str]]:
+        """Return :meth:`predictions` without those that are damaged, and notes about these."""
+        done, notes = {}, []
+        for event in self.events:
+            try:
+                prediction = self.prediction(event.id)
+            except InvalidEventError as error:
+                notes.append(f"{error}; the event is predicted again")
+                continue
+            if prediction is not None:
+                done[event.id] = prediction
+        return done, notes
 
     def prediction(self, event_id: str) -> Prediction | None:
         """Return the prediction of an event; None where it is not finished."""

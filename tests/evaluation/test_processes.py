@@ -13,6 +13,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.evaluate import COMPILED_OF
+from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Truth
 from tests.evaluation import toys
@@ -160,7 +161,7 @@ SCRIPT = """
 
 
 def finished(folder: Path) -> int:
-    return len(list(folder.glob("out/events/*/prediction.json")))
+    return len(list(folder.glob("out/events/[!.]*/prediction.json")))
 
 
 def begun(folder: Path) -> int:
@@ -210,6 +211,21 @@ def test_ctrl_c_in_this_process_keeps_what_was_done(tmp_path: Path) -> None:
     assert list(caught.value.evaluation.predictions) == ["c", "d"]
     assert caught.value.evaluation.metrics["n_events"] == 2
     assert not (tmp_path / "metrics.json").exists()
+
+
+def test_what_was_kept_just_before_ctrl_c_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = ResultsFolder.add
+
+    def adds_the_last_thing(folder: ResultsFolder, *given: Any) -> None:
+        add(folder, *given)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ResultsFolder, "add", adds_the_last_thing)
+    with pytest.raises(ppl.EvaluationInterrupted, match=r"1 of 4 events.*kept in") as caught:
+        evaluate(guesses, workers=1, out=tmp_path)
+    assert list(caught.value.evaluation.predictions) == ["d"]
 
 
 def test_compiled_programs_do_not_pile_up_in_workers() -> None:
