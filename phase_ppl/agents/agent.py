@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents import pomcp, symbols
 from phase_ppl.agents.beliefs import Beliefs, Perception
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.standpoints import Alike, Stance, alike, standpoints
+from phase_ppl.agents.standpoints import Group, Stance, grouped, standpoints
 from phase_ppl.agents.subgoals import subgoal_planners
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
@@ -121,16 +121,16 @@ class Policies(Perception):
         self._counts = len(world.entities), len(world.agents)
         if goals is None:
             every = standpoints(agent, world)
-            self._alike, n = every.alike, every.n
+            self._standpoints, n = every.groups, every.n
         else:
             n = len(goals)
-            self._alike = alike(agent, goals, range(n), world)
-        asked = {(agent, one.own) for one in self._alike}
+            self._standpoints = grouped(agent, goals, range(n), world)
+        asked = {(agent, one.own) for one in self._standpoints}
         asked |= {
-            (one.towards.other, other)
-            for one in self._alike
+            (one.stance.other, other)
+            for one in self._standpoints
             for other in one.others
-            if one.towards.helps_along
+            if one.stance.helps_along
         }
         self._rows = {goal: row for row, goal in enumerate(sorted(asked))}
         literals = [goal_literal(goal, holder, world) for holder, goal in self._rows]
@@ -176,13 +176,13 @@ class Policies(Perception):
         self._planner = subgoal_planners(self.agent, self.model.abilities)
         found: dict[Intent, int] = {}
         self.intent_of[:] = NO_INTENT
-        for one in self._alike:
+        for one in self._standpoints:
             chosen = [
                 (other, place)
                 for other, place in zip(one.others, one.places, strict=True)
                 if wanted is None or wanted[place]
             ]
-            for same in self._by_done(chosen, one.towards) if one.towards.helps_along else [chosen]:
+            for same in self._by_done(chosen, one.stance) if one.stance.helps_along else [chosen]:
                 if same:
                     intent = self._intent(one, same[0][0])
                     places = [place for _, place in same]
@@ -220,24 +220,24 @@ class Policies(Perception):
                 self._costs[row] = np.where(near, way, self._costs[row])
 
     def _by_done(
-        self, others: Iterable[tuple[int, int]], towards: Stance
+        self, others: Iterable[tuple[int, int]], stance: Stance
     ) -> Iterable[list[tuple[int, int]]]:
         """Return the other's goals with their standpoints, by where they are reached."""
         classes: dict[bytes, list[tuple[int, int]]] = defaultdict(list)
         for other in others:
-            done = self._done[self._rows[towards.other, other[0]]]
+            done = self._done[self._rows[stance.other, other[0]]]
             classes[done.tobytes()].append(other)
         return classes.values()
 
-    def _intent(self, one: Alike, other: int) -> Intent:
+    def _intent(self, one: Group, other: int) -> Intent:
         """Return what the agent is about with its own goal and the other's."""
-        row, towards = self._rows[self.agent, one.own], one.towards
+        row, stance = self._rows[self.agent, one.own], one.stance
         done = self._done[row]
         kinds = 4 * self._kind + 2 * done
-        if towards.helps_along:
+        if stance.helps_along:
             # it matters whether the other is where it wants to be
-            kinds += self._done[self._rows[towards.other, other]]
-        planner = self._planner(self._plans[row], towards, one.literal.predicate is Predicate.OWN)
+            kinds += self._done[self._rows[stance.other, other]]
+        planner = self._planner(self._plans[row], stance, one.literal.predicate is Predicate.OWN)
         agreeing: dict[Literal, list[int]] = defaultdict(list)
         for state, members in self._grouped(kinds):
             agreeing[planner.subgoal(state, self._observed)] += members
@@ -245,7 +245,7 @@ class Policies(Perception):
             members.sort()
         share = np.count_nonzero(done) / len(done)
         best = best_subgoal(agreeing, self._costs[row], share, self.config, self._counts[1])
-        return Intent(best, tuple(agreeing[best]), towards.contested)
+        return Intent(best, tuple(agreeing[best]), stance.contested)
 
     def _grouped(self, kinds: IntArray) -> list[tuple[symbols.SymbolicState, list[int]]]:
         """Return the symbolic states among the particles, and which particles are in each.

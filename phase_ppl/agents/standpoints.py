@@ -37,7 +37,7 @@ class Stance(NamedTuple):
     helps_along: bool
 
 
-def stance(agent: int, goals: Sequence[Literal]) -> Stance:
+def stance_of(agent: int, goals: Sequence[Literal]) -> Stance:
     """Return how an agent stands to the others, given the goals of all, in order."""
     own = goals[agent]
     others = [other for other in range(len(goals)) if other != agent]
@@ -61,14 +61,14 @@ def wants(own: Literal, agent: int, theirs: Literal, other: int) -> bool:
     return own == theirs or (own.says(theirs) and {own.subject, own.target} != {agent, other})
 
 
-class Alike(NamedTuple):
-    """A goal of an agent, and goals of another towards which it then stands alike."""
+class Group(NamedTuple):
+    """Standpoints of one agent with the same goal and stance: they differ in another's goal."""
 
     own: int
     literal: Literal
-    towards: Stance
-    others: list[int]
-    places: list[int]  # with each of these the number of the standpoint
+    stance: Stance
+    others: list[int]  # goals of the other agent
+    places: list[int]  # the number of the standpoint with each of these
 
 
 class Standpoints:
@@ -79,7 +79,7 @@ class Standpoints:
         world: whose goals.
 
     Attributes:
-        alike: standpoints in groups that differ in the goal of one other agent only.
+        groups: all of them, by what they have in common.
         n: standpoints. Of two agents they are the pairs of effective goals, the first agent's times
             the number of goals plus the second's.
     """
@@ -87,7 +87,7 @@ class Standpoints:
     def __init__(self, agent: int, world: World) -> None:
         self._agent, self._n_goals = agent, len(world.goals)
         self._others = [other for other in range(len(world.agents)) if other != agent]
-        self.alike: list[Alike] = []
+        self.groups: list[Group] = []
         if len(world.agents) == 2:
             self._of_pairs(world)
         else:
@@ -110,8 +110,8 @@ class Standpoints:
         self.n = self._n_goals**2
         pairs = list(itertools.product(*(possible_goals(holder, world) for holder in range(2))))
         places = [red * self._n_goals + green for red, green in pairs]
-        self.alike = alike(self._agent, pairs, places, world)
-        self.alike.sort(key=lambda one: one.own)
+        self.groups = grouped(self._agent, pairs, places, world)
+        self.groups.sort(key=lambda one: one.own)
 
     def _of_any(self, world: World) -> None:
         agent, n_goals, others = self._agent, self._n_goals, self._others
@@ -132,7 +132,7 @@ class Standpoints:
         self._table = np.full((n_goals, _KINDS ** len(others), n_goals), -1)
         self.n = 0
         for own, literal in literals[agent].items():
-            known: dict[Stance, Alike] = {}
+            known: dict[Stance, Group] = {}
             for kinds in itertools.product(range(_KINDS), repeat=len(others)):
                 goals = [int(self._wanted[kind, place, own]) for place, kind in enumerate(kinds)]
                 if any(kind and goal < 0 for kind, goal in zip(kinds, goals, strict=True)):
@@ -141,19 +141,19 @@ class Standpoints:
                 everyone[agent] = literal
                 for other, goal in zip(others, goals, strict=True):
                     everyone[other] = literals[other].get(goal, STOP)
-                towards = stance(agent, everyone)
+                stance = stance_of(agent, everyone)
                 code = sum(kind * _KINDS**place for place, kind in enumerate(kinds))
-                one = known.setdefault(towards, Alike(own, literal, towards, [], []))
-                if towards.helps_along:
-                    self._whose[own] = towards.other
-                    helped = goals[others.index(towards.other)]
-                    for goal in literals[towards.other] if helped < 0 else [helped]:
+                one = known.setdefault(stance, Group(own, literal, stance, [], []))
+                if stance.helps_along:
+                    self._whose[own] = stance.other
+                    helped = goals[others.index(stance.other)]
+                    for goal in literals[stance.other] if helped < 0 else [helped]:
                         self._table[own, code, goal] = self._place(one, goal)
                 else:
                     self._table[own, code] = self._place(one, own)
-            self.alike += known.values()
+            self.groups += known.values()
 
-    def _place(self, one: Alike, goal: int) -> int:
+    def _place(self, one: Group, goal: int) -> int:
         """Return the number of the standpoint with another's goal, a new one if need be."""
         if goal not in one.others:
             one.others.append(goal)
@@ -168,15 +168,15 @@ def standpoints(agent: int, world: World) -> Standpoints:
     return Standpoints(agent, world)
 
 
-def alike(
+def grouped(
     agent: int, goals: Iterable[tuple[int, ...]], places: Iterable[int], world: World
-) -> list[Alike]:
-    """Return goals of all agents in groups that lead one agent to the same intent.
+) -> list[Group]:
+    """Return the standpoints from which an agent sees the goals of all, in groups.
 
     Args:
         agent: which one.
         goals: effective goals of all.
-        places: a number for each of these.
+        places: the number of the standpoint of each.
         world: whose goals.
     """
     groups: dict[tuple[int, Literal, Stance], tuple[list[int], list[int]]] = defaultdict(
@@ -185,9 +185,9 @@ def alike(
     literal = functools.cache(lambda goal, holder: goal_literal(goal, holder, world))
     for each, place in zip(goals, places, strict=True):
         literals = [literal(goal, holder) for holder, goal in enumerate(each)]
-        towards = stance(agent, literals)
-        other = agent if towards.other == NOTHING else towards.other
-        others, numbers = groups[each[agent], literals[agent], towards]
+        stance = stance_of(agent, literals)
+        other = agent if stance.other == NOTHING else stance.other
+        others, numbers = groups[each[agent], literals[agent], stance]
         others.append(each[other])
         numbers.append(place)
-    return [Alike(*key, *lists) for key, lists in groups.items()]
+    return [Group(*key, *lists) for key, lists in groups.items()]

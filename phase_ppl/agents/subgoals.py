@@ -24,7 +24,7 @@ class SubgoalPlanner:
     Args:
         agent: who plans.
         own: literal of its effective goal.
-        towards: how it stands to those of others.
+        stance: how it stands to those of others.
         abilities: what the bodies can do.
         settles: whether it stops where its goal is reached, whatever the goal.
         plans: what finds those of given abilities.
@@ -34,13 +34,13 @@ class SubgoalPlanner:
         self,
         agent: int,
         own: Literal,
-        towards: Stance,
+        stance: Stance,
         abilities: Abilities,
         settles: bool = False,
         plans: Callable[[Abilities], Finder] = plans_of,
     ) -> None:
         self.agent, self.own = agent, own
-        self.stance, self.opponent = towards, towards.other
+        self.stance, self.opponent = stance, stance.other
         if own.predicate is Predicate.ON:  # of a room with several landmarks, this one counts
             landmarks = list(abilities.landmark_in)
             landmarks[abilities.landmark_rooms[own.target]] = own.target
@@ -330,11 +330,11 @@ class SubgoalPlanner:
         way = self.abilities.route(entities, start, end)
         return way[1] if way is not None and len(way) > 1 else None
 
-    def _walk(self, state: SymbolicState, rooms: set[int], towards: int) -> Literal:
+    def _walk(self, state: SymbolicState, rooms: set[int], to: int) -> Literal:
         """Go to one of some rooms; where that is impossible, as near to a room as can be."""
         there = Target("rooms", self.agent, frozenset(rooms))
         steps = self._plan(state, (self.agent,), frozenset(), there)
-        return steps[0].literal if steps else self._press_on(state, towards)
+        return steps[0].literal if steps else self._press_on(state, to)
 
     def _press_on(self, state: SymbolicState, room: int) -> Literal:
         """Head for a room that the body does not fit into: as near as the walls allow."""
@@ -399,7 +399,7 @@ def subgoal_planners(
     plans = functools.cache(plans_of)
 
     @functools.cache
-    def planner(own: Literal, towards: Stance, settles: bool) -> SubgoalPlanner:
-        return SubgoalPlanner(agent, own, towards, abilities, settles, plans)
+    def planner(own: Literal, stance: Stance, settles: bool) -> SubgoalPlanner:
+        return SubgoalPlanner(agent, own, stance, abilities, settles, plans)
 
     return planner

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.analysis.query import conditions
-from phase_ppl.world.arrays import alike
+from phase_ppl.world.arrays import equal_rows
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.files import existing_file
 
@@ -93,7 +93,7 @@ def defined(
             "lambda h: h.goal_red == h.goal_green, or conditions in words, such as "
             "'goal_red = goal_green'"
         )
-    number, first = alike([columns[column] for column in quantities])
+    number, first = equal_rows([columns[column] for column in quantities])
     views = [Named(quantities, columns, int(row)) for row in first]
     results = [_value(name, definition, view) for view in views]
     kinds = {type(result): view for result, view in zip(results, views, strict=True)}

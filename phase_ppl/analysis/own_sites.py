@@ -23,7 +23,7 @@ from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
 from phase_ppl.analysis.weights import Rows, log_sum_exp
-from phase_ppl.world.arrays import FloatArray, IntArray, alike
+from phase_ppl.world.arrays import FloatArray, IntArray, equal_rows
 
 Sites = dict[str, tuple[Quantity, NDArray[Any]]]  # further ones, and their columns
 Values = tuple[tuple[str, tuple[float, ...]], ...]  # of further sites, all that there are
@@ -105,7 +105,7 @@ class WithSites(Hypotheses):
         strengths = self.strengths_of.values()
 
         def first_of(names: Sequence[str]) -> IntArray:
-            kind, first = alike([self._rows.values[name] for name in names])
+            kind, first = equal_rows([self._rows.values[name] for name in names])
             return first[kind]
 
         return first_of(names), first_of([name for name in names if name not in strengths])

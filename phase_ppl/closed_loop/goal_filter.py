@@ -386,7 +386,7 @@ class PolicyFilter(GoalFilter):
         # -1: the agent cannot have it
         self._usual = [np.full(len(world.goals), -1) for _ in world.agents]
         for usual, points in zip(self._usual, self._points, strict=True):
-            for one in reversed(points.alike):
+            for one in reversed(points.groups):
                 usual[one.own] = one.places[0]
 
     def _nothing(self, n_sets: int) -> OfGoals:

@@ -33,7 +33,7 @@ from phase_ppl.models.density import (
 )
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
-from phase_ppl.world.arrays import FloatArray, alike
+from phase_ppl.world.arrays import FloatArray, equal_rows
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, effective_table
@@ -74,7 +74,7 @@ def log_prior_of_hypotheses(prior: Program, sites: Mapping[str, NDArray[Any]]) -
     # what is averaged depends on some of the sites only, which have fewer combinations
     relevant = {*mixed}.union(*(depends[name] for name in (*mixed, *above)))
     columns = {name: np.asarray(sites[name]) for name in names if name in relevant}
-    kind, first = alike([part for one in columns.values() for part in one.reshape(n, -1).T])
+    kind, first = equal_rows([part for one in columns.values() for part in one.reshape(n, -1).T])
     n_draws = 2 ** int(math.log2(_DENSITIES / len(first))) if len(first) < _DENSITIES else 0
     n_draws = min(max(n_draws, _LEAST_DRAWS), _MOST_DRAWS)
     density = _averaged(prior, mixed, above, n_draws)

@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold, and which rows of a table are alike."""
+"""Types of arrays, by what they hold, and which rows of a table are equal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 
-def alike(columns: Sequence[NDArray[Any]]) -> tuple[IntArray, IntArray]:
+def equal_rows(columns: Sequence[NDArray[Any]]) -> tuple[IntArray, IntArray]:
     """Return the kind of each row of a table, (row,), and the first row of each kind, (kind,).
 
     Rows of one kind are equal in all columns, each (row,); NaN is equal to itself. Kinds are

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.agents.standpoints import stance
+from phase_ppl.agents.standpoints import stance_of
 from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planners
 from phase_ppl.agents.symbols import SymbolicState, Target, plan, plans_of, start_node
 from phase_ppl.agents.world_model import Abilities
@@ -61,8 +61,8 @@ def planner(
     where.setdefault("walls", WALLS)
     goals = (goal_index(red), goal_index(green))
     literals = [goal_literal(goal, holder) for holder, goal in enumerate(goals)]
-    towards = stance(agent, literals)
-    return SubgoalPlanner(agent, literals[agent], towards, Abilities.of(scene(**where), strengths))
+    stance = stance_of(agent, literals)
+    return SubgoalPlanner(agent, literals[agent], stance, Abilities.of(scene(**where), strengths))
 
 
 def state(rooms: tuple[int, ...] = (TL, BR, TL, TR), **changes: Any) -> SymbolicState:
@@ -470,7 +470,7 @@ def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goa
     abilities = Abilities.of(scene(walls=NARROW_DOWN, radius=[0.8, 1.2, 0.8, 1.6]), (450.0, 450.0))
     for red, green in itertools.product(possible_goals(RED), possible_goals(GREEN)):
         own, other = goal_literal(red, RED), goal_literal(green, GREEN)
-        plan = SubgoalPlanner(RED, own, stance(RED, [own, other]), abilities)
+        plan = SubgoalPlanner(RED, own, stance_of(RED, [own, other]), abilities)
         for facts in states:
             found = plan.subgoal(facts, UNSEEN)
             assert isinstance(found, Literal)
@@ -479,10 +479,10 @@ def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goa
 
 @pytest.mark.parametrize("walls", [[], NARROW_DOWN])
 def test_equal_abilities_share_one_planner_memory(walls: list[list[list[float]]]) -> None:
-    towards = stance(RED, [goal_literal(0, RED), goal_literal(1, GREEN)])
+    stance = stance_of(RED, [goal_literal(0, RED), goal_literal(1, GREEN)])
     first, second, weak = (
         subgoal_planners(RED, Abilities.of(scene(walls=walls), strengths))(
-            goal_literal(0, RED), towards, False
+            goal_literal(0, RED), stance, False
         )
         for strengths in ((450.0, 600.0), (449.0, 590.0), (150.0, 600.0))
     )
