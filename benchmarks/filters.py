@@ -17,14 +17,21 @@ import numpy as np
 import phase_ppl as ppl
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import REJECTED
-from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, Recording, measures, reason_against
-from phase_ppl.physics.actions import NO_ACTION, Action
+from phase_ppl.dataset.generation.making import (
+    MAX_STUCK,
+    NEAR,
+    PUSHES,
+    Recording,
+    measures,
+    reason_against,
+)
+from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, Predicate
 
-ACTIONS: Final = {action.name.lower().replace("_", ""): int(action) for action in Action}
-"""Name of an action in the recovered ones -> number."""
+PUSHING: Final = [ACTION_NAMES[action] for action in PUSHES]
+"""Names of actions that push, in the recovered ones."""
 
 
 class Case(NamedTuple):
@@ -73,13 +80,12 @@ RULES: Final = (
 def real_case(event: Event, actions: Sequence[Sequence[str]]) -> Case:
     """Return what our filters see in a real video."""
     truth, n = event.truth, event.observation.n_frames
-    known = np.full((n, len(AGENTS)), NO_ACTION, np.int64)
-    numbers = [[ACTIONS[name] for name in pair] for pair in actions[: n - 1]]
-    known[1 : 1 + len(numbers)] = numbers
+    nothing = np.zeros((n, len(AGENTS)), bool)  # what is held is of no use to the filters
+    pushes = nothing.copy()
+    pushes[1 : 1 + len(actions)] = np.isin(actions[: n - 1], PUSHING)
     hypothesis = common.true_hypothesis(event)
-    held = np.full((n, len(AGENTS)), NOTHING, np.int64)  # of no use to the filters
     track = event.observation.trajectory
-    found = measures(Recording(event.scene, hypothesis, 0, track, known, held))
+    found = measures(Recording(event.scene, hypothesis, 0, track, pushes, nothing))
     reason = reason_against(truth.scenario, hypothesis, found)
     return Case(truth.scenario, hypothesis.effective_goals, found, reason)
 

@@ -31,7 +31,7 @@ from phase_ppl.dataset.generation import making
 from phase_ppl.dataset.generation.making import Recording
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.world.names import AGENTS, NOTHING
+from phase_ppl.world.names import AGENTS
 
 STEPS: Final = ("made", "opened", "gone through")
 WORK: Final = {"make": "parts", "evaluate": "events"}
@@ -179,7 +179,7 @@ def instant(situation: Situation, simulator: JointSimulator, frames: int, seed: 
     start = situation.scene.start
     there = np.append(np.reshape(situation.scene.arena, (2, 2)).mean(axis=1), seed % np.pi)
     gone = np.linspace(0, 0.5, frames)[:, None, None]
-    nothing = np.full((frames, len(AGENTS)), NOTHING)
+    nothing = np.zeros((frames, len(AGENTS)), bool)
     track = start + gone * (there - start)
     return Recording(
         situation.scene, situation.hypothesis, situation.layout, track, nothing, nothing

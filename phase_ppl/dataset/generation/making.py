@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.dataset.events_json import event_record
 from phase_ppl.dataset.generation.families import changed, pairs_showing
@@ -22,9 +21,9 @@ from phase_ppl.dataset.generation.plan import (
 )
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.dataset.motion import last_motion
-from phase_ppl.physics.actions import DIRECTIONS, NO_ACTION, Action
+from phase_ppl.physics.actions import DIRECTIONS
 from phase_ppl.simulator.joint import JointSimulator, simulate
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
@@ -47,9 +46,10 @@ class Recording:
     hypothesis: Hypothesis  # stated goals, alpha, strengths
     layout: int  # number of the layout, before any reflection
     trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
-    # (time, agent) action that led to the frame, ``NO_ACTION`` at the start
-    actions: NDArray[np.int64]
-    held: NDArray[np.int64]  # (time, agent) item held when that action was chosen, or ``NOTHING``
+    # (time, agent) whether the action that led to the frame pushes, and whether the agent held an
+    # item when it chose it; not so at the start
+    pushes: BoolArray
+    holds: BoolArray
 
 
 def record(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
@@ -58,13 +58,14 @@ def record(situation: Situation, simulator: JointSimulator, frames: int, seed: i
     steps = simulator.steps(scene, hypothesis, np.random.default_rng(seed))
     taken = list(itertools.islice(steps, frames))
     trajectory = np.array([frame for frame, _ in taken], np.float64)
-    at_start = [(NO_ACTION, NOTHING)] * len(AGENTS)
-    doing = np.array(
-        [[(one.action, one.held) for one in pair] or at_start for _, pair in taken], np.int64
-    )
+    at_start = [(False, False)] * len(AGENTS)
+    doing = [
+        [(one.action in PUSHES, one.held != NOTHING) for one in pair] or at_start
+        for _, pair in taken
+    ]
     length = after_motion(trajectory)
-    actions, held = np.moveaxis(doing[:length], 2, 0)
-    return Recording(scene, hypothesis, situation.layout, trajectory[:length], actions, held)
+    pushes, holds = np.moveaxis(np.array(doing[:length]), 2, 0)
+    return Recording(scene, hypothesis, situation.layout, trajectory[:length], pushes, holds)
 
 
 def after_motion(trajectory: FloatArray) -> int:
@@ -92,14 +93,6 @@ REFLECTIONS: Final = {
 }
 """Name -> reflection; the names are those of the authors' files."""
 
-_IN_A_MIRROR: Final = (
-    (Action.TURN_LEFT, Action.TURN_RIGHT),
-    (Action.LEFT, Action.RIGHT),
-    (Action.UP_LEFT, Action.UP_RIGHT),
-    (Action.DOWN_LEFT, Action.DOWN_RIGHT),
-)
-"""Actions that look like each other in a mirror; all others look like themselves."""
-
 _OTHER_WAY: Final[dict[str, Turning]] = {"both": "both", "ccw": "cw", "cw": "ccw"}
 
 
@@ -119,10 +112,6 @@ def reflected(recording: Recording, name: str) -> Recording:
 
     apart = mirrored(scene.landmark_centres)[:, None] - scene.landmark_centres
     landmark = np.linalg.norm(apart, axis=2).argmin(axis=1).tolist()
-    actions = np.array(recording.actions)
-    for left, right in _IN_A_MIRROR:
-        actions[recording.actions == left] = right
-        actions[recording.actions == right] = left
     return dataclasses.replace(
         recording,
         scene=dataclasses.replace(
@@ -133,7 +122,6 @@ def reflected(recording: Recording, name: str) -> Recording:
         ),
         hypothesis=_renamed(recording.hypothesis, list(range(len(ENTITIES))), landmark),
         trajectory=turned(recording.trajectory),
-        actions=actions,
     )
 
 
@@ -144,14 +132,13 @@ def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
         if swap:
             order[first], order[first + 1] = order[first + 1], order[first]
     agent_order, scene = order[: len(AGENTS)], recording.scene
-    held = recording.held[:, agent_order]
     return dataclasses.replace(
         recording,
         scene=dataclasses.replace(scene, start=scene.start[order], radius=scene.radius[order]),
         hypothesis=_renamed(recording.hypothesis, order, list(range(len(LANDMARKS)))),
         trajectory=recording.trajectory[:, order],
-        actions=recording.actions[:, agent_order],
-        held=np.where(held >= 0, np.array(order)[held], held),
+        pushes=recording.pushes[:, agent_order],
+        holds=recording.holds[:, agent_order],
     )
 
 
@@ -197,11 +184,11 @@ def measures(recording: Recording) -> dict[str, Any]:
     * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
     """
     found = _measured(
-        recording.trajectory, recording.scene, recording.hypothesis, recording.actions[1:]
+        recording.trajectory, recording.scene, recording.hypothesis, recording.pushes[1:]
     )
     for of_the_pair in ("closest", "met"):
         (found[of_the_pair],) = found[of_the_pair].values()
-    return {**found, "held": (recording.held >= 0).mean(axis=0).tolist()}
+    return {**found, "held": recording.holds.mean(axis=0).tolist()}
 
 
 def measures_elsewhere(event: Event) -> dict[str, Any]:
@@ -211,18 +198,17 @@ def measures_elsewhere(event: Event) -> dict[str, Any]:
     ``reached`` [agent]: whether it has a goal of its own that became true.
     """
     assert event.thoughts is not None
-    found = _measured(
-        event.observation.trajectory, event.scene, event.truth, event.thoughts.actions
-    )
+    pushes = np.isin(event.thoughts.actions, PUSHES)
+    found = _measured(event.observation.trajectory, event.scene, event.truth, pushes)
     own = zip(event.truth.stated, found["at_start"], found["at_end"], strict=True)
     reached = [goal is not None and end and not start for goal, start, end in own]
     return {**found, "reached": reached}
 
 
 def _measured(
-    track: FloatArray, scene: Scene, wanted: Hypothesis | Roles, actions: IntArray
+    track: FloatArray, scene: Scene, wanted: Hypothesis | Roles, pushes: BoolArray
 ) -> dict[str, Any]:
-    """Return :func:`measures_elsewhere` but for ``reached``; actions are (step, agent)."""
+    """Return :func:`measures_elsewhere` but for ``reached``; pushes are (step, agent)."""
     world = scene.world
     n_agents, n = len(world.agents), len(world.entities)
     literals = [
@@ -230,7 +216,7 @@ def _measured(
     ]
     truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
     steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
-    pushes = np.isin(actions, PUSHES) & (steps[:, :n_agents] < STILL)
+    in_vain = pushes & (steps[:, :n_agents] < STILL)
 
     def touching(one: int, other: int) -> Iterator[bool]:
         return (touches(one, other, frame, scene.radius, n_agents) for frame in track)
@@ -255,7 +241,7 @@ def _measured(
         "moved": steps.sum(axis=0).tolist(),
         "stuck": [
             max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
-            for of_agent in pushes.T.tolist()
+            for of_agent in in_vain.T.tolist()
         ],
     }
 

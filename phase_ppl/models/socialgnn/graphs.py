@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.making import Recording, recoloured, reflected
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
-from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT, touches
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import Scene
 
@@ -277,16 +276,9 @@ class Examples:
 
 
 def _recording(event: Event) -> Recording:
-    """Return an event as what the copies are made of; actions are not known, nor needed."""
-    truth = event.truth
+    """Return an event as what the copies are made of; what agents do is not known, nor needed."""
+    truth, track = event.truth, event.observation.trajectory
     assert truth is not None
     goals = goal_index(truth.goal_red), goal_index(truth.goal_green)
-    shape = event.observation.n_frames, len(AGENTS)
-    return Recording(
-        event.scene,
-        Hypothesis(*goals),
-        0,
-        event.observation.trajectory,
-        np.full(shape, NO_ACTION, np.int64),
-        np.full(shape, NOTHING, np.int64),
-    )
+    nothing = np.zeros((len(track), len(AGENTS)), np.bool_)
+    return Recording(event.scene, Hypothesis(*goals), 0, track, nothing, nothing)

@@ -91,7 +91,7 @@ def expected(copy: int | None) -> Recording:
     trajectory = rows[..., [0, 1, 4]]
     scene = Scene(trajectory[0], np.array(RADIUS), walls_of(LAYOUT), "ccw")
     hypothesis = Hypothesis(*GOALS, (0, 0), 600.0, 150.0)  # type: ignore[arg-type]
-    nobody = np.zeros((len(rows), 2), np.int64)
+    nobody = np.zeros((len(rows), 2), bool)
     made = Recording(scene, hypothesis, LAYOUT, trajectory, nobody, nobody)
     return made if copy is None else reflected(made, NAMES[copy])
 

@@ -46,7 +46,7 @@ from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
-from phase_ppl.world.names import BLUE_ITEM, NOTHING, Predicate
+from phase_ppl.world.names import BLUE_ITEM, Predicate
 from phase_ppl.world.rooms import Rooms
 from phase_ppl.world.scene import Scene
 
@@ -61,7 +61,6 @@ def recording(
     red: str = RED_TO_BLUE,
     green: str = GREEN_TO_RED,
     alpha: tuple[int, int] = (0, 0),
-    actions: NDArray[np.int64] | None = None,
     layout: int = 8,
 ) -> Recording:
     """Return a recording; by default red walks straight up to the blue landmark."""
@@ -70,15 +69,13 @@ def recording(
         trajectory[:, 0, 1] += np.linspace(0, 10, 21)
     frames = len(trajectory)
     scene = Scene(trajectory[0], np.array([0.8, 1.2, 0.8, 1.01]), walls_of(layout), "ccw")
-    if actions is None:
-        actions = np.full((frames, 2), 2, np.int64)
     return Recording(
         scene,
         Hypothesis(red, green, alpha, 150.0, 450.0),  # type: ignore[arg-type]
         layout,
         trajectory,
-        actions,
-        np.full((frames, 2), NOTHING, np.int64),
+        np.ones((frames, 2), bool),
+        np.zeros((frames, 2), bool),
     )
 
 
@@ -324,7 +321,7 @@ def goals(made: Recording) -> tuple[str, str]:
 def assert_same(one: Recording, other: Recording) -> None:
     assert one.hypothesis == other.hypothesis
     assert one.scene.turning == other.scene.turning
-    for name in ("trajectory", "actions", "held"):
+    for name in ("trajectory", "pushes", "holds"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-12)
     for name in ("start", "radius", "walls"):
         np.testing.assert_allclose(getattr(one.scene, name), getattr(other.scene, name), atol=1e-12)
@@ -350,10 +347,7 @@ def test_what_can_be_seen_is_the_same_in_a_mirror(name: str) -> None:
 
 
 def test_turns_go_the_other_way_in_a_mirror() -> None:
-    made = recording(actions=np.array([[0, 1]] * 21))
-    mirrored = reflected(made, "up-down")
-    assert mirrored.scene.turning == "cw"
-    assert mirrored.actions[5].tolist() == [1, 0]
+    assert reflected(recording(), "up-down").scene.turning == "cw"
 
 
 def test_colours_change_with_all_that_is_said_about_them() -> None:
@@ -375,11 +369,12 @@ def test_who_helps_whom_and_who_chases_whom_change_with_the_colours() -> None:
     assert other.hypothesis.scenario == made.hypothesis.scenario == "opposing"
 
 
-def test_held_items_keep_their_colour() -> None:
+def test_who_pushes_and_who_holds_change_with_the_colours_of_agents() -> None:
     made = recording()
-    made.held[4] = [2, -1]
-    assert recoloured(made, agents=False, items=True).held[4].tolist() == [3, -1]
-    assert recoloured(made, agents=True, items=False).held[4].tolist() == [-1, 2]
+    made.pushes[4] = made.holds[4] = [True, False]
+    for agents, expected in ((False, [True, False]), (True, [False, True])):
+        other = recoloured(made, agents=agents, items=True)
+        assert other.pushes[4].tolist() == other.holds[4].tolist() == expected
 
 
 # --- the same situation elsewhere -----------------------------------------------------------------
