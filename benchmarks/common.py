@@ -108,7 +108,12 @@ def parallel(
     function: Callable[[Task], Any], tasks: Sequence[Task], label: str, workers: int | None = None
 ) -> Iterator[tuple[Task, Any]]:
     """Yield (task, result) as they finish, from all cores, under a progress bar."""
-    with loky.ProcessPoolExecutor(workers or loky.cpu_count()) as pool:
+    n = workers or loky.cpu_count()
+    if n == 1:  # that of this process
+        for task in tqdm(tasks, desc=label, disable=None):
+            yield task, function(task)
+        return
+    with loky.ProcessPoolExecutor(n) as pool:
         futures = {pool.submit(function, task): task for task in tasks}
         for future in tqdm(as_completed(futures), total=len(futures), desc=label, disable=None):
             yield futures[future], future.result()

@@ -89,11 +89,11 @@ def test_one_behaviour_with_a_changed_planner(figures: Figures) -> None:
 
 
 def test_validity_of_one_kernel(figures: Figures) -> None:
-    report = figures("validity.py", "--only", "prior_mh", "--simulations", "3000")
+    report = figures("validity.py", "--only", "prior_mh", "--simulations", "1200")
     (name, found), *others = report["kernels"].items()
     assert (name, found["validity"], others) == ("prior_mh", "exact", [])
     assert 0 < found["tv"] < 0.5
-    assert 2000 < found["simulations"] <= 3000
+    assert 800 < found["simulations"] <= 1200
 
 
 def test_budget_of_one_kernel(figures: Figures) -> None:
@@ -106,10 +106,10 @@ def test_budget_of_one_kernel(figures: Figures) -> None:
 
 def test_a_server_that_is_killed_loses_no_answer_that_it_has_confirmed(figures: Figures) -> None:
     pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
-    sizes = {"videos": 4, "trials": 2, "raters": 4, "at-once": 4, "kills": 2, "drop-outs": 0}
+    sizes = {"videos": 4, "trials": 2, "raters": 4, "at-once": 4, "kills": 1, "drop-outs": 0}
     options = (part for name, value in sizes.items() for part in (f"--{name}", str(value)))
     report = figures("study_people.py", *options)
-    assert report["kills"] == 2
+    assert report["kills"] == 1
     assert report["outcomes"]["finished"] >= 8
     assert report["confirmed"] >= 8 * 7
     assert (report["lost"], report["doubled"], report["unconfirmed"]) == (0, 0, 0)

@@ -364,7 +364,8 @@ class Dispatch(Generic[Job]):
     def results(self) -> Generator[tuple[Job, Any], None, None]:
         """Yield each job with its result, as they finish. Closing this ends what runs."""
         try:
-            self._warm_up()
+            if self._waiting:
+                self._warm_up()
             while self._waiting or self._suspects or self._running:
                 self._check_cancelled()
                 self._send()

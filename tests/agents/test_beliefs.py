@@ -134,10 +134,10 @@ def test_nobody_tries_again_and_again_to_grab_what_is_not_there() -> None:
     searching = scene((18.0, 16.0, 1.4), (24.0, 10.0, 4.0), (8.0, 4.0), (8.0, 14.0), **ROOMS)
     hypothesis = Hypothesis("Get pink item to red lm", "Get pink item to red lm").effective()
     tries = []
-    for seed in range(30):
+    for seed in range(12):
         run = JointSimulator(CONFIG).steps(searching, hypothesis, np.random.default_rng(seed))
         first_steps = itertools.islice(run, 1, 15)
         tries.append(sum(red.action == Action.ATTACH for _, (red, _) in first_steps))
     # a few believe at first that it lies behind them, where they cannot see
-    assert 1 <= sum(n > 0 for n in tries) <= 10
+    assert 1 <= sum(n > 0 for n in tries) <= 4
     assert max(tries) <= 3

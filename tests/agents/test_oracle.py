@@ -51,7 +51,10 @@ def follow(where: Scene, oracle: bool, steps: int) -> tuple[list[Literal], int]:
     return subgoals, searches
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    ["behind", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ahead", "beside"))],
+)
 def test_both_searches_take_up_the_same_subgoals_in_the_same_order(name: str) -> None:
     (fast, n_fast), (slow, n_slow) = (follow(SCENES[name], oracle, 14) for oracle in (False, True))
     assert fast == slow

@@ -70,7 +70,7 @@ def crowded(rng: np.random.Generator) -> Case:
 @pytest.mark.parametrize("case", [free, push_into_wall, drive_into_wall, carry, crowded])
 def test_compiled_model_follows_the_pymunk_world_at_equal_recipe(case: Any, resets: bool) -> None:
     drifts = []
-    for seed in range(40):
+    for seed in range(20):
         where, actions = case(np.random.default_rng(seed))
         options = {"strengths": STRENGTHS, "resets": resets, "inner_steps": 4, "iterations": 20}
         engines = [start_in(engine, *where, **options) for engine in (PymunkWorld, CompiledWorld)]
@@ -207,7 +207,7 @@ def test_free_motion_is_that_of_the_original_engine(world: Any) -> None:
 
 def test_crowded_motion_stays_close_to_that_of_the_original_engine(world: Any) -> None:
     errors = []
-    for seed in range(60):
+    for seed in range(30):
         where, actions = crowded(np.random.default_rng(seed))
         oracle, engine = (one(make_scene(*where), STRENGTHS) for one in (Box2DWorld, world))
         pairs = [[action % Action.ATTACH for action in pair] for pair in actions[:5]]

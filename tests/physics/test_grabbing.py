@@ -175,7 +175,7 @@ def test_holder_and_item_pass_through_each_other_but_not_through_others(start: A
 def test_both_engines_find_the_same_grab() -> None:
     rng = np.random.default_rng(5)
     found = []
-    for _ in range(200):
+    for _ in range(100):
         poses = np.column_stack([rng.uniform(13, 19, (3, 2)), rng.uniform(-7, 7, 3)]).tolist()
         placed, sizes = dict(zip((0, 2, 3), poses, strict=True)), {0: 1.2, 2: 1.6}
         initial = State.at_start(make_scene(placed, sizes))

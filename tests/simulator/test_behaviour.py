@@ -30,8 +30,8 @@ def battery() -> Iterator[ModuleType]:
 
 @pytest.mark.parametrize(
     "name",
-    ["carry_together_weak", "bring_through_door", "tug_of_war_opposing", "chase",
-     pytest.param("flight", marks=pytest.mark.slow)],
+    ["carry_together_weak", "bring_through_door", "tug_of_war_opposing",
+     *(pytest.param(name, marks=pytest.mark.slow) for name in ("chase", "flight"))],
 )  # fmt: skip
 def test_a_pair_shows_the_behaviour(battery: ModuleType, name: str) -> None:
     assert any(battery.attempt(battery.Try(name, seed, PLANNER)) for seed in range(2))

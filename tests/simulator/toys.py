@@ -99,7 +99,10 @@ class CountsRuns:
 
 
 class Slips:
-    """Counts how often it travels to a process, and cannot be loaded where it is told so."""
+    """Leaves files where it travels to a process and warms up; tells its process if weak.
+
+    It cannot be loaded where it is told so, and fails if it runs cold.
+    """
 
     def __init__(self, folder: Path, loads: bool = True) -> None:
         self.folder, self.loads = folder, loads
@@ -110,19 +113,14 @@ class Slips:
             raise ImportError("no such engine here")
         (self.folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
 
-    def __call__(self, *given: Any) -> Iterator[Frame]:
-        yield from drift(*given)
-
-
-class WarmsUp(CountsRuns):
-    """Leaves a file for its warm-up, and fails if it runs without."""
-
     def warm_up(self) -> None:
         (self.folder / f"warm-{time.monotonic_ns()}").touch()
 
-    def __call__(self, *given: Any) -> Iterator[Frame]:
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Frame]:
         assert list(self.folder.glob("warm-*"))
-        yield from drift(*given)
+        if hypothesis.strength_red < 300:
+            tells_its_process()
+        yield from drift(scene, hypothesis, rng)
 
 
 class Batched:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,7 +16,7 @@ from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
 from phase_ppl.study.study import Study
-from tests.study.studies import HOST, Person, change
+from tests.study.studies import HOST, Person
 
 Message = dict[str, Any]
 React = Callable[[Message], Sequence[Message]]
@@ -34,16 +34,17 @@ def near_goals(name: str = "near", **changes: Any) -> ppl.Event:
     return ppl.Event(scene, ppl.Observation(frames), id=name, truth=truth)
 
 
-def make_study(folder: Path, events: Sequence[ppl.Event], **play: Any) -> Study:
-    """A study of play without films, quiz and demographics, whose sessions are short."""
+def make_study(folder: Path, events: Sequence[ppl.Event], trials: int = 1, **play: Any) -> Study:
+    """A study of play without films, quiz and demographics, of short sessions by a fast clock."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("phase_ppl.study.study.make_clips", lambda folder, world: None)
-        Study.new(folder, events, "play", raters=1000)
-    file = folder / "study.toml"
-    text = re.sub(r"(?s)\[\[quiz\]\].*(?=\n\[play\])", "", file.read_text())
-    file.write_text(f"quiz = []\n{text}")
-    short = {"steps_per_second": 12, "limit": 18, "hold": 2, "wait_at_most": 60}
-    return change(folder, **{"demographics": False, "trials": 1, **short, **play})
+        study = Study.new(folder, events, "play", raters=1000)
+    short = {"steps_per_second": 60, "limit": 18, "hold": 2, "wait_at_most": 60}
+    study.settings = dataclasses.replace(
+        study.settings, quiz=(), demographics=False, trials=trials,
+        play=dataclasses.replace(study.settings.play, **{**short, **play}),
+    )  # fmt: skip
+    return study
 
 
 class Player(Person):

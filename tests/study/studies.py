@@ -10,7 +10,7 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,22 +87,39 @@ def empty_clips(folder: Path, world: ppl.World = PHASE) -> None:
         (folder / f"{name}.mp4").touch()
 
 
+def unseen_films(events: Sequence[ppl.Event], folder: Path, **_: Any) -> list[Path]:
+    """Stand for films: files that are all different, and begin as MP4 does."""
+    folder.mkdir()
+    films = [folder / f"{event.id}.mp4" for event in events]
+    for film in films:
+        film.write_bytes(b"\0\0\0\x18ftyp" + film.name.encode())
+    return films
+
+
 @functools.cache
-def _made(kind: str, world: ppl.World) -> Path:
+def _made(kind: str, world: ppl.World, filmed: bool) -> Path:
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder)
     events = short_events() if world is PHASE else still_events(world)
+    generated = events[::-1] if kind == "likeness" and world is PHASE else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("phase_ppl.study.study.make_clips", empty_clips)
-        Study.new(folder / "study", events, kind, workers=1, progress=False)
+        if not filmed:
+            patch.setattr("phase_ppl.study.study.render.videos", unseen_films)
+        given: Any = {"generated": generated, "workers": 1, "progress": False}
+        Study.new(folder / "study", events, kind, **given)
     return folder / "study"
 
 
 def make_study(
-    folder: Path, kind: str = "judgment", world: ppl.World = PHASE, **given: Any
-) -> Study:
-    """Make a study of short events, filmed once; the films of the introduction are empty."""
-    shutil.copytree(_made(kind, world), folder)
+    folder: Path, kind: str = "judgment", world: ppl.World = PHASE, *, filmed: bool = False,
+    **given: Any,
+) -> Study:  # fmt: skip
+    """Make a study of short events, perhaps with their films; those of the introduction are empty.
+
+    It has other settings than the template where they are given.
+    """
+    shutil.copytree(_made(kind, world, filmed), folder)
     return change(folder, **given)
 
 

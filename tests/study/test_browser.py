@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import json
 import shutil
@@ -14,14 +15,17 @@ import pytest
 
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
+import phase_ppl as ppl
 import tests.browser
-from phase_ppl.study import play
+from phase_ppl.evaluation.prediction import questions_of
+from phase_ppl.physics.actions import Action
+from phase_ppl.study import plan, play
 from phase_ppl.study.clips import CLIPS, make_clips
 from phase_ppl.study.simulate import serving
 from phase_ppl.study.study import Study
 from tests.browser import needs_browser, running_browser
 from tests.study import players
-from tests.study.studies import JUDGED, STILL, make_study, quiz, rows
+from tests.study.studies import JUDGED, STILL, make_study, quiz, rows, table
 
 AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text("utf-8")
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
@@ -39,7 +43,9 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Films of the introduction, all but the first of an instant."""
     folder = tmp_path_factory.mktemp("films") / "clips"
     with pytest.MonkeyPatch.context() as patch:
-        short = {**dict.fromkeys(CLIPS, STILL), "moving": CLIPS["moving"]}
+        moves = [(Action.UP, 8)]
+        short = dict.fromkeys(CLIPS, STILL)
+        short["moving"] = dataclasses.replace(CLIPS["moving"], red=moves, green=moves)
         patch.setattr("phase_ppl.study.clips.CLIPS", short)
         make_clips(folder)
     return folder
@@ -53,6 +59,9 @@ class Window:
         address: of the study.
         options: ``size`` of screen and window, ``script`` to run first, ``query`` of the address.
     """
+
+    accessible = False
+    """Whether each page that it sees is looked through for what keeps people out."""
 
     expected: tuple[str, ...] = ("Failed to load resource", "net::ERR_INTERNET_DISCONNECTED")
     leave: Callable[[], object]
@@ -91,13 +100,12 @@ class Window:
             self.faults.append(f"asked for {url}")
 
     def sees(self, heading: str) -> None:
-        """Wait for a page; it is accessible, and its heading has the focus."""
+        """Wait for a page, whose heading has the focus."""
         self.page.get_by_role("heading", name=heading, exact=True, level=1).wait_for()
         assert self.page.evaluate("document.activeElement.tagName") == "H1"
-        shown = self.page.locator("body").inner_text()
-        if shown not in self.seen:
+        if self.accessible and heading not in self.seen:
             self.is_accessible()
-        self.seen.add(shown)
+        self.seen.add(heading)
 
     def is_accessible(self) -> None:
         self.page.evaluate(AXE)
@@ -163,6 +171,10 @@ class Window:
         return str(only["id"])
 
 
+class Careful(Window):
+    accessible = True
+
+
 class Prepared(Window):
     """The window of somebody who has read the introduction, and passed its quiz if there is one."""
 
@@ -189,12 +201,17 @@ Opened = Callable[..., Any]
 
 @pytest.fixture
 def opened(browser: Any) -> Iterator[Opened]:
-    """Serve a study, and open a window of some class onto it."""
+    """Serve a study, unless it is served already, and open a window of some class onto it."""
     with contextlib.ExitStack() as at_the_end:
 
-        def make(study: Study, window: type[Window] = Window, **options: Any) -> Window:
+        def make(
+            study: Study, window: type[Window] = Window, address: str = "", **options: Any
+        ) -> Window:
             server = at_the_end.enter_context(contextlib.ExitStack())
-            found = window(browser, study, server.enter_context(serving(study)), **options)
+            address = address or server.enter_context(serving(study))
+            found = window(browser, study, address, **options)
+            # a page that is left open would go on drawing, and asking for its server
+            at_the_end.callback(found.context.close)
             found.leave = server.close
             return found
 
@@ -206,7 +223,7 @@ def made(tmp_path: Path, clips: Path) -> Callable[..., Study]:
     """Make a study with its films."""
 
     def make(kind: str = "judgment", **given: Any) -> Study:
-        study = make_study(tmp_path / "study", kind, **given)
+        study = make_study(tmp_path / "study", kind, filmed=True, **given)
         shutil.copytree(clips, study.folder / "clips", dirs_exist_ok=True)
         return study
 
@@ -221,7 +238,7 @@ def made(tmp_path: Path, clips: Path) -> Callable[..., Study]:
 def test_from_consent_to_the_code(opened: Opened, made: Any, kind: str) -> None:
     study = made(kind, refuse_repeats="PROLIFIC_PID")
     stumbles = kind == "judgment"  # over what is the same for all kinds
-    window = opened(study, query="?PROLIFIC_PID=77abc")
+    window = opened(study, Careful, query="?PROLIFIC_PID=77abc")
     window.agree()
     window.see_the_screen()
     assert window.page.url == window.address, "a platform's id is not left in the address"
@@ -374,38 +391,27 @@ HTMLMediaElement.prototype.play = function () {
 
 
 @needs_browser
-def test_a_film_that_must_not_begin_by_itself_is_begun_by_hand(opened: Opened, made: Any) -> None:
-    window = opened(made(), script=_REFUSES)
-    window.agree()
-    window.says("Press the button to start the animation.")
-    window.press("Play")
-    window.watch()
-    window.leave()
-    assert {"what": "autoplay refused"} in rows(window.study, "SELECT what FROM note")
-
-
-@needs_browser
-def test_a_film_that_cannot_be_shown_is_told_and_noted(opened: Opened, made: Any) -> None:
-    window = opened(made())
+def test_a_film_that_cannot_be_shown_or_begin_and_a_small_screen_are_told_and_noted(
+    opened: Opened, made: Any
+) -> None:
+    window = opened(made(), size={"width": 390, "height": 844}, script=_REFUSES)
     window.page.route("**/clip/moving.mp4", lambda route: route.fulfill(body=b"no film"))
     window.agree()
     window.says("The animation cannot be shown.")
-    window.leave()
-    assert {"what": "video error"} in rows(window.study, "SELECT what FROM note")
-
-
-@needs_browser
-def test_small_screens_are_refused_with_a_message_that_stays(opened: Opened, made: Any) -> None:
-    window = opened(made(), size={"width": 390, "height": 844})
-    window.agree()
+    window.page.unroute("**/clip/moving.mp4")
+    window.page.reload()
+    window.sees("Your screen")
+    window.says("Press the button to start the animation.")
+    window.press("Play")
     window.see_the_screen()
     window.says("this device will not do")
     window.is_accessible()
     window.page.reload()
     window.sees("Your screen")
     window.leave()
-    refused = rows(window.study, "SELECT detail FROM note WHERE what='device refused'")
-    assert refused == [{"detail": 390}]
+    notes = {note["what"]: note["detail"] for note in rows(window.study, "SELECT * FROM note")}
+    assert {"video error", "autoplay refused", "device refused"} <= set(notes)
+    assert notes["device refused"] == 390
 
 
 @needs_browser
@@ -436,14 +442,12 @@ def test_leaving_asks_only_while_something_is_unsent(opened: Opened, made: Any) 
 
 
 @needs_browser
-def test_a_full_study_and_an_unwilling_person_are_told_so(
-    browser: Any, opened: Opened, made: Any
-) -> None:
+def test_a_full_study_and_an_unwilling_person_are_told_so(opened: Opened, made: Any) -> None:
     window = opened(made(most_entries=1))
     window.sees(window.study.settings.title)
     window.press("I do not agree")
     window.says("You have not taken part")
-    other = Window(browser, window.study, window.address)
+    other = opened(window.study, address=window.address)
     other.says("No places left")
     other.is_accessible()
     assert window.faults == other.faults == []
@@ -461,6 +465,33 @@ def test_a_missing_browser_skips_with_a_reason_or_fails(monkeypatch: pytest.Monk
             fresh.browser_path()
     monkeypatch.undo()
     importlib.reload(tests.browser)
+
+
+@needs_browser
+def test_a_study_of_three_agents_asks_for_the_goals_of_all(opened: Opened, tmp_path: Path) -> None:
+    trio = ppl.worlds.TRIO
+    study = make_study(tmp_path / "study", world=trio, filmed=True, trials=1)
+    window = opened(study, Prepared)
+    window.sees("Animation 1 of 1")
+    window.is_accessible()
+    window.watch()
+    window.press("Next")
+    window.says("6 questions are still open.")
+    window.page.evaluate("window.scrollTo(0, 400)")
+    assert window.page.locator("video").bounding_box()["y"] >= 0, "the film stays in view"
+    given = {}
+    for place, question in enumerate(plan.questions(study.settings, "trial-1")):
+        options = question["options"]
+        given[question["name"]], words = options[(17 + 5 * place) % len(options)]
+        group = window.page.get_by_role("group", name=question["legend"])
+        group.get_by_label(words, exact=True).check()
+    window.press("Next")
+    window.sees("About you")
+    window.press("Next")
+    window.sees(study.settings.title)
+    assert window.faults == []
+    (row,) = table(study.export(tmp_path / "out") / "judgments.csv")
+    assert {question: row[question] for question in questions_of(trio)} == given
 
 
 # --- play -----------------------------------------------------------------------------------------
@@ -514,19 +545,17 @@ def played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Stu
 
 
 @needs_browser
-def test_two_windows_play_a_session_that_ends_by_its_goals(
-    browser: Any, opened: Opened, played: Any
-) -> None:
-    study = played(1, steps_per_second=8, limit=200, hold=4)
+def test_two_windows_play_a_session_that_ends_by_its_goals(opened: Opened, played: Any) -> None:
+    study = played(1, steps_per_second=12, limit=200, hold=2)
     windows = [opened(study, Player)]
     windows[0].says("Looking for another player")
     windows[0].is_accessible()
-    windows.append(Player(browser, study, windows[0].address))
+    windows.append(opened(study, Player, windows[0].address))
     for window in windows:
         window.says("Session 1 of 1")
         window.says("get the red agent to the blue landmark")
         assert window.page.locator("button:focus").text_content() == "I am ready"
-        window.is_accessible()
+    windows[1].is_accessible()
     for window in windows:
         window.page.keyboard.press("Enter")
     for window in windows:
@@ -552,7 +581,9 @@ def test_two_windows_play_a_session_that_ends_by_its_goals(
 
 @needs_browser
 def test_a_window_that_loses_its_connection_finds_back(opened: Opened, played: Any) -> None:
-    study = played(0, partner="computer", hold=100, limit=100, rejoin_within=30)
+    study = played(
+        0, partner="computer", hold=100, limit=100, rejoin_within=30, steps_per_second=12
+    )
     window = opened(study, Beginner)
     window.says("Please do this")
     window.page.keyboard.down("w")

@@ -110,18 +110,13 @@ def test_participants_are_told_with_their_fate(judged: Study, out: Path) -> None
     assert kept.read_text("utf-8") == judged.settings.text
 
 
-def test_age_and_gender_are_totals_unless_asked_for(
+def test_exports_replace_exports_alone_and_tell_age_and_gender_only_where_asked(
     judged: Study, out: Path, tmp_path: Path
 ) -> None:
     assert "age 30.00 ± 0.00, 2 not said" in (out / "README.md").read_text("utf-8")
     assert not (out / "people.csv").exists()
     asked = judged.export(tmp_path / "asked", demographics=True)
     assert [row["age"] for row in table(asked / "people.csv")] == ["30", "30"]
-
-
-def test_an_export_replaces_an_export_and_nothing_else(
-    judged: Study, out: Path, tmp_path: Path
-) -> None:
     before = (out / "judgments.csv").read_bytes()
     assert (judged.export(out) / "judgments.csv").read_bytes() == before
     (tmp_path / "thesis.tex").touch()

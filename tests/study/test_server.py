@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sqlite3
 from collections.abc import Iterator
@@ -15,37 +16,26 @@ from starlette.testclient import TestClient
 from phase_ppl.study import server, store
 from phase_ppl.study.server import MOST_BODY
 from phase_ppl.study.study import Study
-from tests.study.studies import (
-    HOST,
-    JUDGED,
-    Person,
-    change,
-    edit,
-    make_study,
-    quiz,
-    rows,
-    serving,
-)
+from tests.study.studies import HOST, JUDGED, Person, make_study, quiz, rows, serving
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Study:
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     limits = {"entries_per_minute": 1000, "most_entries": 1000}
     return make_study(tmp_path_factory.mktemp("made") / "study", raters=200, trials=2, **limits)
 
 
-@pytest.fixture
-def study(made: Study) -> Iterator[Study]:
-    """The study with its settings as they were; people who came before stay."""
-    text = (made.folder / "study.toml").read_text("utf-8")
-    yield made
-    (made.folder / "study.toml").write_text(text, "utf-8")
-
-
-@pytest.fixture
+@pytest.fixture(scope="module")
 def client(study: Study) -> Iterator[TestClient]:
     with serving(study) as found:
         yield found
+
+
+def with_settings(study: Study, **given: Any) -> Study:
+    """The study by other settings than those of its file."""
+    changed = Study(study.folder)
+    changed.settings = dataclasses.replace(study.settings, **given)
+    return changed
 
 
 @pytest.fixture
@@ -123,6 +113,11 @@ def test_a_wrong_quiz_leads_back_to_the_introduction_and_the_last_one_ends_it(
 def test_nothing_comes_before_consent_or_without_it(person: Person) -> None:
     for page in ("device", "tutorial", "quiz", "trial-1", "person"):
         assert person.answer(page, {}).status_code == 409
+    agrees = {"page": "consent", "attempt": 1, "answers": {"agree": True}}
+    somebody_else = Person(person.client).state()["participant"]
+    for more in ({"rt_ms": -1}, {"plays": "3"}, {"shown_ms": 1e300}, {"attempt": "1"},
+                 {"attempt": 2}, {"page": 5}, {"participant": somebody_else}):  # fmt: skip
+        assert person.post("/api/answer", {**agrees, **more}).status_code in (400, 409), more
     person.answer("consent", {"agree": False})
     assert person.state()["outcome"] == "declined"
     assert person.answer("device", {}).status_code == 409
@@ -158,70 +153,69 @@ def test_what_a_crash_left_undone_is_done_later(
     assert person.state()["outcome"] == "finished"
 
 
-def test_a_closed_study_lets_nobody_in_but_who_began_may_finish(
+def test_a_closed_and_a_full_study_let_nobody_in_but_who_began_may_finish(
     study: Study, prepared: Person
 ) -> None:
-    with serving(change(study.folder, open=False)) as client:
+    with serving(with_settings(study, open=False)) as client:
         assert newcomer(client).state()["outcome"] == "closed"
         assert newcomer(client).enter().json()["outcome"] == "closed"
         prepared.client = client
         assert prepared.answer("trial-1", JUDGED).json()["saved"]
-
-
-def test_a_full_study_says_so(study: Study) -> None:
-    with serving(change(study.folder, most_entries=1)) as client:
-        Person(client)
+    with serving(with_settings(study, most_entries=1)) as client:
         found = newcomer(client).enter().json()
     assert (found["status"], found["outcome"], found["code"]) == ("over", "full", "")
 
 
-def test_a_platforms_id_lets_in_once(study: Study) -> None:
-    with serving(change(study.folder, refuse_repeats="PROLIFIC_PID")) as client:
+def test_a_platforms_id_lets_in_once_and_its_address_to_return_to_holds_the_code(
+    study: Study,
+) -> None:
+    url = "https://platform.example/done?cc={code}"
+    changed = with_settings(
+        study, refuse_repeats="PROLIFIC_PID", return_url=url, demographics=False
+    )
+    with serving(changed) as client:
         assert newcomer(client).state()["repeats"] == "PROLIFIC_PID"
+        people = [newcomer(client) for _ in range(3)]
         ids = ("5f0c-secret", "5f0c-secret", "5f0c-other")
-        found = [newcomer(client).enter(person=id).json() for id in ids]
+        found = [one.enter(person=id).json() for one, id in zip(people, ids, strict=True)]
+        people[0].finish(changed)
+        back = people[0].state()["return_url"]
     assert found[0] == found[2] == {"entered": True}
     assert found[1]["outcome"] == "repeated"
+    assert back.endswith(f"cc={changed.settings.codes['finished']}")
     everything = b"".join(file.read_bytes() for file in study.folder.glob("study.db*"))
     assert b"5f0c-secret" not in everything
-
-
-def test_the_address_to_return_to_holds_the_code(study: Study) -> None:
-    url = "https://platform.example/done?cc={code}"
-    changed = change(study.folder, return_url=url, demographics=False)
-    with serving(changed) as client:
-        person = Person(client)
-        person.finish(changed)
-        assert person.state()["return_url"].endswith(f"cc={changed.settings.codes['finished']}")
 
 
 # --- what is refused ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "origin", [None, "http://evil.example", "null", "", "http://localhost.evil.example", "https://"]
-)
-@pytest.mark.parametrize("path", ["/api/enter", "/api/answer", "/api/note"])
-def test_other_origins_are_refused(person: Person, path: str, origin: str | None) -> None:
+def test_other_origins_are_refused(person: Person) -> None:
+    other = "http://evil.example", "null", "", "http://localhost.evil.example", "https://"
     person.client.cookies.clear()
-    headers = {"Cookie": person.cookie, **({} if origin is None else {"Origin": origin})}
-    assert person.client.post(path, json={}, headers=headers).status_code == 403
+    for path in ("/api/enter", "/api/answer", "/api/note"):
+        for origin in ({}, *({"Origin": name} for name in other)):
+            headers = {"Cookie": person.cookie, **origin}
+            assert person.client.post(path, json={}, headers=headers).status_code == 403, origin
 
 
-def test_other_hosts_are_refused(client: TestClient) -> None:
-    for path in ("/", "/api/state", "/static/study.js"):
+def test_other_hosts_are_refused_and_the_page_asks_nobody_else(client: TestClient) -> None:
+    for path in ("/", "/static/study.js", "/static/page.js", "/static/study.css"):
         assert client.get(path, headers={"Host": "evil.example"}).status_code == 400
-        assert client.get(path, headers={"Host": "localhost:8000"}).status_code == 200
+        text = client.get(path, headers={"Host": "localhost:8000"}).text
+        assert not re.search(r"https?://|//[a-z0-9.-]+\.[a-z]{2,}", text)
+    assert "sourceMappingURL" not in client.get("/static/vendor/jspsych.js").text
 
 
-@pytest.mark.parametrize(("url", "secure"), [("", False), ("https://study.example", True)])
-def test_the_cookie_is_for_this_page_alone(study: Study, url: str, secure: bool) -> None:
-    with serving(study, url) as client:
-        given = client.post("/api/enter", json={}, headers={"Origin": HOST})
-    cookie = given.headers["set-cookie"]
-    assert "HttpOnly" in cookie
-    assert "SameSite=strict" in cookie
-    assert ("Secure" in cookie) == secure
+def test_the_cookie_is_for_this_page_alone(study: Study, client: TestClient) -> None:
+    with serving(study, "https://study.example") as by_tls:
+        for at, secure in ((client, False), (by_tls, True)):
+            at.cookies.clear()
+            given = at.post("/api/enter", json={}, headers={"Origin": HOST})
+            cookie = given.headers["set-cookie"]
+            assert "HttpOnly" in cookie
+            assert "SameSite=strict" in cookie
+            assert ("Secure" in cookie) == secure
     token = cookie.partition("=")[2].partition(";")[0]
     assert len(token) >= 32, "192 bits"
     kept = str(rows(study, "SELECT token FROM participant"))
@@ -229,8 +223,9 @@ def test_the_cookie_is_for_this_page_alone(study: Study, url: str, secure: bool)
     assert store.hashed(token) in kept
 
 
-def test_a_stranger_gets_nothing(prepared: Person) -> None:
-    film = prepared.state()["pages"][0]["video"]
+def test_a_stranger_gets_nothing_and_names_say_nothing(study: Study, prepared: Person) -> None:
+    state = prepared.get("/api/state")
+    film = state.json()["pages"][0]["video"]
     stranger = newcomer(prepared.client)
     stranger.cookie = prepared.cookie[:-1] + "x"
     for path in (film, "/video/x.mp4"):
@@ -238,12 +233,7 @@ def test_a_stranger_gets_nothing(prepared: Person) -> None:
     for path in ("/api/answer", "/api/note"):
         assert stranger.post(path, {}).status_code == 401
     assert Person(prepared.client).get(film).status_code == 404, "somebody else's film"
-
-
-def test_names_say_nothing(study: Study, prepared: Person) -> None:
-    state = prepared.get("/api/state")
-    film = prepared.get(state.json()["pages"][0]["video"])
-    seen = state.text + prepared.get("/").text + str(film.headers)
+    seen = state.text + prepared.get("/").text + str(prepared.get(film).headers)
     for event in study.events:
         assert event not in seen
     for file in (study.folder / "videos").iterdir():
@@ -251,11 +241,11 @@ def test_names_say_nothing(study: Study, prepared: Person) -> None:
         assert file.name not in seen
 
 
-@pytest.mark.parametrize("path", ["/video/..%2f..%2fstudy.db.mp4", "/static/../study.toml",
-                                  "/static/..%2f..%2fstore.py", "/clip/..%2fstudy.mp4",
-                                  "/study.db", "/events.json", "/clip/nothing.mp4"])  # fmt: skip
-def test_files_beside_the_pages_are_not_served(person: Person, path: str) -> None:
-    assert person.get(path).status_code == 404
+def test_files_beside_the_pages_are_not_served(person: Person) -> None:
+    for path in ("/video/..%2f..%2fstudy.db.mp4", "/static/../study.toml",
+                 "/static/..%2f..%2fstore.py", "/clip/..%2fstudy.mp4", "/study.db", "/events.json",
+                 "/clip/nothing.mp4"):  # fmt: skip
+        assert person.get(path).status_code == 404, path
 
 
 def test_every_answer_carries_the_headers(prepared: Person) -> None:
@@ -271,23 +261,14 @@ def test_every_answer_carries_the_headers(prepared: Person) -> None:
         assert "server" not in headers
 
 
-def test_the_page_asks_nobody_else(client: TestClient) -> None:
-    for path in ("/", "/static/study.js", "/static/page.js", "/static/study.css"):
-        assert not re.search(r"https?://|//[a-z0-9.-]+\.[a-z]{2,}", client.get(path).text)
-    assert "sourceMappingURL" not in client.get("/static/vendor/jspsych.js").text
-
-
 def upload(person: Person, content: Any, kind: str = "application/json") -> int:
     headers = person.headers(**{"Content-Type": kind})
     return int(person.client.post("/api/answer", content=content, headers=headers).status_code)
 
 
-def test_large_bodies_are_refused_also_where_no_length_is_told(person: Person) -> None:
+def test_large_bodies_and_what_is_no_json_object_are_refused(person: Person) -> None:
     assert person.answer("consent", {"agree": "x" * MOST_BODY}).status_code == 413
-    assert upload(person, (b"x" * 1000 for _ in range(100))) == 413
-
-
-def test_what_is_no_json_object_is_refused(person: Person) -> None:
+    assert upload(person, (b"x" * 1000 for _ in range(100))) == 413, "no length is told"
     for body in (b"", b"{", b"[1]", b"\xff", b"nul", b"[" * 5000, b'"text"'):
         assert upload(person, body) == 400
     assert upload(person, b"{}", "text/plain") == 415
@@ -313,18 +294,6 @@ def test_other_answers_than_those_asked_for_are_refused(study: Study, person: Pe
     refuses("person", *({"age": age, "gender": ""} for age in (17, 121, 0, "30", 30.5, True)))
     refuses("person", *({"age": 40, "gender": gender} for gender in ("robot", True, ["other"])))
     assert person.answer("person", {"age": 40, "gender": "other"}).json()["saved"]
-
-
-@pytest.mark.parametrize("more", [{"rt_ms": -1}, {"plays": "3"}, {"shown_ms": 1e300},
-                                  {"attempt": "1"}, {"attempt": 2}, {"page": 5}])  # fmt: skip
-def test_times_pages_and_attempts_are_checked(person: Person, more: dict[str, Any]) -> None:
-    body = {"page": "consent", "attempt": 1, "answers": {"agree": True}, **more}
-    assert person.post("/api/answer", body).status_code in (400, 409)
-
-
-def test_an_answer_of_somebody_else_is_refused(person: Person) -> None:
-    who = Person(person.client).state()["participant"]
-    assert person.answer("consent", {"agree": True}, participant=who).status_code == 409
 
 
 def test_answers_come_five_a_second(person: Person, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -365,8 +334,9 @@ def test_a_full_disk_is_told_and_loses_nothing(
 
 def test_texts_are_escaped(study: Study) -> None:
     bad = "<script>alert(1)</script> ![x](http://evil.example/x.png) [y](javascript:alert(1))"
-    with serving(edit(study, "You are invited", f"{bad} You are invited")) as client:
+    with serving(with_settings(study, texts={**study.settings.texts, "consent": bad})) as client:
         page = Person(client).state()["pages"][0]
+    assert "alert" in page["html"]
     assert "<script" not in page["html"]
     assert "<img" not in page["html"]
     assert 'href="javascript' not in page["html"]

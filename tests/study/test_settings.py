@@ -13,7 +13,7 @@ import phase_ppl as ppl
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
-from tests.study.studies import edit, make_study, short_events
+from tests.study.studies import PHASE, edit, make_study, short_events, unseen_films
 
 FOLDER = Path(__file__).resolve().parents[2] / "phase_ppl" / "study"
 
@@ -41,35 +41,50 @@ def test_what_is_left_out_is_as_in_the_template() -> None:
     assert short.texts["finished"] == "Bye"
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("trails = 3", "unknown setting 'trails'; did you mean 'trials'"),
-        ("trials = 0", "trials is 0, expected a whole number >= 1"),
-        ('trials = "3"', "trials is '3', expected a whole number"),
-        ("open = 1", "open is 1, expected true or false"),
-        ("trials = ", "line 2"),
-        ("[texts]\nconcent = 'x'", "'concent'; did you mean 'consent'"),
-        ("[texts]\nconsent = 3", "consent in .texts. is 3, expected text"),
-        ("[[quiz]]\nquestion = 'q'\noptions = ['a', 'b']\nanswer = 'c'", "unknown answer in"),
-        ("[[quiz]]\nquestion = 'q'\noptions = ['a']\nanswer = 'a'", "two or more"),
-        ("[[quiz]]\nquestion = 'q'", "options in .* number 1 is None, expected a list"),
-        ("quiz = [3]", "number 1 is 3, expected a table"),
-        ("[[tutorial]]\ntext = 'x'\nclip = 'jumping'", "unknown clip in .* 'jumping'"),
-        ("[checks]\nx = 'friendly'", "x is 'friendly', expected relations"),
-        ("[checks]\nx = ['hostile']", "unknown relation 'hostile'"),
-    ],
-)
-def test_mistakes_are_named(line: str, message: str, tmp_path: Path) -> None:
+MISTAKES = [
+    ("trails = 3", "unknown setting 'trails'; did you mean 'trials'"),
+    ("trials = 0", "trials is 0, expected a whole number >= 1"),
+    ('trials = "3"', "trials is '3', expected a whole number"),
+    ("open = 1", "open is 1, expected true or false"),
+    ("trials = ", "line 2"),
+    ("[texts]\nconcent = 'x'", "'concent'; did you mean 'consent'"),
+    ("[texts]\nconsent = 3", "consent in .texts. is 3, expected text"),
+    ("[[quiz]]\nquestion = 'q'\noptions = ['a', 'b']\nanswer = 'c'", "unknown answer in"),
+    ("[[quiz]]\nquestion = 'q'\noptions = ['a']\nanswer = 'a'", "two or more"),
+    ("[[quiz]]\nquestion = 'q'", "options in .* number 1 is None, expected a list"),
+    ("quiz = [3]", "number 1 is 3, expected a table"),
+    ("[[tutorial]]\ntext = 'x'\nclip = 'jumping'", "unknown clip in .* 'jumping'"),
+    ("[checks]\nx = 'friendly'", "x is 'friendly', expected relations"),
+    ("[checks]\nx = ['hostile']", "unknown relation 'hostile'"),
+]
+OF_PLAY = [
+    *((f"{name} = {n}", f"{name} in .play. is {n}, expected") for name, n in
+      (("steps_per_second", 0), ("steps_per_second", 60), ("rooms", 1000))),
+    ("view = 'some'", "unknown view in .play. 'some'"),
+    ("partner = 'robot'", "unknown partner in .play. 'robot'"),
+]  # fmt: skip
+OF_TRIO = [
+    ("[[tutorial]]\ntext = 'x'\nclip = 'carrying'", "unknown clip in .* 'carrying'.*moving"),
+    ("[checks]\nx = ['friendly']", "x is .*, expected a table of questions"),
+    ("[checks]\nx = {relation_red_green = 'friendly'}", "expected a table of questions"),
+    ("[checks]\nx = {}", "expected a table of questions"),
+    ("[checks]\nx = {relation = ['friendly']}", "unknown question 'relation'"),
+    ("[checks]\nx = {goal_red = ['get to red lm']}", "unknown goal 'get to red lm'"),
+]
+
+
+def test_mistakes_are_named_in_the_worlds_words(tmp_path: Path) -> None:
+    cases = [
+        ('kind = "judgement"', "unknown kind 'judgement'; did you mean 'judgment'", PHASE),
+        *((f'kind = "judgment"\n{line}', message, PHASE) for line, message in MISTAKES),
+        *((f'kind = "play"\n[play]\n{line}', message, PHASE) for line, message in OF_PLAY),
+        *((f'kind = "judgment"\n{line}', message, ppl.worlds.TRIO) for line, message in OF_TRIO),
+    ]
     file = tmp_path / "study.toml"
-    file.write_text(f'kind = "judgment"\n{line}\n', "utf-8")
-    with pytest.raises(PhasePPLError, match=f"study.toml: .*{message}"):
-        Settings.read(file)
-
-
-def test_the_kind_is_one_that_there_is() -> None:
-    with pytest.raises(PhasePPLError, match="unknown kind 'judgement'; did you mean 'judgment'"):
-        Settings.parse('kind = "judgement"')
+    for text, message, world in cases:
+        file.write_text(f"{text}\n", "utf-8")
+        with pytest.raises(PhasePPLError, match=f"study.toml: .*{message}"):
+            Settings.read(file, world)
 
 
 def test_checks_are_of_videos_of_the_study(tmp_path: Path) -> None:
@@ -94,6 +109,7 @@ def test_copies_in_a_generated_set_are_known(
 
     monkeypatch.setattr("phase_ppl.study.study.GeneratedEvents", Generated)
     monkeypatch.setattr("phase_ppl.study.study.make_clips", lambda folder, world: None)
+    monkeypatch.setattr("phase_ppl.study.study.render.videos", unseen_films)
     study = Study.new(tmp_path / "study", Generated(short_events()), workers=1, progress=False)
     with study.store() as store:
         assert [s.copies for s in store.stimuli().values()] == ["a", None, "a"]
@@ -106,17 +122,15 @@ def test_the_kind_of_a_study_stays(tmp_path: Path) -> None:
         edit(study, study.settings.text, template("tagging", "x"))
 
 
-@pytest.mark.parametrize("damage", ["changed", "missing"])
-def test_missing_and_changed_films_are_found_before_people_come(
-    tmp_path: Path, damage: str
-) -> None:
+def test_missing_and_changed_films_are_found_before_people_come(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
     assert any("who is responsible" in note for note in study.check())
     film = next((study.folder / "videos").iterdir())
     film.write_bytes(b"another film")
-    if damage == "missing":
-        film.unlink()
-    with pytest.raises(PhasePPLError, match=f"{film.name}.*{damage}"):
+    with pytest.raises(PhasePPLError, match=f"{film.name}.*changed"):
+        study.run(0)
+    film.unlink()
+    with pytest.raises(PhasePPLError, match=f"{film.name}.*missing"):
         study.run(0)
 
 

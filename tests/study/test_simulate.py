@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import shutil
 import signal
@@ -28,7 +29,7 @@ from phase_ppl.world.errors import (
     OutputError,
     UnknownNameError,
 )
-from tests.study.studies import PHASE, make_study, short_events, still_events, sure_of
+from tests.study.studies import make_study, short_events, still_events, sure_of
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,10 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return make_study(tmp_path_factory.mktemp("made") / "study")
 
 
-def test_some_lapse_and_some_leave(study: Study, tmp_path: Path) -> None:
+def test_some_lapse_and_some_leave(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
     out = tmp_path / "out"
     simulate(
         study, out, 12, predictions=sure_of(study), lapse=0.4, drop_outs=0.5, seed=1, progress=False
@@ -74,7 +78,7 @@ def test_counterparts_are_of_the_same_scene_goals_and_strengths() -> None:
     assert [event.id for event in counterparts(again, both)] == ["g-collaborate", "g-again"]
 
 
-def test_missing_counterparts_are_simulated() -> None:
+def test_missing_counterparts_are_simulated_where_the_truth_is_known(tmp_path: Path) -> None:
     event = short_events(1)[0]
     scene = dataclasses.replace(event.scene, resets_velocity=True)
     (made,) = counterparts([dataclasses.replace(event, scene=scene)], None)
@@ -82,12 +86,8 @@ def test_missing_counterparts_are_simulated() -> None:
     assert not made.scene.resets_velocity
     assert np.array_equal(made.scene.start, event.scene.start)
     assert made.observation.n_frames == event.observation.n_frames
-
-
-def test_likeness_needs_truth(tmp_path: Path) -> None:
-    bare = dataclasses.replace(short_events(1)[0], truth=None)
     with pytest.raises(InvalidEventError, match="does not say its goals and strengths"):
-        Study.new(tmp_path / "study", [bare], "likeness")
+        Study.new(tmp_path / "study", [dataclasses.replace(event, truth=None)], "likeness")
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -107,25 +107,25 @@ def test_without_the_extra_one_line_says_what_to_install(
     assert not (tmp_path / "s").exists()
 
 
-@pytest.mark.parametrize("world", [PHASE, ppl.worlds.TRIO], ids=lambda world: world.name)
 def test_commands_make_look_at_and_export_a_study(
-    world: ppl.World, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(study_module, "make_clips", lambda folder, world: None)
-    made, file = tmp_path / "made", tmp_path / "short.json"
-    ppl.save_events(short_events(2) if world is PHASE else still_events(world), file)
+    made, file, trio = tmp_path / "made", tmp_path / "short.json", ppl.worlds.TRIO
+    ppl.save_events(still_events(trio), file)
     arguments = ["--kind", "tagging", "--trials", "1", "--workers", "1", "--quiet"]
     assert main(["study", "new", str(made), str(file), *arguments]) == 0
-    assert (Study(made).settings.trials, Study(made).settings.world) == (1, world)
+    assert (Study(made).settings.trials, Study(made).settings.world) == (1, trio)
     assert main(["study", "status", str(made)]) == 0
     assert "entered          0" in capsys.readouterr().out
     assert main(["study", "export", str(made), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "tags.csv").read_text() == "participant,video,label\n"
-    assert main(["study", "withdraw", str(made), "nobody"]) == 2
-    assert "there is no participant 'nobody'" in capsys.readouterr().err
-    assert main(["study", "status", str(tmp_path)]) == 2
-    assert "study.toml: no such file" in capsys.readouterr().err
+    for arguments, said in (
+        (["withdraw", str(made), "nobody"], "there is no participant 'nobody'"),
+        (["status", str(tmp_path)], "study.toml: no such file"),
+    ):
+        assert main(["study", *arguments]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_a_port_that_is_taken_and_a_host_without_name_are_told(
@@ -142,20 +142,25 @@ def test_a_port_that_is_taken_and_a_host_without_name_are_told(
             assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
-def test_the_server_ends_when_it_is_told_to(study: Study, how: signal.Signals) -> None:
-    command = f"-m phase_ppl study run {study.folder} --port 0".split()
+def test_the_server_ends_when_it_is_told_to(study: Study, tmp_path: Path) -> None:
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen([sys.executable, *command], **pipes) as run:
-        assert run.stdout is not None
-        address = run.stdout.readline().split()[0]
-        with urllib.request.urlopen(address) as page:
-            assert "<title>Study</title>" in page.read().decode()
-        run.send_signal(how)
-        out, told = run.communicate(timeout=60)
-    assert run.returncode == 0
-    assert "who is responsible" in told
-    assert (out + told).count("\n") == 1, "the address was read before; nothing else is said"
+    with contextlib.ExitStack() as at_the_end:
+        running = {}
+        for how in (signal.SIGTERM, signal.SIGINT):
+            folder = tmp_path / how.name
+            shutil.copytree(study.folder, folder)
+            command = f"-m phase_ppl study run {folder} --port 0".split()
+            run = subprocess.Popen([sys.executable, *command], **pipes)
+            running[how] = at_the_end.enter_context(run)
+        for how, run in running.items():
+            with urllib.request.urlopen(run.stdout.readline().split()[0]) as page:
+                assert "<title>Study</title>" in page.read().decode()
+            run.send_signal(how)
+        for run in running.values():
+            out, told = run.communicate(timeout=60)
+            assert run.returncode == 0
+            assert "who is responsible" in told
+            assert (out + told).count("\n") == 1, "the address was read; nothing else is said"
 
 
 def test_one_server_at_a_time(study: Study, tmp_path: Path) -> None:
