@@ -12,13 +12,16 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from phase_ppl.evaluation.prediction import checked_answer, pairs_of
 from phase_ppl.study.clips import clips_of
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.scene import PHASE, Scene, World
+
+if TYPE_CHECKING:
+    import jinja2
 
 FILE: Final = "study.toml"
 KINDS: Final = ("judgment", "tagging", "likeness", "play")
@@ -144,17 +147,13 @@ def template(
     world: World = PHASE,
 ) -> str:  # fmt: skip
     """Return the text of a new ``study.toml``, with codes of its own."""
-    import jinja2
 
     def code() -> str:
         return "".join(secrets.choice(_CHARACTERS) for _ in range(8))
 
-    environment = jinja2.Environment(keep_trailing_newline=True, undefined=jinja2.StrictUndefined)
-    environment.filters["toml"] = _quoted
-    source = resources.files("phase_ppl.study") / "templates" / FILE
     names = ("finished", "quiz_failed", "waited", "partner_left")
     people = -(-n_videos * raters // trials)
-    return environment.from_string(source.read_text("utf-8")).render(
+    return _template().render(
         kind=kind,
         title=title,
         trials=trials,
@@ -167,6 +166,16 @@ def template(
         pair=next(iter(pairs_of(world)), None),
         minutes=12 + trials if kind == "play" else max(5, 5 + -(-trials * 3 // 4)),
     )
+
+
+@functools.cache
+def _template() -> jinja2.Template:
+    import jinja2
+
+    environment = jinja2.Environment(keep_trailing_newline=True, undefined=jinja2.StrictUndefined)
+    environment.filters["toml"] = _quoted
+    source = resources.files("phase_ppl.study") / "templates" / FILE
+    return environment.from_string(source.read_text("utf-8"))
 
 
 def _quoted(text: str) -> str:

@@ -157,7 +157,7 @@ class Store:
         db = sqlite3.connect(path, isolation_level=None)
         with contextlib.closing(db):
             db.execute("PRAGMA journal_mode=WAL")
-            db.executescript(_SCHEMA)
+            db.executescript(f"BEGIN;{_SCHEMA}COMMIT;")  # waits for the disk once
             db.execute(f"PRAGMA user_version={_VERSION}")
         store = cls(path)
         facts = {"id": secrets.token_hex(8), "kind": kind, "version": __version__,

@@ -7,6 +7,7 @@ import dataclasses
 import heapq
 import json
 import random
+import sqlite3
 import stat
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -83,7 +84,6 @@ def seen_by(store: Store, who: str) -> list[dict[str, Any]]:
 def test_twenty_people_a_video_where_some_leave(create: Create, clock: Clock) -> None:
     # 50 videos, 10 a person, 15 people at a time, 15 % of whom leave, until the study is full
     store = create("judgment", videos(50))
-    store._db.execute("PRAGMA synchronous=OFF")
     chance = random.Random(3)
     at_it: list[tuple[float, str]] = []
     entered = 0
@@ -245,7 +245,11 @@ def test_withdrawal_leaves_nothing_in_the_files(store: Store) -> None:
     again.close()
 
 
-def test_every_commit_is_on_the_disk_for_the_owner_alone(store: Store) -> None:
+def test_every_commit_is_on_the_disk_for_the_owner_alone(
+    create: Create, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store_module, "sqlite3", sqlite3)  # that waits for the disk
+    store = create("judgment", videos(1))
     enter(store)
     for file in store.path.parent.iterdir():
         assert stat.S_IMODE(file.stat().st_mode) == 0o600, file.name
@@ -263,7 +267,6 @@ def test_a_snapshot_stays_as_it_was(store: Store, tmp_path: Path) -> None:
 
 def test_notes_are_limited(store: Store) -> None:
     who = enter(store)
-    store._db.execute("PRAGMA synchronous=OFF")
     for number in range(510):
         store.note(who, "blur", "trial-1", number)
     assert store.rows("SELECT count(*) AS n FROM note") == [{"n": 500}]

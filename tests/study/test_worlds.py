@@ -189,6 +189,7 @@ def test_scripted_people_answer_as_a_model_believes_in_the_worlds_names(
         assert true_answers(event) == true_answers(study.events[event.id])
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_likeness_is_asked_of_events_and_of_what_the_planner_makes_of_their_goals(
     tmp_path: Path,
 ) -> None:
@@ -227,6 +228,7 @@ def test_checks_are_of_questions_of_the_world(accepted: str, tmp_path: Path) -> 
     assert [row["video"] for row in table(tmp_path / "out" / "judgments.csv")] == ["trio-0"]
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_scripted_people_tag_events_of_any_world(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", "tagging", TRIO)
     simulate(study, tmp_path / "out", 3, model="last_frame", drop_outs=0, progress=False)
