@@ -15,7 +15,6 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.dataset.generation.making import NEAR
 from tests.analysis.readings import reading
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -51,19 +50,54 @@ def fails(run_script: Run, capsys: Capture, script: str, *options: str) -> str:
     return f"{stop.value.code} {capsys.readouterr().err}"
 
 
-@pytest.mark.slow
-def test_speed_of_one_transition(figures: Figures) -> None:
-    report = figures("simulator.py", "--only", "transitions")
-    us = report["transition_us_pymunk"], report["transition_us_compiled"]
-    assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
+Report = dict[str, Any]
+SLOW = pytest.mark.slow
+PROC = pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="reads /proc")
+
+RUNS: dict[str, tuple[Callable[[Report], bool], list[pytest.MarkDecorator]]] = {
+    "behaviour.py --only chase --seeds 1 --set simulations=60": (
+        lambda r: r["planner"]["simulations"] == 60 and r["behaviours"]["chase"]["n"] == 1, []),
+    "validity.py --only prior_mh --simulations 1200": (
+        lambda r: 0 < r["kernels"]["prior_mh"]["tv"] < 0.5, []),
+    "budgets.py --only prior_mh --budget 60 --chains 4": (
+        lambda r: 60 <= r["kernels"]["prior_mh"]["simulations"] < 64, []),
+    "budgets.py --reference --trials 3": (
+        lambda r: all(row["ranked_wrong"] <= row["ranked"] for row in r["reference"]), []),
+    "simulator.py --only transitions": (lambda r: r["transition_speedup"] > 0, [SLOW]),
+    "large_sets.py --events 2 --frames 34": (lambda r: r["sets"][0]["events"] == 2, [SLOW, PROC]),
+    "attack.py --inputs 12 --kills 2": (lambda r: r["bad"] == [], [SLOW]),
+    "calibration.py --events 2 --iterations 8 --kernel prior_mh --figure ranks.png": (
+        lambda r: {*map(len, r["ranks"].values())} == {2} and Path("ranks.png").exists(), [SLOW]),
+    "stepwise.py calibration --events 2": (lambda r: 0 <= r["4, 1"]["goals"] <= 1, [SLOW]),
+    "realism.py replay": (
+        lambda r: 0 < r["median_error_row5"] < r["median_error_row10"] < 0.2, [REAL]),
+    "realism.py ahead --half first --steps 5": (
+        lambda r: max(row["median_error"] for row in r["by_situation"].values()) < 0.2, [REAL]),
+    "realism.py hypotheses --truth-only --limit 4 --noise-seeds 2 --set simulations=20": (
+        lambda r: r["log_likelihood"]["value"] < 0 < r["mean_error_per_frame"]["value"], [REAL]),
+    "strength.py --limit 4 --draws 1": (
+        lambda r: {row["estimator"] for row in r["rows"]} == {"analytic", "network"}, [REAL]),
+    "proposals.py --limit 8 --forms learned paper": (
+        lambda r: {*r} >= {"learned", "paper"}, [REAL]),
+    "film.py --limit 1": (lambda r: r["refused"] == {} and r["position"][0] < 0.08, [REAL, SLOW]),
+    "filters.py": (lambda r: r["filters"]["all"]["first"]["share"] == 1, [REAL, SLOW]),
+    "stepwise.py replays --limit 4": (lambda r: r["alike"] > 0.85, [REAL, SLOW]),
+    "stepwise.py fit --limit 4 --keep kept": (
+        lambda r: len(list(Path("kept").glob("*.pkl"))) >= 4, [REAL, SLOW]),
+    "predicate.py --limit 4 --workers 1": (
+        lambda r: len(r["first"]) == len(r["settings"]), [REAL, SLOW]),
+}  # fmt: skip
+"""A benchmark and its options, what holds for the figures that it writes, and what it needs."""
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="reads /proc")
-def test_memory_that_sets_take(figures: Figures) -> None:
-    (row,) = figures("large_sets.py", "--events", "2", "--frames", "34")["sets"]
-    assert row["made"] > row["opened"] > 0
-    assert row["events"] == 2
+@pytest.mark.parametrize(
+    ("command", "holds"), [pytest.param(c, h, marks=marks) for c, (h, marks) in RUNS.items()]
+)
+def test_it_runs_and_writes_its_figures(
+    command: str, holds: Callable[[Report], bool], figures: Figures
+) -> None:
+    report = figures(*command.split())
+    assert holds(report), report
 
 
 def test_sizes_of_the_folders_of_a_package(tmp_path: Path, figures: Figures) -> None:
@@ -79,31 +113,6 @@ def test_sizes_of_the_folders_of_a_package(tmp_path: Path, figures: Figures) -> 
     assert report["all"] == {"files": 2, "lines": 9, "code": 4, "docs": 3}
 
 
-def test_one_behaviour_with_a_changed_planner(figures: Figures) -> None:
-    options = ["--only", "chase", "--seeds", "1", "--set", "simulations=60"]
-    report = figures("behaviour.py", *options)
-    assert report["planner"]["simulations"] == 60
-    ((name, found),) = report["behaviours"].items()
-    assert (name, found["n"]) == ("chase", 1)
-    assert found["successes"] == [bool(found["rate"])]
-
-
-def test_validity_of_one_kernel(figures: Figures) -> None:
-    report = figures("validity.py", "--only", "prior_mh", "--simulations", "1200")
-    (name, found), *others = report["kernels"].items()
-    assert (name, found["validity"], others) == ("prior_mh", "exact", [])
-    assert 0 < found["tv"] < 0.5
-    assert 800 < found["simulations"] <= 1200
-
-
-def test_budget_of_one_kernel(figures: Figures) -> None:
-    options = ["--only", "prior_mh", "--budget", "60", "--chains", "4"]
-    (name, found), *others = figures("budgets.py", *options)["kernels"].items()
-    assert (name, others) == ("prior_mh", [])
-    assert 60 <= found["simulations"] < 64
-    assert found["frames"] <= 14 * found["simulations"]
-
-
 def test_a_server_that_is_killed_loses_no_answer_that_it_has_confirmed(figures: Figures) -> None:
     pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
     sizes = {"videos": 4, "trials": 2, "raters": 4, "at-once": 4, "kills": 1, "drop-outs": 0}
@@ -115,23 +124,6 @@ def test_a_server_that_is_killed_loses_no_answer_that_it_has_confirmed(figures: 
     assert (report["lost"], report["doubled"], report["unconfirmed"]) == (0, 0, 0)
     assert report["integrity"] == "ok"
     assert min(map(int, report["raters"])) >= 4
-
-
-def test_reference_beside_what_it_says_of_itself(figures: Figures) -> None:
-    rows = figures("budgets.py", "--reference", "--trials", "3")["reference"]
-    assert {(row["sd"], row["per_pair"]) for row in rows} >= {(0.3, 4), (5.8, 16)}
-    for row in rows:
-        assert 0 < row["true"] < 1
-        assert row["ranked_wrong"] <= row["ranked"]
-
-
-@REAL
-@pytest.mark.slow
-def test_one_video_is_filmed_and_read(figures: Figures) -> None:
-    report = figures("film.py", "--limit", "1")
-    assert report["refused"] == {}
-    assert report["position"][0] < 0.08
-    assert report["position"][1] < 0.4
 
 
 def test_answers_called_decided_are_compared_with_the_truth(
@@ -150,27 +142,6 @@ def test_answers_called_decided_are_compared_with_the_truth(
     assert report["all"]["answers"] == 3
     assert report["goals"]["right"]["value"] == 0.5
     assert report["all"]["decided"] == sum(one["sure"] for one in post.leaders().values())
-
-
-@pytest.mark.slow
-def test_a_few_attacks_of_each_kind_are_withstood(figures: Figures) -> None:
-    report = figures("attack.py", "--inputs", "12", "--kills", "2")
-    assert report["bad"] == []
-    assert sum(report["counts"].values()) == 14
-    assert {name.split()[0] for name in report["counts"]} == {
-        *("commands", "calls", "flips", "hostile", "kills")
-    }
-
-
-@pytest.mark.slow
-def test_calibration_of_a_few_events(tmp_path: Path, figures: Figures) -> None:
-    options = ["--events", "2", "--iterations", "8", "--kernel", "prior_mh"]
-    image = tmp_path / "ranks.png"
-    report = figures("calibration.py", *options, "--figure", str(image))
-    ranks = report["ranks"]
-    assert {len(values) for values in ranks.values()} == {2}
-    assert all(0 <= rank <= 15 for v in ranks.values() for rank in v)
-    assert image.stat().st_size > 1000
 
 
 @pytest.mark.parametrize(
@@ -201,103 +172,6 @@ def test_events_of_another_world_are_made_and_read(tmp_path: Path, figures: Figu
     assert not any(" away from " in goal for event in made for goal in event.truth.goals.values())
 
 
-@REAL
-def test_replay_of_recovered_actions(figures: Figures) -> None:
-    report = figures("realism.py", "replay")
-    assert 0 < report["median_error_row5"] < report["median_error_row10"] < 0.2
-
-
-@REAL
-def test_from_each_recorded_state_our_physics_goes_where_the_real_agents_went(
-    figures: Figures,
-) -> None:
-    one, five = (
-        figures("realism.py", "ahead", "--half", "first", "--steps", steps) for steps in ("1", "5")
-    )
-    for situation, row in five["by_situation"].items():
-        assert row["only_ours_stuck"] < 0.02, situation
-        assert row["median_error"] < 0.2, situation
-        assert one["by_situation"][situation]["n"] >= row["n"]
-    first, fifth = (found["by_situation"]["free"]["error_90"] for found in (one, five))
-    assert first < fifth
-
-
-@REAL
-def test_strengths_of_a_few_videos(figures: Figures) -> None:
-    report = figures("strength.py", "--limit", "4", "--draws", "1")
-    rows = report["rows"]
-    assert {row["estimator"] for row in rows} == {"analytic", "network"}
-    assert all(row["share"] == 1 for row in rows if row["estimator"] == "network")
-
-
-@REAL
-def test_learned_proposals_find_the_truth_more_often_than_distances(figures: Figures) -> None:
-    report = figures("proposals.py", "--limit", "8", "--forms", "learned", "paper")
-    learned, paper = (report[form]["all"] for form in ("learned", "paper"))
-    assert learned["log_proposal"]["value"] > paper["log_proposal"]["value"] + 1
-
-
-@pytest.mark.slow
-@REAL
-def test_the_filters_keep_what_people_kept_and_no_more_the_stricter_they_are(
-    tmp_path: Path, figures: Figures
-) -> None:
-    planner = PlannerConfig(particles=5, simulations=2, rollout_length=1)
-    made = ppl.generate(tmp_path / "set", cells={"chasing": 1}, planner=planner, frames=40, seed=1,
-                        keep_rejected=True, workers=1, progress=False)  # fmt: skip
-    refused = len(made.rejected())
-    assert refused > 0
-    report = figures("filters.py", "--generated", str(tmp_path / "set"))
-    kept = report["filters"]
-    assert all(kept["all"][half]["share"] == 1 for half in ("first", "second"))
-    assert kept["opposing"]["generated"] == {"n": 1 + refused, "share": 1 / (1 + refused)}
-    assert sum(report["refused"]["generated"].values()) == refused
-    nearness = [row for row in report["thresholds"] if row["rule"].startswith("nearest")]
-    for half in ("first", "second"):
-        shares = [row[half]["share"] for row in nearness]
-        assert shares == sorted(shares)
-        assert shares[0] < 1
-    assert [row["value"] for row in nearness if row["filter"]] == [NEAR]
-
-
-@pytest.mark.slow
-@REAL
-def test_what_a_reader_recovers(figures: Figures) -> None:
-    report = figures("stepwise.py", "replays", "--limit", "4")
-    assert report["alike"] > 0.85
-    assert report["actions"] < report["alike"]
-
-
-@pytest.mark.slow
-@REAL
-def test_conducts_are_compared_on_readings_that_are_kept(tmp_path: Path, figures: Figures) -> None:
-    keep = tmp_path / "kept"
-    options = ("--limit", "4", "--keep", str(keep))
-    report = figures("stepwise.py", "fit", *options)
-    assert len(list(keep.glob("*.pkl"))) >= 4
-    steady, wavering = (report[f"4, 4, {lapse}, 1"]["half"] for lapse in (0.1, 0.3))
-    assert wavering["relation_log_score"] > steady["relation_log_score"]
-    assert figures("stepwise.py", "fit", *options) == report
-
-
-@pytest.mark.slow
-def test_confidence_is_compared_with_accuracy(figures: Figures) -> None:
-    report = figures("stepwise.py", "calibration", "--events", "2")
-    assert 0 <= report["4, 1"]["goals"] <= 1
-    assert report["unexplained"]["0.5"] < report["unexplained"]["0.99"]
-    assert 0 <= report["strengths"]["confidence"] <= 1
-
-
-@pytest.mark.slow
-@REAL
-def test_predicates_are_chosen_on_the_first_half(figures: Figures) -> None:
-    report = figures("predicate.py", "--limit", "4", "--workers", "1")
-    scores = [found["log_score"] for found in report["first"]]
-    assert len(scores) == len(report["settings"])
-    assert report["chosen"] == scores.index(max(scores))
-    assert 0 <= report["second"]["goal_accuracy"]["value"] <= 1
-
-
 @pytest.mark.slow
 @REAL
 def test_misses_of_an_evaluation_are_judged_once(tmp_path: Path, figures: Figures) -> None:
@@ -317,15 +191,6 @@ def test_misses_of_an_evaluation_are_judged_once(tmp_path: Path, figures: Figure
     assert len(judged.splitlines()) >= 1 + 2
     assert figures("accuracy.py", *options) == report
     assert kept.read_text() == judged
-
-
-@REAL
-def test_simulations_of_the_truth_are_told_by_their_errors(figures: Figures) -> None:
-    options = ["hypotheses", "--truth-only", "--limit", "4", "--noise-seeds", "2"]
-    report = figures("realism.py", *options, "--set", "simulations=20")
-    assert report["n_videos"] == len(report["videos"]) >= 4
-    assert report["log_likelihood"]["value"] < 0 < report["mean_error_per_frame"]["value"]
-    assert "true_best_rate" not in report
 
 
 def hypotheses_report(file: Path, seeds: int = 2, **videos: tuple[list[float], int]) -> str:

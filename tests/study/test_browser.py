@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
@@ -16,7 +15,6 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
-import tests.browser
 from phase_ppl.evaluation.prediction import questions_of
 from phase_ppl.physics.actions import Action
 from phase_ppl.study import plan, play
@@ -451,20 +449,6 @@ def test_a_full_study_and_an_unwilling_person_are_told_so(opened: Opened, made: 
     other.says("No places left")
     other.is_accessible()
     assert window.faults == other.faults == []
-
-
-def test_a_missing_browser_skips_with_a_reason_or_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CHROMIUM", "no-such-program")
-    for required, skips in (("", True), ("required", False)):
-        monkeypatch.setenv("PHASE_PPL_BROWSER", required)
-        fresh = importlib.reload(tests.browser)
-        mark = fresh.needs_browser.mark
-        assert mark.args == (skips,)
-        assert "there is no browser here" in mark.kwargs["reason"]
-        with pytest.raises(pytest.fail.Exception, match="there is no browser"):
-            fresh.browser_path()
-    monkeypatch.undo()
-    importlib.reload(tests.browser)
 
 
 @needs_browser
