@@ -168,13 +168,6 @@ def test_what_an_executor_loses_is_run_again_once(losses: int, failures: int) ->
     assert other.statistics.retries == 1
 
 
-def test_an_executor_that_is_shut_down_is_an_error_of_the_run() -> None:
-    executor = futures.ThreadPoolExecutor(1)
-    executor.shutdown()
-    with pytest.raises(SimulationError, match="the executor takes no more work"):
-        runner(toys.drift, executor=executor).run([GO], [1])
-
-
 # --- what cannot work ------------------------------------------------------------------------
 
 
@@ -328,7 +321,7 @@ def test_a_worker_that_cannot_end_its_simulation_is_killed(monkeypatch: pytest.M
     assert limited.statistics.retries == 0
 
 
-def test_an_executor_that_is_shut_down_ends_the_wait(tmp_path: Path) -> None:
+def test_an_executor_that_is_shut_down_ends_the_run(tmp_path: Path) -> None:
     marker, threads = tmp_path / "begun", futures.ThreadPoolExecutor(1)
     with futures.ThreadPoolExecutor(1) as caller:
         borrowed = runner(toys.Sleeps(marker, 0.2), executor=threads)
@@ -338,6 +331,8 @@ def test_an_executor_that_is_shut_down_ends_the_wait(tmp_path: Path) -> None:
         threads.shutdown(wait=False, cancel_futures=True)
         with pytest.raises(SimulationError, match="the executor takes no more work"):
             running.result(timeout=30)
+    with pytest.raises(SimulationError, match="the executor takes no more work"):
+        borrowed.run([GO], [1])
 
 
 def test_a_batch_that_hangs_is_failures() -> None:

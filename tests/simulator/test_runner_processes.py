@@ -196,22 +196,9 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
         wait_until(lambda: not any(is_alive(pid) for pid in workers_in(tmp_path)))
 
 
-def test_a_runner_that_was_never_closed_does_not_keep_a_script_alive(tmp_path: Path) -> None:
-    text = """
-        from phase_ppl.simulator.runner import Runner
-        from tests.simulator.toys import AT_REST, GO, SCENE, drift
-        runner = Runner(drift, SCENE, AT_REST, workers=2)
-        print(runner.run([GO], [1])[0].completed)
-    """
-    with started(text, tmp_path) as process:
-        output, errors = process.communicate(timeout=PATIENCE)
-    assert (output, errors, process.returncode) == ("True\n", "", 0)
-
-
-# --- scripts and imports ---------------------------------------------------------------------
-
-
-def test_a_simulator_defined_in_a_script_runs_on_workers_without_a_guard(tmp_path: Path) -> None:
+def test_a_script_needs_no_guard_and_is_not_kept_alive_by_runners_that_it_never_closed(
+    tmp_path: Path,
+) -> None:
     text = """
         import dataclasses
         import numpy as np
@@ -229,15 +216,16 @@ def test_a_simulator_defined_in_a_script_runs_on_workers_without_a_guard(tmp_pat
         def helper(rng):
             return rng.normal(size=(4, 3))
 
+        runners = []
         for simulator in (Mine(0.1), lambda *given: Mine(0.1)(*given)):
             for workers in (1, 2):
-                with Runner(simulator, SCENE, AT_REST, workers=workers) as runner:
-                    first, second = runner.run([GO, GO], [1, 2])
-                    print(first.errors.sum(), second.errors.sum(), first.failure, second.failure)
+                runners.append(Runner(simulator, SCENE, AT_REST, workers=workers))
+                first, second = runners[-1].run([GO, GO], [1, 2])
+                print(first.errors.sum(), second.errors.sum(), first.failure, second.failure)
     """
     with started(text, tmp_path) as process:
         output, errors = process.communicate(timeout=PATIENCE)
-    assert errors == ""
+    assert (errors, process.returncode) == ("", 0)
     lines = output.splitlines()
     assert lines == [lines[0]] * 4
     assert lines[0].endswith("None None")
