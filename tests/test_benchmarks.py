@@ -91,7 +91,7 @@ RUNS: dict[str, tuple[Callable[[Report], bool], list[pytest.MarkDecorator]]] = {
 
 
 @pytest.mark.parametrize(
-    ("command", "holds"), [pytest.param(c, h, marks=marks) for c, (h, marks) in RUNS.items()]
+    ("command", "holds"), [pytest.param(c, h, marks=marks, id=c) for c, (h, marks) in RUNS.items()]
 )
 def test_it_runs_and_writes_its_figures(
     command: str, holds: Callable[[Report], bool], figures: Figures

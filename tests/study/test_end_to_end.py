@@ -38,7 +38,8 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_people_did_speaks_for_their_goals_and_for_the_rule_of_their_session(
     sessions: Path,
 ) -> None:
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=QUICK)
+    planner = dataclasses.replace(QUICK, particles=10, simulations=40)
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=planner)
     evidence = {True: 0.0, False: 0.0}
     for event in ppl.load_events(sessions):
         assert event.scene.resets_velocity
@@ -47,13 +48,13 @@ def test_what_people_did_speaks_for_their_goals_and_for_the_rule_of_their_sessio
             post = ppl.infer(ppl.Event(scene, event.observation), model)
             assert post.settings["resets_velocity"] is post.scene.resets_velocity is rule
             evidence[rule] += post.log_evidence
-            if rule and event.scene.radius[0] == 0.8:
-                for goal in ("goal_red", "goal_green"):
-                    assert float(post.probability(**{goal: getattr(event.truth, goal)})) > 1 / 36
+            for goal in ("goal_red", "goal_green") if rule else ():
+                # it is some 0.08 to 0.3
+                assert float(post.probability(**{goal: getattr(event.truth, goal)})) > 1 / 36
     assert evidence[True] > evidence[False] + 3
 
 
-@pytest.mark.parametrize("kernel", ["importance", pytest.param("local_mh", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kernel", ["prior_mh", pytest.param("local_mh", marks=pytest.mark.slow)])
 def test_a_session_is_simulated_by_its_own_rule(sessions: Path, kernel: str) -> None:
     event = ppl.load_events(sessions)[0]
     post = ppl.infer(
