@@ -43,12 +43,6 @@ def places(agent: Agent, item: int = BLUE) -> FloatArray:
     return np.unique(agent.beliefs.bodies[:, item, :2].round(6), axis=0)
 
 
-def test_there_are_fifty_particles_that_differ_in_what_is_unseen() -> None:
-    agent = perceiving()
-    assert agent.beliefs.bodies.shape == (50, 4, 9)
-    assert len(places(agent)) > 20
-
-
 def test_observed_entities_are_true_in_every_particle() -> None:
     near = scene(red=(8.0, 8.0, 0.0), blue=(8.0, 14.0), green=(24.0, 4.0, 0.0))
     beliefs, (truth, _, _) = perceiving(near).beliefs, state_of(near)

@@ -82,13 +82,6 @@ def test_compiled_model_follows_the_pymunk_world_at_equal_recipe(case: Any, rese
     assert np.quantile(drifts, 0.9) < 0.02
 
 
-def test_same_actions_give_the_same_bits(start: Any) -> None:
-    where, actions = crowded(np.random.default_rng(2))
-    engines = [start(*where, strengths=STRENGTHS) for _ in range(2)]
-    one, other = ([engine.step(pair) for pair in actions] for engine in engines)
-    assert np.array_equal(one, other)
-
-
 def test_step_and_step_mean_do_the_same() -> None:
     where, actions = crowded(np.random.default_rng(7))
     means = start_in(CompiledWorld, *where, strengths=STRENGTHS)

@@ -71,11 +71,6 @@ def test_turning_agent_turns_by_the_known_angle_per_step(
     assert 0.95 * turn < turns[0] < turn
 
 
-def test_strength_does_not_change_how_fast_an_agent_turns(start: Any) -> None:
-    engines = [start(MIDDLE, strengths=(strength, strength)) for strength in STRENGTHS]
-    assert len({after(engine, (TURN_LEFT, WAIT)).pose[0, 2] for engine in engines}) == 1
-
-
 def test_agents_lose_their_spin_after_each_step_and_items_keep_theirs(start: Any) -> None:
     initial = start({**MIDDLE, 2: (10, 12)}).state
     initial.spin[2] = 3.0
@@ -127,13 +122,6 @@ def test_free_motion_does_not_depend_on_the_number_of_inner_steps(
         engine = start({0: (12, 8, 0.3), 1: (20, 16, 2.0)}, strengths=(150, 150), inner_steps=n)
         poses.append([engine.step((action, action)) for action in actions])
     assert poses[0] == pytest.approx(np.array(poses[1]), abs=1e-9)
-
-
-def test_bodies_have_the_masses_of_their_areas() -> None:
-    assert constants.mass(0, 1.2) == pytest.approx(4 * 1.44)
-    assert constants.mass(3, 1.2) == pytest.approx(math.pi * 1.44)
-    assert constants.inertia(3, 2.0) == pytest.approx(0.5 * 4 * math.pi * 4)
-    assert constants.inertia(1, 2.0) == pytest.approx(26 / 9 * 16)
 
 
 @pytest.mark.parametrize("turn", [1e-9, 0.01, -0.2, 0.25, -0.2500001, 3.0])

@@ -198,17 +198,6 @@ def test_whatever_goes_wrong_is_a_failed_result_or_an_error_of_that_hypothesis_a
     assert f"[{WEAK}] with seed 9" in str(raised.value)
 
 
-def test_an_error_on_closing_is_a_failure_too() -> None:
-    def clings(*given: Any) -> Iterator[Any]:
-        while True:
-            try:
-                yield START
-            except GeneratorExit:
-                yield START
-
-    assert simulate(clings).failure.startswith("RuntimeError: generator ignored GeneratorExit")
-
-
 # --- in batches ------------------------------------------------------------------------------
 
 

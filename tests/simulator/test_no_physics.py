@@ -39,12 +39,6 @@ def test_agents_go_to_their_landmarks_through_each_other_at_a_constant_speed() -
     assert np.array_equal(found[-1, 2:], where.start[2:])
 
 
-def test_a_frame_is_the_mean_over_its_step() -> None:
-    where = scene(red=(8.5, 12.0, 0.0))
-    found = path(where, "Get red agent to blue lm", "Get green agent to green lm", 2, speed=6.0)
-    assert found[1, 0, :2] == pytest.approx([8.5, 12.3])  # 0.1 to 0.5 after 1 to 5 substeps
-
-
 def test_the_way_leads_through_the_door() -> None:
     where = scene(walls=[FULL_WALL_UP, HALF_WALL_LEFT])
     found = path(where, "Get red agent to yellow lm", "Get green agent to green lm", 40)

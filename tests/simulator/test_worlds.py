@@ -214,19 +214,3 @@ def test_what_knows_no_other_world_says_so(trio: ppl.Event) -> None:
         ppl.evaluate([trio], "socialgnn")
     with pytest.raises(AttributeError, match="goal_red is of events of the world PHASE only"):
         _ = trio.truth.goal_red
-
-
-def test_who_has_nowhere_to_take_an_item_drives_the_other_off_in_rooms_without_landmarks() -> None:
-    walls = [((12, 0), (12, 16)), ((12, 16), (20, 16))]
-    landmarks = {"home": (4, 4), "field": (30, 12)}
-    world = ppl.World(TRIO.agents, ["ball"], landmarks, arena=(0, 36, 0, 24), walls=walls)
-    places = {"red agent": (8, 8), "green agent": (28, 4, 1.5), "purple agent": (24, 20, 3)}
-    event = ppl.simulate(
-        world.scene({**places, "ball": (24, 10)}, size={"ball": 0.8}),
-        goals={"red agent": "get to green agent", "green agent": "ball to home"},
-        relation={("purple agent", "green agent"): "hinder"},
-        planner=QUICK,
-        frames=3,
-        seed=0,
-    )
-    assert "the purple agent keeps the green agent away" in " ".join(ppl.explain(event).split())

@@ -87,10 +87,13 @@ def test_mistakes_are_named_in_the_worlds_words(tmp_path: Path) -> None:
             Settings.read(file, world)
 
 
-def test_checks_are_of_videos_of_the_study(tmp_path: Path) -> None:
+def test_settings_are_of_the_study_that_they_lie_in(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
     with pytest.raises(PhasePPLError, match=r"unknown video in \[checks\] 'none'"):
         edit(study, "[checks]", "[checks]\nnone = ['friendly']")
+    (study.folder / "study.toml").write_text(template("tagging", "x"))
+    with pytest.raises(InvalidSettingError, match="is one of judgment"):
+        Study(study.folder)
 
 
 def test_a_study_gets_a_folder_of_its_own(tmp_path: Path) -> None:
@@ -114,12 +117,6 @@ def test_copies_in_a_generated_set_are_known(
     with study.store() as store:
         assert [s.copies for s in store.stimuli().values()] == ["a", None, "a"]
     assert study.settings.trials == 2, "one of each copy is all that a person can see"
-
-
-def test_the_kind_of_a_study_stays(tmp_path: Path) -> None:
-    study = make_study(tmp_path / "study")
-    with pytest.raises(InvalidSettingError, match="is one of judgment"):
-        edit(study, study.settings.text, template("tagging", "x"))
 
 
 def test_missing_and_changed_films_are_found_before_people_come(tmp_path: Path) -> None:
