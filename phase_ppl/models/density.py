@@ -81,19 +81,27 @@ class Site(NamedTuple):
 def single_sites(program: Program) -> dict[str, Site]:
     """Return the latent sites of ``program()`` that are single numbers."""
     found: dict[str, Site] = {}
+    unknown: list[str] = []  # discrete sites whose values were not to be had
 
     def run(key: jax.Array) -> jax.Array:
+        unknown.clear()
         for name, site in latent_sites(traced(program, key)).items():
             if jnp.shape(site["value"]) == ():
                 discrete, values = bool(site["fn"].support.is_discrete), None
                 if discrete and site["fn"].has_enumerate_support:
-                    # of what depends on other sites there is no array here
-                    with contextlib.suppress(jax.errors.JAXTypeError, NotImplementedError):
-                        values = np.ravel(site["fn"].enumerate_support(expand=False)).tolist()
+                    try:
+                        with jax.ensure_compile_time_eval():
+                            values = np.ravel(site["fn"].enumerate_support(expand=False)).tolist()
+                    except (jax.errors.JAXTypeError, NotImplementedError):
+                        unknown.append(name)
                 found[name] = Site(discrete, None if values is None else tuple(values))
         return key
 
-    jax.vmap(run)(jax.random.split(jax.random.key(0), 1))
+    jax.eval_shape(run, jax.random.key(0))
+    if unknown:
+        # constants are numbers here, not placeholders, as what depends on other sites still is; but
+        # each operation is compiled
+        jax.vmap(run)(jax.random.split(jax.random.key(0), 1))
     return found
 
 
