@@ -61,7 +61,7 @@ class Rooms:
     def from_walls(
         cls, walls: FloatArray, arena: Sequence[float], quadrants: bool = False
     ) -> Rooms:
-        """Find rooms and doors.
+        """Find rooms and doors; the same object for a floor plan that it was asked for of late.
 
         Args:
             walls: (n, 2, 2) end points of the inner walls, units.
@@ -69,41 +69,7 @@ class Rooms:
             quadrants: the rooms are the arena's quadrants, and all walls run from its centre.
         """
         x0, x1, y0, y1 = map(float, arena)
-        walls = np.asarray(walls, float).reshape(-1, 2, 2)
-        centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
-        for wall in walls:
-            _check_wall(wall, (x0, x1, y0, y1), centre if quadrants else None)
-        upright = np.abs(walls[:, 0, 0] - walls[:, 1, 0]) < _TOLERANCE
-        columns = _lines(x0, x1, centre[:1] if quadrants else walls[upright, 0, 0])
-        rows = _lines(y0, y1, centre[1:] if quadrants else walls[~upright, 0, 1])
-        n_rooms = (len(columns) - 1) * (len(rows) - 1)
-        if n_rooms > MOST_ROOMS:
-            raise InvalidEventError(
-                f"the walls cut the arena into {n_rooms} rooms, at most {MOST_ROOMS}"
-            )
-        ids = _numbers(len(rows) - 1, len(columns) - 1)
-        found: list[tuple[float, float, Door]] = []
-        for flip, across, along, standing in (
-            (False, columns, rows, walls[upright]),
-            (True, rows, columns, walls[~upright][..., ::-1]),
-        ):
-            for line, part in itertools.product(range(1, len(across) - 1), range(len(along) - 1)):
-                # a border: the line at across[line], from along[part] to along[part + 1]
-                on_line = np.abs(standing[:, 0, 0] - across[line]) < _TOLERANCE
-                border = float(along[part]), float(along[part + 1])
-                cells = [(part, line - 1), (part, line)]
-                one, other = sorted(int(ids[cell[::-1] if flip else cell]) for cell in cells)
-                walled, gaps = _gaps(np.sort(standing[on_line, :, 1], axis=1), *border)
-                at_middle = np.array([across[line], sum(border) / 2])
-                angle = _turn((at_middle[::-1] if flip else at_middle) - centre)
-                far = max(border, key=lambda end: abs(end - float(centre[0 if flip else 1])))
-                for low, high in gaps or [(far, far)]:
-                    place = float(across[line]), (low + high) / 2
-                    x, y = place[::-1] if flip else place
-                    door = Door((one, other), x, y, high - low, walled)
-                    found.append((angle, math.dist((x, y), centre.tolist()), door))
-        doors = tuple(door for _, _, door in sorted(found))
-        return cls(columns, rows, doors, not len(walls))
+        return _found(np.asarray(walls, float).tobytes(), (x0, x1, y0, y1), quadrants)
 
     def __len__(self) -> int:
         return int(self.ids.size)
@@ -259,6 +225,50 @@ class Rooms:
                 table[start, end, 0] = len(doors)
                 table[start, end, 1 : 1 + len(doors)] = doors
         return table
+
+
+@functools.lru_cache(maxsize=64)
+def _found(content: bytes, arena: tuple[float, float, float, float], quadrants: bool) -> Rooms:
+    """Return the rooms between walls, whose end points come as the bytes of their array.
+
+    Scenes of one world, of which a random one takes many tries, find them once.
+    """
+    x0, x1, y0, y1 = arena
+    walls = np.frombuffer(content).reshape(-1, 2, 2)
+    centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+    for wall in walls:
+        _check_wall(wall, arena, centre if quadrants else None)
+    upright = np.abs(walls[:, 0, 0] - walls[:, 1, 0]) < _TOLERANCE
+    columns = _lines(x0, x1, centre[:1] if quadrants else walls[upright, 0, 0])
+    rows = _lines(y0, y1, centre[1:] if quadrants else walls[~upright, 0, 1])
+    n_rooms = (len(columns) - 1) * (len(rows) - 1)
+    if n_rooms > MOST_ROOMS:
+        raise InvalidEventError(
+            f"the walls cut the arena into {n_rooms} rooms, at most {MOST_ROOMS}"
+        )
+    ids = _numbers(len(rows) - 1, len(columns) - 1)
+    found: list[tuple[float, float, Door]] = []
+    for flip, across, along, standing in (
+        (False, columns, rows, walls[upright]),
+        (True, rows, columns, walls[~upright][..., ::-1]),
+    ):
+        for line, part in itertools.product(range(1, len(across) - 1), range(len(along) - 1)):
+            # a border: the line at across[line], from along[part] to along[part + 1]
+            on_line = np.abs(standing[:, 0, 0] - across[line]) < _TOLERANCE
+            border = float(along[part]), float(along[part + 1])
+            cells = [(part, line - 1), (part, line)]
+            one, other = sorted(int(ids[cell[::-1] if flip else cell]) for cell in cells)
+            walled, gaps = _gaps(np.sort(standing[on_line, :, 1], axis=1), *border)
+            at_middle = np.array([across[line], sum(border) / 2])
+            angle = _turn((at_middle[::-1] if flip else at_middle) - centre)
+            far = max(border, key=lambda end: abs(end - float(centre[0 if flip else 1])))
+            for low, high in gaps or [(far, far)]:
+                place = float(across[line]), (low + high) / 2
+                x, y = place[::-1] if flip else place
+                door = Door((one, other), x, y, high - low, walled)
+                found.append((angle, math.dist((x, y), centre.tolist()), door))
+    doors = tuple(door for _, _, door in sorted(found))
+    return Rooms(columns, rows, doors, not len(walls))
 
 
 def _check_wall(
