@@ -29,6 +29,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, overload
 
+import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
@@ -56,7 +57,7 @@ from phase_ppl.dataset.events_json import (
     truth_record,
     turned,
 )
-from phase_ppl.dataset.hdf5 import check_hdf5, netcdf_bytes, reading
+from phase_ppl.dataset.hdf5 import check_hdf5, content_of, netcdf_bytes, reading
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.names import ENTITIES, LANDMARKS
@@ -290,8 +291,9 @@ class Listing(NamedTuple):
 
 def read(path: str | os.PathLike[str]) -> Entries:
     """Return the events of the file ``path``, in memory, each still to be checked."""
-    with _opened_dataset(path) as stored:
-        dataset = stored.load()
+    check_hdf5(path)
+    with reading(), h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+        dataset = content_of(file)
     tag = _format(dataset)
     if tag == EVENT_FORMAT:
         name = event_id({"id": _text(dataset, "event", required=True)})

@@ -129,8 +129,8 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     with reading():
         check_hdf5(path, groups=True)
         with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
-            found = {_ROOT: _content(file)}
-            found |= {f"/{name}": _content(group) for name, group in file.groups.items()}
+            found = {_ROOT: content_of(file)}
+            found |= {f"/{name}": content_of(group) for name, group in file.groups.items()}
     seal = found[_ROOT].attrs.get(_SEAL)
     if seal is not None and seal != _checksum(found):
         raise InvalidEventError(
@@ -143,7 +143,7 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     return found
 
 
-def _content(group: Any) -> xr.Dataset:
+def content_of(group: Any) -> xr.Dataset:
     """Return what a group holds; xarray's reader does the same, but also asks how it is stored."""
     import xarray as xr
 
