@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import phase_ppl
 from phase_ppl.analysis.figures.data_card import data_table
 from phase_ppl.dataset.motion import moves_to_the_end, seems_to_hold, speeds
-from phase_ppl.dataset.statistics import GOAL_TYPES, PHASE, goal_type, standard_error, statistics
+from phase_ppl.dataset.statistics import GOAL_TYPES, PHASE, standard_error, statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import rotation
@@ -67,7 +67,7 @@ MANIFEST: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_kinds_goals_strengths_and_sizes_are_counted(events: list[Event]) -> None:
+def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -> None:
     found = statistics(events, name="two")
     tables = found["tables"]
     assert (found["name"], found["events"], found["units"]) == ("two", 2, 2)
@@ -85,20 +85,6 @@ def test_kinds_goals_strengths_and_sizes_are_counted(events: list[Event]) -> Non
     assert "family" not in tables
     assert found["draws"] is None
     json.dumps(found, allow_nan=False)
-
-
-def test_what_is_none_of_the_original_strengths_and_sizes_is_other() -> None:
-    odd = event(track(3), "odd", strengths=(200.0, 450.0))
-    odd = dataclasses.replace(odd, scene=make_scene(radius=[0.9, 1.2, 1.01, 1.6]))
-    found = statistics([odd])
-    assert found["tables"]["strength"]["counts"]["other"] == 1
-    assert found["tables"]["agent_size"]["counts"]["other"] == 1
-    assert "speed_mean_450" in found["values"]
-    assert "speed_mean_300" not in found["values"]
-
-
-def test_durations_and_speeds(events: list[Event]) -> None:
-    found = statistics(events)
     value = {name: entry["value"] for name, entry in found["values"].items()}
     assert (value["frames_min"], value["frames_median"], value["frames_max"]) == (3, 4, 5)
     # red of 150 N goes 0.1 per frame, four times; green of 600 N stands, and so does red in "two"
@@ -117,14 +103,25 @@ def test_durations_and_speeds(events: list[Event]) -> None:
     assert sum(histograms["speed_600"]["counts"]) == 6
 
 
+def test_what_is_none_of_the_original_strengths_and_sizes_is_other() -> None:
+    odd = event(track(3), "odd", strengths=(200.0, 450.0))
+    odd = dataclasses.replace(odd, scene=make_scene(radius=[0.9, 1.2, 1.01, 1.6]))
+    found = statistics([odd])
+    assert found["tables"]["strength"]["counts"]["other"] == 1
+    assert found["tables"]["agent_size"]["counts"]["other"] == 1
+    assert "speed_mean_450" in found["values"]
+    assert "speed_mean_300" not in found["values"]
+
+
 def test_a_manifest_tells_of_copies_families_holding_and_draws(events: list[Event]) -> None:
     found = statistics(events, MANIFEST)
-    assert found["units"] == 1
-    assert found["tables"]["relation"]["units"] == 1
-    assert found["tables"]["family"]["counts"] == {"chasing": 1, "collab": 1}
-    assert list(found["tables"]["layout"]["counts"]) == ["8", "10"]
-    assert list(found["tables"]["reflection"]["counts"]) == ["none", "up-down"]
-    assert list(found["tables"]["split"]["counts"]) == ["train", "test"]
+    tables = found["tables"]
+    assert found["units"] == tables["relation"]["units"] == 1
+    assert tables["family"]["counts"] == {"chasing": 1, "collab": 1}
+    for name, values in (
+        ("layout", ["8", "10"]), ("reflection", ["none", "up-down"]), ("split", ["train", "test"]),
+    ):  # fmt: skip
+        assert list(tables[name]["counts"]) == values
     # 5 frames of (0.5, 0), 3 of (1, 0)
     assert found["holding_from"] == "recorded"
     assert found["values"]["holding"]["value"] == pytest.approx((5 * 0.5 + 3) / 16)
@@ -134,9 +131,7 @@ def test_a_manifest_tells_of_copies_families_holding_and_draws(events: list[Even
         "reasons": {"a goal is not reached": 4, "an agent is stuck": 1},
     }  # fmt: skip
     assert found["draws"]["compete"]["share"] == 0
-
-
-def test_holding_is_estimated_where_the_manifest_does_not_tell_of_all(events: list[Event]) -> None:
+    # holding is estimated where it does not tell of all
     part = {**MANIFEST, "entries": [MANIFEST["entries"][0], {"id": "two", "measures": None}]}
     found = statistics(events, part)
     assert found["holding_from"] == "geometry"
@@ -144,12 +139,13 @@ def test_holding_is_estimated_where_the_manifest_does_not_tell_of_all(events: li
 
 
 def test_events_without_truth_count_where_none_is_needed(events: list[Event]) -> None:
-    found = statistics([*events, event(track(9), "unknown", goals=None)])
+    unknown = event(track(9), "unknown", goals=None)
+    found = statistics([*events, unknown])
     assert found["without_truth"] == 1
     assert found["tables"]["relation"]["units"] == 2
     assert found["tables"]["agent_size"]["units"] == 3
     assert found["values"]["frames_max"]["value"] == 9
-    alone = statistics([event(track(9), "unknown", goals=None)])
+    alone = statistics([unknown])
     assert set(alone["tables"]) == {"agent_size", "item_size"}
     assert alone["values"]["frames_median"]["se"] is None
     json.dumps(alone, allow_nan=False)
@@ -163,16 +159,6 @@ def test_what_cannot_be_described_is_refused(events: list[Event]) -> None:
             statistics(events, wrong)
 
 
-@pytest.mark.parametrize(
-    ("goal", "kind"),
-    [("Get pink item to red lm", "LMO+"), ("Get pink item away from red lm", "LMO-"),
-     ("Get green agent to red lm", "LMA+"), ("Get red agent away from blue lm", "LMA-"),
-     ("get to red agent", "TE+"), ("get away from green agent", "TE-")],
-)  # fmt: skip
-def test_types_of_goals(goal: str, kind: str) -> None:
-    assert goal_type(goal) == kind
-
-
 def test_the_standard_error_of_a_mean_is_the_textbooks() -> None:
     numbers = np.random.default_rng(1).normal(size=400)
     found = standard_error([np.array([number]) for number in numbers], np.mean)
@@ -182,11 +168,8 @@ def test_the_standard_error_of_a_mean_is_the_textbooks() -> None:
 # --- motion ------------------------------------------------------------------------------------
 
 
-def test_speed_is_distance_per_simulated_second() -> None:
-    assert speeds(track(3, red=0.5))[:, 0] == pytest.approx([6.0, 6.0])
-
-
 def test_a_track_that_stands_for_long_at_its_end_was_cut() -> None:
+    assert speeds(track(3, red=0.5))[:, 0] == pytest.approx([6.0, 6.0])  # per simulated second
     still = track(3, blue=1.0)
     assert moves_to_the_end(still)
     assert moves_to_the_end(np.concatenate([still, np.repeat(still[-1:], 4, axis=0)]))
@@ -212,17 +195,6 @@ def test_an_item_that_stays_at_a_grab_point_is_held(point: tuple[int, int]) -> N
 
 
 # --- the original events -----------------------------------------------------------------------
-
-
-def test_the_original_figures_are_the_papers() -> None:
-    tables = PHASE["tables"]
-    assert sum(tables["goal_type"]["counts"].values()) == 1000
-    assert sum(tables["strength"]["counts"].values()) == 800
-    assert sum(tables["agent_size"]["counts"].values()) == 800
-    for name in ("relation", "scenario", "split"):
-        assert sum(tables[name]["counts"].values()) == 500
-    scenarios, relations = tables["scenario"]["counts"], tables["relation"]["counts"]
-    assert scenarios["competing"] + scenarios["opposing"] == relations["adversarial"]
 
 
 @needs_dev

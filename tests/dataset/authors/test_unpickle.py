@@ -110,7 +110,7 @@ plain = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100)
 @given(value=plain, protocol=st.sampled_from(PROTOCOLS))
 def test_plain_data_are_read_as_they_were(value: Any, protocol: int) -> None:
     assert same(unpickled(pickle.dumps(value, protocol)), value)
@@ -167,7 +167,7 @@ def test_pickles_of_python_2_are_read() -> None:
     assert unpickled(b"U\x02\xe9\xff.") == "éÿ"
 
 
-# --- what asks for code ----------------------------------------------------------------------
+# --- what asks for code, or describes what no array is ---------------------------------------
 
 
 class Own:
@@ -180,172 +180,34 @@ class OwnArray(np.ndarray):
 
 
 SET = f"__import__('os').environ.__setitem__({SPRUNG!r}, '1')"
-OBJECTS: dict[str, tuple[Any, str]] = {
-    "system": (Trap(os.system, f"mkdir {SPRUNG}"), "asks for 'posix.system'"),
-    "mkdir": (Trap(os.mkdir, SPRUNG), "asks for 'posix.mkdir'"),
-    "eval": (Trap(eval, SET), "eval', which is refused"),
-    "exec": (Trap(exec, SET), "exec', which is refused"),
-    "getattr": (Trap(getattr, "x", "upper"), "getattr', which is refused"),
-    "import": (Trap(__import__, "os"), "__import__', which is refused"),
-    "load": (Trap(np.load, "x.npy"), "asks for 'numpy.load'"),
-    "loads": (Trap(pickle.loads, b"N."), "loads', which is refused"),
-    "fromfile": (Trap(np.memmap, "x"), "memmap', which is refused"),
-    "inside": ([1, {"a": [Trap(os.mkdir, SPRUNG)]}], "asks for 'posix.mkdir'"),
-    "own": (Own(), "refused"),
-    "class": (Own, "Own', which is refused"),
-    "function": (np.mean, "mean', which is refused"),
-    "range": (range(3), "range', which is refused"),
-    "complex": (1j, "complex', which is refused"),
-    "set": ({1, 2}, "refused"),
-    "frozenset": (frozenset((1,)), "refused"),
-    "ordered": (collections.OrderedDict(a=1), "OrderedDict', which is refused"),
-    "bytearray": ([bytearray(b"ab"), Own()], "refused"),
-    "subclass": (np.arange(3.0).view(OwnArray), "refused"),
-    "masked": (np.ma.array([1.0], mask=[True]), "refused"),
-    "objects": (np.array([Trap(os.mkdir, SPRUNG)], object), "something else than plain numbers"),
-    "plain_objects": (np.array([1, "a", None], object), "something else than plain numbers"),
-    "texts": (np.array(["a", "b"]), "something else than plain numbers"),
-    "fields": (np.zeros(2, [("a", "f8")]), "something else than plain numbers"),
-    "dates": (np.zeros(2, "M8[s]"), "something else than plain numbers"),
-    "complexes": (np.zeros(2, complex), "something else than plain numbers"),
-    "dtype": (np.dtype("f8"), "a function or a class in place of data"),
-}
+OBJECTS: dict[str, list[Any]] = {
+    "posix.system'": [Trap(os.system, f"mkdir {SPRUNG}")],
+    "posix.mkdir'": [Trap(os.mkdir, SPRUNG), [1, {"a": [Trap(os.mkdir, SPRUNG)]}]],
+    "eval', which is refused": [Trap(eval, SET)],
+    "exec', which is refused": [Trap(exec, SET)],
+    "getattr', which is refused": [Trap(getattr, "x", "upper")],
+    "__import__', which is refused": [Trap(__import__, "os")],
+    "asks for 'numpy.load'": [Trap(np.load, "x.npy")],
+    "loads', which is refused": [Trap(pickle.loads, b"N.")],
+    "memmap', which is refused": [Trap(np.memmap, "x")],
+    "Own', which is refused": [Own],
+    "mean', which is refused": [np.mean],
+    "refused": [Own(), 1j, range(3), {1, 2}, frozenset((1,)), [bytearray(b"ab"), Own()],
+                np.arange(3.0).view(OwnArray), np.ma.array([1.0], mask=[True]),
+                collections.OrderedDict(a=1)],
+    "something else than plain numbers": [
+        np.array([Trap(os.mkdir, SPRUNG)], object), np.array([1, "a", None], object),
+        np.array(["a", "b"]), *(np.zeros(2, kind) for kind in ([("a", "f8")], "M8[s]", complex)),
+    ],
+    "a function or a class in place of data": [np.dtype("f8")],
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("case", OBJECTS)
-def test_objects_are_refused(case: str) -> None:
-    value, message = OBJECTS[case]
-    for protocol in PROTOCOLS:
-        assert message in refused(pickle.dumps(value, protocol))
-
-
-def text(value: str) -> bytes:
-    return b"\x8c" + bytes([len(value)]) + value.encode()
-
-
-CALLS: dict[str, tuple[bytes, str]] = {
-    "dotted": (b"cnumpy.core.multiarray\n_reconstruct.__globals__\n.", "_reconstruct.__globals__"),
-    "dotted_stack": (
-        b"\x80\x04" + text("numpy") + text("ndarray.__reduce__") + b"\x93.",
-        "asks for 'numpy.ndarray.__reduce__'",
-    ),
-    "module_of_numpy": (b"cnumpy\nos\n.", "asks for 'numpy.os'"),
-    "our_own": (b"cphase_ppl.dataset.authors.pickles\n_Array\n.", "asks for"),
-    "list_as_name": (b"\x80\x04]" + text("x") + b"\x93.", "makes no sense"),
-    "no_names": (b"\x80\x04\x93.", "makes no sense"),
-    "long_names": (b"c" + b"x" * 5000 + b"\ny\n.", "asks for 'xxxx"),
-    "no_text": (b"c\xff\n\xfe\n.", "is damaged"),
-    "instance": (b"(S'x'\nios\nsystem\n.", "holds an object of a class"),
-    "object": (b"(cnumpy\nndarray\nS'x'\no.", "holds an object of a class"),
-    "newobj": (b"\x80\x02cnumpy\nndarray\n)\x81.", "holds an object of a class"),
-    "newobj_ex": (b"\x80\x04cnumpy\nndarray\n)}\x92.", "holds an object of a class"),
-    "extension": (b"\x80\x02\x82\x01.", "a number that stands for a class"),
-    "extension_2": (b"\x80\x02\x83\x01\x00.", "a number that stands for a class"),
-    "extension_4": (b"\x80\x02\x84\x01\x00\x00\x00.", "a number that stands for a class"),
-    "persistent": (b"Pother\n.", "a reference to something outside the file"),
-    "persistent_binary": (b"K\x01Q.", "a reference to something outside the file"),
-    "out_of_band": (b"\x80\x05\x97.", "a buffer outside the file"),
-    "readonly": (b"\x80\x05C\x01a\x98.", "a buffer outside the file"),
-    "set": (b"\x80\x04\x8f.", "holds a set"),
-    "reconstructor": (b"ccopy_reg\n_reconstructor\n.", "asks for 'copy_reg._reconstructor'"),
-    "call_data": (b"]K\x01\x85R.", "makes no sense"),
-    "call_class": (b"cnumpy\nndarray\nK\x01\x85R.", "makes no sense"),
-    "call_array": (b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n)C\x01b\x87R)R.", ""),
-    "call_list": (b"c_codecs\nencode\n]R.", "makes no sense"),
-    "state_of_dict": (b"}}b.", "makes no sense"),
-    "state_of_function": (b"c_codecs\nencode\n}b.", "sets the state of what is no array"),
-    "state_of_class": (b"cnumpy\nndarray\n}b.", "makes no sense"),
-    "function": (b"c_codecs\nencode\n.", "a function or a class in place of data"),
-    "nested_class": (b"]cnumpy\nndarray\na.", "a function or a class in place of data"),
-    "other_codec": (b"c_codecs\nencode\nVab\nVrot13\n\x86R.", "as NumPy never does"),
-    "codec_of_data": (b"c_codecs\nencode\nK\x01Vlatin1\n\x86R.", "as NumPy never does"),
-    "codec_of_others": (b"c_codecs\nencode\nV\\u0394\nVlatin1\n\x86R.", "as NumPy never does"),
-    "bytes_of": (b"c__builtin__\nbytes\nK\x05\x85R.", "as NumPy never does"),
-    "no_class": (b"cnumpy.core.multiarray\n_reconstruct\n)R.", "as NumPy never does"),
-    "other_class": (
-        b"cnumpy.core.multiarray\n_reconstruct\nNK\x00\x85C\x01b\x87R.",
-        "as NumPy never does",
-    ),
-    "dtype_of_class": (b"cnumpy\ndtype\ncnumpy\nndarray\n\x85R.", "something else than plain"),
-    "dtype_of_list": (b"cnumpy\ndtype\n](]e\x85R.", "something else than plain"),
-    "dtype_empty": (b"cnumpy\ndtype\n)R.", "something else than plain"),
-}
-
-
-def test_a_stand_in_keeps_nothing_that_a_file_tells_it() -> None:
-    told = b"c_codecs\nencode\n}Vx\nK\x01sb0"
-    assert "sets the state" in refused(told + b"N.")
-    assert unpickled(b"c_codecs\nencode\n(VA\nVlatin1\ntR.") == b"A"
-
-
-def test_an_extension_that_python_knows_is_refused_too() -> None:
-    copyreg.add_extension("os", "mkdir", 200)
-    try:
-        content = b"\x80\x02\x82\xc8V" + SPRUNG.encode() + b"\n\x85R."
-        assert "a number that stands for a class" in refused(content)
-    finally:
-        copyreg.remove_extension("os", "mkdir", 200)
-
-
-# --- arrays that cannot be -------------------------------------------------------------------
-
-
-def long(value: int) -> bytes:
-    return b"L%dL\n" % value
-
-
-def from_buffer(*arguments: bytes) -> bytes:
-    return b"cnumpy._core.numeric\n_frombuffer\n(" + b"".join(arguments) + b"tR."
-
-
-STATES: dict[str, tuple[bytes, str]] = {
-    "huge": (array(long(2**30) + b"\x85"), "in 8 bytes, expected 8589934592"),
-    "huger": (array(long(2**60) + b"\x85"), "an impossible shape"),
-    "product": (array(b"(" + long(2**31) * 8 + b"t"), "in 8 bytes, expected"),
-    "nothing_of_much": (
-        array(b"(" + long(2**40) + b"K\x00t", content=b"C\x00"),
-        "impossible",
-    ),
-    "negative": (array(long(-1) + b"\x85"), "an impossible shape"),
-    "two_negative": (array(long(-1) + long(-1) + b"\x86"), "an impossible shape"),
-    "fraction": (array(b"F1.0\n\x85"), "an impossible shape"),
-    "true": (array(b"I01\n\x85"), "an impossible shape"),
-    "dimensions": (array(b"(" + b"K\x01" * 9 + b"t"), "an impossible shape"),
-    "list": (array(b"](K\x01e"), "an impossible shape"),
-    "too_much": (
-        array(b"K\x01\x85", content=b"C\x10" + bytes(16)),
-        "in 16 bytes, expected 8",
-    ),
-    "no_dtype": (array(b"K\x01\x85", b"Vf8\n"), "something else than plain numbers"),
-    "objects": (array(b"K\x01\x85", content=b"](Ne"), "something else than plain numbers"),
-    "array": (array(b"K\x01\x85", content=EMPTY), "something else than plain numbers"),
-    "letters": (array(b"K\x01\x85", content=b"V\\u0394\n"), "as NumPy never does"),
-    "short_state": (EMPTY + b"K\x01\x85b.", "as NumPy never does"),
-    "no_state": (EMPTY + b".", "an array without content"),
-    "dict_state": (EMPTY + b"}b.", "as NumPy never does"),
-    "long_state": (EMPTY + b"(" + b"N" * 10 + b"tb.", "as NumPy never does"),
-    "dtype_state": (
-        b"cnumpy\ndtype\nVf8\n\x85R(K\x03V<\nNVx\nNK\x00K\x00K\x00tb.",
-        "plain numbers",
-    ),
-    "dtype_order": (b"cnumpy\ndtype\nVf8\n\x85R(K\x03VX\nNNNK\x00K\x00K\x00tb.", "plain numbers"),
-    "buffer_order": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VX\n"), "as NumPy never does"),
-    "buffer_short": (from_buffer(EIGHT, F8), "as NumPy never does"),
-    "buffer_axes": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VK\n", b"K\x05\x85"), "never does"),
-    "buffer_twice": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VK\n", b"K\x00K\x00\x86"), "never"),
-    "buffer_words": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VK\n", b"Vab\n\x85"), "never does"),
-    "scalar": (
-        b"cnumpy.core.multiarray\nscalar\n" + F8 + b"C\x02ab\x86R.",
-        "in 2 bytes, expected 8",
-    ),
-    "scalar_alone": (b"cnumpy.core.multiarray\nscalar\n" + F8 + b"\x85R.", "as NumPy never does"),
-}
-
-
-def test_the_parts_of_those_arrays_are_right() -> None:
-    assert unpickled(array(b"K\x01\x85")).tolist() == [0.0]
-    made = from_buffer(EIGHT, F8, b"K\x01K\x01\x86", b"VK\n", b"K\x01K\x00\x86")
-    assert unpickled(made).tolist() == [[0.0]]
+@pytest.mark.parametrize("message", OBJECTS)
+def test_objects_are_refused(message: str) -> None:
+    for value in OBJECTS[message]:
+        for protocol in PROTOCOLS:
+            assert message in refused(pickle.dumps(value, protocol))
 
 
 def test_the_traps_work() -> None:
@@ -357,7 +219,17 @@ def test_the_traps_work() -> None:
     del os.environ[SPRUNG]
 
 
-# --- small files that become large -----------------------------------------------------------
+def text(value: str) -> bytes:
+    return b"\x8c" + bytes([len(value)]) + value.encode()
+
+
+def long(value: int) -> bytes:
+    return b"L%dL\n" % value
+
+
+def from_buffer(*arguments: bytes) -> bytes:
+    return b"cnumpy._core.numeric\n_frombuffer\n(" + b"".join(arguments) + b"tR."
+
 
 DEEP = 100_000
 
@@ -377,50 +249,144 @@ MANY = array(
 )[:-1]
 """A text of a million characters, an array of 50,000 numbers."""
 
-BOMBS: dict[str, tuple[bytes, str]] = {
-    "laughs": (laughs(60), "is larger than"),
-    "laughing_arrays": (laughs(12, MANY), "is larger than"),
-    "laughing_texts": (laughs(9, LONG), "is larger than"),
-    "laughing_keys": (b"](" + LONG + b"q\x00" + b"}h\x00Ns" * 30 + b"e.", "is larger than"),
-    "itself": (b"]q\x00h\x00a.", "nested more than 64 deep, or in itself"),
-    "dict_itself": (b"}q\x00Vx\nh\x00s.", "nested more than 64 deep, or in itself"),
-    "tuple_itself": (b"]q\x00h\x00\x85a.", "nested more than 64 deep, or in itself"),
-    "lists": (b"]" * DEEP + b"a" * (DEEP - 1) + b".", "nested more than 64 deep"),
-    "tuples": (b")" + b"\x85" * DEEP + b".", "nested more than 64 deep"),
-    "dicts": (b"Nq\x000" + b"(Vx\nh\x00dq\x000" * DEEP + b"h\x00.", "nested more than 64 deep"),
-    "tuple_key": (b"}" + b")" + b"\x85" * DEEP + b"Ns.", "nested more than 64 deep"),
-    "nested_key": (b"}K\x01\x85\x85Ns.", "keys are no texts or whole numbers"),
-    "nested_keys": (b"}(NNK\x01\x85\x85Nu.", "keys are no texts or whole numbers"),
-    "nested_key_of_dict": (b"(K\x01\x85\x85Nd.", "keys are no texts or whole numbers"),
-    # each of which would take 2 ** 60 steps to hash, or overflow the stack of C
-    "doubled_key": (b"}N\x85" + b"2\x86" * 60 + b"Ns.", "keys are no texts or whole numbers"),
-    "doubled_by_memo": (
-        b"}K\x01\x85q\x00" + b"0(h\x00h\x00tq\x00" * 60 + b"Ns.",
-        "keys are no texts or whole numbers",
-    ),
-    "key_that_was_built": (b"}" + b")" + b"\x85Nb" * DEEP + b"Ns.", "nested more than 64 deep"),
-    "long_key": (b"}(" + b"K\x01" * 50 + b"tNs.", "keys are no texts or whole numbers"),
-    "nan_key": (b"}Fnan\nNs.", "keys are no texts or whole numbers"),
-    "list_key": (b"}]Ns.", "keys are no texts or whole numbers"),
-    "marks": (b"(" * DEEP + b".", "makes no sense"),
-    "place": (b"Nr\xff\xff\xff\xff0j\xfe\xff\xff\xff.", "makes no sense"),
-    "bytes": (b"\x80\x04\x8e" + b"\xff" * 8 + b"x.", "ends too early"),
-    "text": (b"\x80\x04\x8d" + struct.pack("<Q", 2**40) + b"x.", "ends too early"),
-    "old_text": (b"T\xff\xff\xff\xffx.", "ends too early"),
-    "bytearray": (b"\x80\x05\x96" + struct.pack("<Q", 2**62) + b"x.", "ends too early"),
-    "frame": (b"\x80\x04\x95" + b"\xff" * 8 + b"N0.", "makes no sense"),
-    "long": (b"\x80\x02\x8b\xff\xff\xff\x7f.", "ends too early"),
-    "negative_long": (b"\x80\x02\x8b\xff\xff\xff\xff.", "LONG4 at byte 2 says cannot be"),
-    "wide": (b"\x80\x02\x8a\x09" + b"\xff" * 8 + b"\x7f.", "more than 64 bits"),
-    "digits": (b"I" + b"9" * 30 + b"\n.", "more than 64 bits"),
-    "more_digits": (b"L" + b"9" * 100_000 + b"L\n.", "LONG at byte 0"),
-    "long_long": (b"\x80\x02\x8b" + struct.pack("<i", 10**6) + b"\x7f" * 10**6 + b".", "64 bits"),
-    "frame_of_much": (b"\x80\x04\x95" + struct.pack("<Q", 2**50) + b"N.", "makes no sense"),
-    "conversions": (
+REFUSED: dict[str, list[bytes]] = {
+    # asks for code
+    "_reconstruct.__globals__": [b"cnumpy.core.multiarray\n_reconstruct.__globals__\n."],
+    "asks for 'numpy.ndarray.__reduce__'": [
+        b"\x80\x04" + text("numpy") + text("ndarray.__reduce__") + b"\x93."
+    ],
+    "asks for 'numpy.os'": [b"cnumpy\nos\n."],
+    "asks for 'copy_reg._reconstructor'": [b"ccopy_reg\n_reconstructor\n."],
+    "asks for 'xxxx": [b"c" + b"x" * 5000 + b"\ny\n."],
+    "asks for": [b"cphase_ppl.dataset.authors.pickles\n_Array\n."],
+    "holds an object of a class": [
+        b"(S'x'\nios\nsystem\n.", b"(cnumpy\nndarray\nS'x'\no.",
+        b"\x80\x02cnumpy\nndarray\n)\x81.", b"\x80\x04cnumpy\nndarray\n)}\x92.",
+    ],
+    "a number that stands for a class": [
+        b"\x80\x02\x82\x01.", b"\x80\x02\x83\x01\x00.", b"\x80\x02\x84\x01\x00\x00\x00.",
+    ],
+    "a reference to something outside the file": [b"Pother\n.", b"K\x01Q."],
+    "a buffer outside the file": [b"\x80\x05\x97.", b"\x80\x05C\x01a\x98."],
+    "holds a set": [b"\x80\x04\x8f."],
+    "a function or a class in place of data": [
+        b"c_codecs\nencode\n.", b"]cnumpy\nndarray\na.",
+    ],
+    "sets the state of what is no array": [
+        b"c_codecs\nencode\n}b.", b"c_codecs\nencode\n}Vx\nK\x01sb0N.",
+    ],
+    "": [b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n)C\x01b\x87R)R."],
+    # arrays that cannot be
+    "as NumPy never does": [
+        b"c_codecs\nencode\nVab\nVrot13\n\x86R.", b"c_codecs\nencode\nK\x01Vlatin1\n\x86R.",
+        b"c_codecs\nencode\nV\\u0394\nVlatin1\n\x86R.", b"c__builtin__\nbytes\nK\x05\x85R.",
+        b"cnumpy.core.multiarray\n_reconstruct\n)R.",
+        b"cnumpy.core.multiarray\n_reconstruct\nNK\x00\x85C\x01b\x87R.",
+        b"cnumpy.core.multiarray\nscalar\n" + F8 + b"\x85R.",
+        array(b"K\x01\x85", content=b"V\\u0394\n"),
+        EMPTY + b"K\x01\x85b.", EMPTY + b"}b.", EMPTY + b"(" + b"N" * 10 + b"tb.",
+        *(from_buffer(EIGHT, F8, b"K\x01\x85", *order) for order in (
+            [b"VX\n"], [b"VK\n", b"K\x05\x85"], [b"VK\n", b"K\x00K\x00\x86"],
+            [b"VK\n", b"Vab\n\x85"],
+        )),
+        from_buffer(EIGHT, F8),
+    ],
+    "something else than plain numbers": [
+        b"cnumpy\ndtype\ncnumpy\nndarray\n\x85R.", b"cnumpy\ndtype\n](]e\x85R.",
+        b"cnumpy\ndtype\n)R.", array(b"K\x01\x85", b"Vf8\n"),
+        array(b"K\x01\x85", content=b"](Ne"), array(b"K\x01\x85", content=EMPTY),
+        b"cnumpy\ndtype\nVf8\n\x85R(K\x03V<\nNVx\nNK\x00K\x00K\x00tb.",
+        b"cnumpy\ndtype\nVf8\n\x85R(K\x03VX\nNNNK\x00K\x00K\x00tb.",
+    ],
+    "an impossible shape": [
+        array(shape) for shape in (
+            long(2**60) + b"\x85", long(-1) + b"\x85", long(-1) + long(-1) + b"\x86", b"F1.0\n\x85",
+            b"I01\n\x85", b"(" + b"K\x01" * 9 + b"t", b"](K\x01e",
+        )
+    ],
+    "impossible": [array(b"(" + long(2**40) + b"K\x00t", content=b"C\x00")],
+    "in 8 bytes, expected 8589934592": [array(long(2**30) + b"\x85")],
+    "in 8 bytes, expected": [array(b"(" + long(2**31) * 8 + b"t")],
+    "in 16 bytes, expected 8": [array(b"K\x01\x85", content=b"C\x10" + bytes(16))],
+    "in 2 bytes, expected 8": [b"cnumpy.core.multiarray\nscalar\n" + F8 + b"C\x02ab\x86R."],
+    "an array without content": [EMPTY + b"."],
+    # small files that become large, or take for ever
+    "is larger than": [
+        laughs(60), laughs(12, MANY), laughs(9, LONG),
+        b"](" + LONG + b"q\x00" + b"}h\x00Ns" * 30 + b"e.",
+    ],
+    "becomes too large": [
         b"(" + LONG + b"q\x00c_codecs\nencode\nq\x01" + b"h\x01h\x00Vlatin1\n\x86R0" * 300 + b"t.",
-        "becomes too large",
-    ),
+    ],
+    "nested more than 64 deep, or in itself": [
+        b"]q\x00h\x00a.", b"}q\x00Vx\nh\x00s.", b"]q\x00h\x00\x85a.",
+        b"]" * DEEP + b"a" * (DEEP - 1) + b".", b")" + b"\x85" * DEEP + b".",
+        b"Nq\x000" + b"(Vx\nh\x00dq\x000" * DEEP + b"h\x00.", b"}" + b")" + b"\x85" * DEEP + b"Ns.",
+        b"}" + b")" + b"\x85Nb" * DEEP + b"Ns.",
+        # counted where parts are shared too
+        b"]q\x00" + b"0](h\x00eq\x00" * 40 + b"0](h\x00" + b"](" * 40 + b"h\x00" + b"e" * 41 + b".",
+    ],
+    "keys are no texts or whole numbers": [
+        b"}K\x01\x85\x85Ns.", b"}(NNK\x01\x85\x85Nu.", b"(K\x01\x85\x85Nd.",
+        # each of which would take 2 ** 60 steps to hash, or overflow the stack of C
+        b"}N\x85" + b"2\x86" * 60 + b"Ns.",
+        b"}K\x01\x85q\x00" + b"0(h\x00h\x00tq\x00" * 60 + b"Ns.",
+        b"}(" + b"K\x01" * 50 + b"tNs.", b"}Fnan\nNs.", b"}]Ns.",
+    ],
+    "more than 64 bits": [
+        b"\x80\x02\x8a\x09" + b"\xff" * 8 + b"\x7f.", b"I" + b"9" * 30 + b"\n.",
+        b"\x80\x02\x8b" + struct.pack("<i", 10**6) + b"\x7f" * 10**6 + b".",
+    ],
+    "LONG at byte 0": [b"L" + b"9" * 100_000 + b"L\n."],
+    "LONG4 at byte 2 says cannot be": [b"\x80\x02\x8b\xff\xff\xff\xff."],
+    "ends too early": [
+        b"\x80\x04\x8e" + b"\xff" * 8 + b"x.", b"\x80\x04\x8d" + struct.pack("<Q", 2**40) + b"x.",
+        b"T\xff\xff\xff\xffx.", b"\x80\x05\x96" + struct.pack("<Q", 2**62) + b"x.",
+        b"\x80\x02\x8b\xff\xff\xff\x7f.",
+    ],
+    # no pickle, or a damaged one
+    "is empty": [b""],
+    "is damaged": [b'{"format": "x"}', b"hello world", b"c\xff\n\xfe\n."],
+    "refused": [b"PK\x03\x04\x14\x00\x00\x00"],
+    "goes on after the end": [b"N.N."],
+    "protocol 6, expected at most 5": [b"\x80\x06N."],
+    r"unknown opcode b'\xfe'": [b"\xfe."],
+    "BINUNICODE at byte 0": [b"X\x01\x00\x00\x00\xff."],
+    "UNICODE at byte 0": [b"V\\uZZZZ\n."],
+    "INT at byte 0": [b"Iabc\n."],
+    "makes no sense": [
+        b"\x80\x04]" + text("x") + b"\x93.", b"\x80\x04\x93.", b"]K\x01\x85R.",
+        b"cnumpy\nndarray\nK\x01\x85R.", b"c_codecs\nencode\n]R.", b"}}b.",
+        b"cnumpy\nndarray\n}b.", b"(" * DEEP + b".", b"Nr\xff\xff\xff\xff0j\xfe\xff\xff\xff.",
+        b"\x80\x04\x95" + b"\xff" * 8 + b"N0.", b"\x80\x04\x95" + struct.pack("<Q", 2**50) + b"N.",
+        b".", b"NN.", b"(N.", b"Sab\n.", b"S'\n.", b"S'ab\"\n.", b"S'\\q'\n.",
+        b"S'" + b"\\x41" * 50_000 + b"\\'\n.", b"}(K\x01u.", b"(K\x01d.", b"}Na.", b")(Ne.",
+        b"]NNs.", b"]e.", b"N\x87.", b"h\x00.", b"q\x00.", b"0.", b"2.", b"N(0.",
+    ],
 }  # fmt: skip
+"""Message -> pickles that get it."""
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_is_not_plain_data_is_refused(message: str) -> None:
+    for content in REFUSED[message]:
+        assert message in refused(content), content[:60]
+
+
+def test_the_parts_of_those_arrays_are_right() -> None:
+    assert unpickled(array(b"K\x01\x85")).tolist() == [0.0]
+    made = from_buffer(EIGHT, F8, b"K\x01K\x01\x86", b"VK\n", b"K\x01K\x00\x86")
+    assert unpickled(made).tolist() == [[0.0]]
+    assert unpickled(b"c_codecs\nencode\n(VA\nVlatin1\ntR.") == b"A"
+
+
+def test_an_extension_that_python_knows_is_refused_too() -> None:
+    copyreg.add_extension("os", "mkdir", 200)
+    try:
+        content = b"\x80\x02\x82\xc8V" + SPRUNG.encode() + b"\n\x85R."
+        assert "a number that stands for a class" in refused(content)
+    finally:
+        copyreg.remove_extension("os", "mkdir", 200)
 
 
 def test_room_is_never_made_for_places_that_are_not_used() -> None:
@@ -438,78 +404,22 @@ def test_room_is_never_made_for_places_that_are_not_used() -> None:
         tracemalloc.stop()
 
 
-def test_nesting_is_counted_where_parts_are_shared_too() -> None:
-    chain = b"]q\x00" + b"0](h\x00eq\x00" * 40
-    assert "nested" in refused(chain + b"0](h\x00" + b"](" * 40 + b"h\x00" + b"e" * 41 + b".")
-
-
-def test_too_many_opcodes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_much_and_nothing_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pickles, "MAX_OPCODES", 10)
     assert unpickled(b"N0" * 4 + b"N.") is None
     assert "has more than 10 opcodes" in refused(b"N0" * 5 + b"N.")
-
-
-def test_a_file_that_is_too_large_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     path = tmp_path / "x.pkl"
-    path.write_bytes(pickle.dumps(list(range(100))))
+    with pytest.raises(InvalidEventError, match="no such file"):
+        read_pickle(path)
+    path.write_bytes(pickle.dumps([1, 2]))
     monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size)
-    assert read_pickle(path) == list(range(100))
+    assert read_pickle(path) == [1, 2]
     monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size - 1)
     with pytest.raises(InvalidEventError, match="is larger than the"):
         read_pickle(path)
 
 
 # --- damage ----------------------------------------------------------------------------------
-
-DAMAGED: dict[str, tuple[bytes, str]] = {
-    "empty": (b"", "is empty"),
-    "json": (b'{"format": "x"}', "is damaged"),
-    "words": (b"hello world", "is damaged"),
-    "zip": (b"PK\x03\x04\x14\x00\x00\x00", "refused"),
-    "nothing": (b".", "makes no sense"),
-    "two": (b"NN.", "makes no sense"),
-    "open": (b"(N.", "makes no sense"),
-    "more": (b"N.N.", "goes on after the end"),
-    "protocol": (b"\x80\x06N.", "protocol 6, expected at most 5"),
-    "opcode": (b"\xfe.", r"unknown opcode b'\xfe'"),
-    "quotes": (b"Sab\n.", "makes no sense"),
-    "one_quote": (b"S'\n.", "makes no sense"),
-    "other_quote": (b"S'ab\"\n.", "makes no sense"),
-    "escape": (b"S'\\q'\n.", "makes no sense"),
-    "many_escapes": (b"S'" + b"\\x41" * 50_000 + b"\\'\n.", "makes no sense"),
-    "utf8": (b"X\x01\x00\x00\x00\xff.", "BINUNICODE at byte 0"),
-    "raw_unicode": (b"V\\uZZZZ\n.", "UNICODE at byte 0"),
-    "word": (b"Iabc\n.", "INT at byte 0"),
-    "odd_items": (b"}(K\x01u.", "makes no sense"),
-    "odd_dict": (b"(K\x01d.", "makes no sense"),
-    "append": (b"}Na.", "makes no sense"),
-    "extend": (b")(Ne.", "makes no sense"),
-    "items": (b"]NNs.", "makes no sense"),
-    "no_mark": (b"]e.", "makes no sense"),
-    "tuple": (b"N\x87.", "makes no sense"),
-    "get": (b"h\x00.", "makes no sense"),
-    "put": (b"q\x00.", "makes no sense"),
-    "pop": (b"0.", "makes no sense"),
-    "copy": (b"2.", "makes no sense"),
-    "under_mark": (b"N(0.", "makes no sense"),
-}
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        pytest.param(*given, id=f"{kind}-{case}")
-        for kind, cases in {
-            **{"what no array needs": CALLS, "an array that cannot be": STATES},
-            **{"small and large": BOMBS, "no pickle": DAMAGED},
-        }.items()
-        for case, given in cases.items()
-    ],
-)
-def test_what_is_not_plain_data_is_refused(content: bytes, message: str) -> None:
-    assert message in refused(content)
 
 
 def videos(protocol: int) -> bytes:
@@ -518,24 +428,12 @@ def videos(protocol: int) -> bytes:
     return pickle.dumps([video], protocol)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("protocol", [0, 5])
 def test_a_truncated_file_is_refused_wherever_it_ends(protocol: int) -> None:
     content = videos(protocol)
     assert len(unpickled(content)) == 1
     for end in range(len(content)):
         assert refused(content[:end])
-
-
-WHOLE = [*(videos(protocol) for protocol in PROTOCOLS), OLD, OLD_BINARY]
-
-
-@pytest.mark.parametrize("content", WHOLE, ids=[*map(str, PROTOCOLS), "old", "old_binary"])
-def test_a_damaged_file_is_read_or_refused(content: bytes) -> None:
-    rng = random.Random(len(content))
-    found = [complaint(damaged(content, rng)) for _ in range(700)]
-    assert not is_sprung()
-    assert None in found
-    assert len(set(found)) > 5
 
 
 def damaged(content: bytes, rng: random.Random) -> bytes:
@@ -546,46 +444,41 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_a_damaged_file_holds_events_or_none(tmp_path: Path, protocol: int) -> None:
-    rng = random.Random(protocol)
+@pytest.mark.parametrize("content", [*map(videos, PROTOCOLS), OLD, OLD_BINARY], ids=range(8))
+def test_a_damaged_file_is_read_or_refused(content: bytes) -> None:
+    rng = random.Random(len(content))
+    found = [complaint(damaged(content, rng)) for _ in range(250)]
+    assert None in found
+    assert len(set(found)) > 5
+
+
+def test_a_damaged_file_holds_events_or_none(tmp_path: Path) -> None:
+    rng = random.Random(0)
     files = {"videos.pkl": [processed(2)], f"{name_of(3)}.pik": record(3)}
     for name, content in files.items():
-        path = tmp_path / name
-        for _ in range(30):
-            path.write_bytes(damaged(pickle.dumps(content, protocol), rng))
+        path, whole = tmp_path / name, pickle.dumps(content, 3)
+        for _ in range(15):
+            path.write_bytes(damaged(whole, rng))
             try:
                 said = f"{path}: {len(load_events(path, format='phase-pickle'))} event"
             except PhasePPLError as error:
                 said = str(error)
             assert said.startswith(str(path))
             assert "\n" not in said
-    assert not is_sprung()
 
 
-OPCODES = [bytes([code]) for code in range(256)]
 pieces = st.sampled_from(
     [
-        *OPCODES,
+        *(bytes([code]) for code in range(256)),
         *(b"K\x01", b"K\x00", b"V<\n", b"C\x08" + bytes(8), b"q\x00", b"h\x00", b"\x85", b"\x87"),
         *(F8, EMPTY, b"cnumpy\nndarray\n", b"cnumpy\ndtype\n", b"c_codecs\nencode\n"),
         *(b"cposix\nmkdir\n", b"V" + SPRUNG.encode() + b"\n", b"R", b"b", b"t", b"(", b"."),
     ]
-)  # fmt: skip
+)
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=400)
 @given(parts=st.lists(pieces, max_size=25))
 def test_any_bytes_are_read_or_refused(parts: list[bytes]) -> None:
     complaint(b"".join(parts) + b".")
     assert not is_sprung()
-
-
-def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidEventError, match="no such file"):
-        read_pickle(tmp_path / "none.pkl")
-    with pytest.raises(InvalidEventError, match="is a folder"):
-        read_pickle(tmp_path)
-    (tmp_path / "file").touch()
-    with pytest.raises(InvalidEventError, match="cannot be read: Not a directory"):
-        read_pickle(tmp_path / "file" / "x")

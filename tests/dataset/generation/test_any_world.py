@@ -14,7 +14,7 @@ import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
-from phase_ppl.dataset.generation import families, making
+from phase_ppl.dataset.generation import making
 from phase_ppl.dataset.generation.families import CAST_FAMILIES, draw_situation, register_family
 from phase_ppl.dataset.generation.generate import generate
 from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, reason_against, uniform_roles
@@ -37,118 +37,6 @@ def homewards(world: ppl.World, seed: int) -> Roles | None:
     return None if seed % 3 == 1 else Roles.of(world, {"red agent": "red agent to home"})
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> GeneratedEvents:
-    folder = tmp_path_factory.mktemp("sets") / "solo"
-    return generate(folder, 3, world=SOLO, frames=36, seed=0, keep_rejected=True, **ONE_THREAD)
-
-
-def test_an_event_is_made_of_the_one_number_of_its_entry(made: GeneratedEvents) -> None:
-    for event, entry in zip(ppl.load_events(made.path), made.entries, strict=True):
-        seed = entry["seed"]
-        again = ppl.simulate(
-            SOLO.random_scene(seed), uniform_roles(SOLO, seed), frames=36, seed=seed
-        )
-        assert np.array_equal(event.observation.trajectory, again.observation.trajectory)
-        assert event.truth == again.truth
-        assert event.scene.world == SOLO
-    assert len({entry["seed"] for entry in made.entries}) == 3
-
-
-def test_kept_are_events_in_which_a_goal_of_ones_own_is_reached(made: GeneratedEvents) -> None:
-    def is_reached(event: ppl.Event) -> bool:
-        literal, frames = goal_literal(event.truth.stated[0], 0, SOLO), event.observation.trajectory
-        return is_true(literal, frames[-1], event.scene) > is_true(literal, frames[0], event.scene)
-
-    assert all(is_reached(event) for event in made)
-    assert not any(is_reached(event) for event, _ in made.rejected())
-    kept, refused = made.manifest["kept"], made.manifest["rejected"]
-    assert kept == {"solo": 3}
-    assert refused["solo"] == {"no goal is reached": len(made.rejected())}, "there are some"
-    assert verify(made.path) == []
-
-
-def test_roles_of_ones_own_are_drawn_and_part_of_the_plan(tmp_path: Path) -> None:
-    given = {"world": "solo", "roles": homewards, "frames": 40, **ONE_THREAD}
-    found = generate(tmp_path / "set", 3, **given)
-    assert {event.truth.goals["red agent"] for event in found} == {"Get red agent to home"}
-    assert found.manifest["rejected"]["solo"]["roles that are not wanted"] >= 1
-    with pytest.raises(ppl.PhasePPLError, match="another plan: roles"):
-        generate(tmp_path / "set", 3, **{**given, "roles": ppl.roles.draw}, resume=True)
-
-
-def test_a_prior_of_ones_own_is_drawn_from_and_recorded(tmp_path: Path) -> None:
-    source = tmp_path / "own.py"
-    source.write_text(
-        "import numpyro\n"
-        "import phase_ppl as ppl\n"
-        "def strong(world):\n"
-        "    ppl.roles.goals(world)\n"
-        "    ppl.roles.company(world)\n"
-        "    numpyro.sample('strength_red', numpyro.distributions.Uniform(590, 600))\n"
-    )
-    command = ["generate", "--world", "solo", "--n", "1", "--prior", f"{source}:strong"]
-    assert main([*command, "--workers", "1", "--out", str(tmp_path / "set")]) == 0
-    made = ppl.load_events(tmp_path / "set")
-    assert isinstance(made, GeneratedEvents)
-    assert made[0].truth.strengths[0] > 590
-    assert made.manifest["plan"]["world"]["agents"] == list(SOLO.agents)
-    assert "strong" in made.manifest["plan"]["roles"]["function"]
-    assert " at 0x" not in made.manifest["plan"]["roles"]["function"]
-
-
-def test_all_goals_and_ways_to_help_or_hinder_are_drawn_alike() -> None:
-    drawn = [uniform_roles(TRIO, seed) for seed in range(200)]
-    alone = np.mean([not roles.relation for roles in drawn])
-    assert abs(alone - 1 / 3) < 4 * np.sqrt(2 / 9 / len(drawn))
-    own = {roles.stated[0] for roles in drawn} - {None}
-    assert own <= set(possible_goals(0, TRIO))
-    assert len(own) > 0.8 * len(possible_goals(0, TRIO))
-    helped = np.array([bool(roles.relation) for roles in drawn])
-    place = np.array([TRIO.random_scene(seed).start[0, 0] for seed in range(200)])
-    apart = place[helped].mean() - place[~helped].mean()
-    assert abs(apart) < 4 * place.std() * np.sqrt(1 / helped.sum() + 1 / (~helped).sum())
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"n": 2, "cells": {"help_lift": 1}}, "the family 'help_lift' is for the world PHASE only"),
-        ({"cells": {"help": 1}}, "the family 'help' needs 2 agents; 'solo' has 1 agent"),
-        (
-            {"cells": {"hlep": 1}},
-            "unknown family of 'solo' 'hlep'; did you mean 'help'|allowed: 'ind",
-        ),
-        ({"n": 2, "copies": 1}, "copies=1 is for the world PHASE only, not 'solo'"),
-        ({"n": 2, "replans": 1}, "replans=1 is for"),
-        ({"n": 2, "reflect": True}, "reflect=True is for"),
-        ({"n": 2, "recolour": True}, "recolour=True is for"),
-        ({"n": 2, "max_tries": 1001}, "max_tries=1001, expected at most 1000"),
-        ({"n": 2, "roles": "uniform"}, r"roles='uniform', expected a function \(world, seed\)"),
-        ({}, "n, the number of events, is needed in the world 'solo'"),
-        ({"n": 2, "world": "sola"}, "unknown world 'sola'"),
-        ({"n": 2, "world": ppl.worlds}, "expected a phase_ppl.World"),
-        ({"n": 2, "world": "PHASE", "roles": homewards}, "families draw those of PHASE"),
-    ],
-)
-def test_what_is_of_phase_only_is_refused_by_name(
-    tmp_path: Path, given: dict[str, Any], message: str
-) -> None:
-    with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
-        generate(tmp_path / "set", **{"world": SOLO, **given, **ONE_THREAD})
-    assert not (tmp_path / "set").exists()
-
-
-def test_roles_of_another_world_are_refused_and_named(tmp_path: Path) -> None:
-    drawn = functools.partial(ppl.roles.draw, TRIO)
-    with pytest.raises(SimulationError, match="the world 'trio', not 'solo'"):
-        generate(
-            tmp_path / "set", 1, world=SOLO, roles=lambda world, seed: drawn(seed), **ONE_THREAD
-        )
-
-
-# --- families -------------------------------------------------------------------------------------
-
 OURS = ("chasing", "collab", "compete", "help", "hinder", "independent")
 QUICK = PlannerConfig(particles=4, simulations=2, rollout_length=1)
 SMALL: dict[str, Any] = {"workers": 1, "progress": False, "frames": 3, "planner": QUICK}
@@ -165,6 +53,118 @@ def _forgetful(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def _all_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(making, "reason_against", lambda *_: None)
+
+
+def test_events_follow_from_the_numbers_of_their_entries_and_show_a_goal_that_is_reached(
+    tmp_path: Path,
+) -> None:
+    options = {"frames": 36, "seed": 0, "keep_rejected": True, **ONE_THREAD}
+    made = generate(tmp_path / "set", 3, world=SOLO, **options)
+
+    def is_reached(event: ppl.Event) -> bool:
+        literal, frames = goal_literal(event.truth.stated[0], 0, SOLO), event.observation.trajectory
+        return is_true(literal, frames[-1], event.scene) > is_true(literal, frames[0], event.scene)
+
+    for event, entry in zip(made, made.entries, strict=True):
+        seed = entry["seed"]
+        scene, wanted = SOLO.random_scene(seed), uniform_roles(SOLO, seed)
+        again = ppl.simulate(scene, wanted, frames=36, seed=seed)
+        assert np.array_equal(event.observation.trajectory, again.observation.trajectory)
+        assert event.truth == again.truth
+        assert event.scene.world == SOLO
+        assert is_reached(event)
+    assert len({entry["seed"] for entry in made.entries}) == 3
+    assert not any(is_reached(event) for event, _ in made.rejected())
+    assert made.manifest["kept"] == {"solo": 3}
+    refused = {"no goal is reached": len(made.rejected())}
+    assert made.manifest["rejected"]["solo"] == refused, "there are some"
+    assert verify(made.path) == []
+
+
+def test_roles_of_ones_own_are_drawn_and_part_of_the_plan(tmp_path: Path) -> None:
+    given = {"world": "solo", "roles": homewards, "frames": 40, **ONE_THREAD}
+    found = generate(tmp_path / "set", 3, **given)
+    assert {event.truth.goals["red agent"] for event in found} == {"Get red agent to home"}
+    assert found.manifest["rejected"]["solo"]["roles that are not wanted"] >= 1
+    with pytest.raises(ppl.PhasePPLError, match="another plan: roles"):
+        generate(tmp_path / "set", 3, **{**given, "roles": ppl.roles.draw}, resume=True)
+
+
+@pytest.mark.usefixtures("_forgetful", "_all_are_kept")
+def test_the_command_takes_a_prior_and_a_family_of_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "own.py"
+    source.write_text(
+        "import numpyro\n"
+        "import phase_ppl as ppl\n"
+        "def strong(world):\n"
+        "    ppl.roles.goals(world)\n"
+        "    ppl.roles.company(world)\n"
+        "    numpyro.sample('strength_red', numpyro.distributions.Uniform(590, 600))\n"
+        "places = {'home': (8, 8), 'far': (24, 18)}\n"
+        "mine = ppl.World(['red agent', 'green agent'], ['ball'], places, name='mine')\n"
+        "@ppl.register_family('fetch', scenario='collaborative', world=mine)\n"
+        "def fetch(draw):\n"
+        "    'One helps the other to bring the ball home.'\n"
+        "    return draw.situation({'red agent': 'ball to home'},\n"
+        "                          {('green agent', 'red agent'): 'help'}, near={'ball': 'far'})\n"
+    )
+    quick = functools.wraps(generate)(lambda **options: generate(**{**options, **SMALL}))
+
+    def made(name: str, *words: str) -> GeneratedEvents:
+        command = ["generate", *words, "--workers", "1", "--out", str(tmp_path / name)]
+        assert main(command) == 0
+        return GeneratedEvents(tmp_path / name)
+
+    strong = made("one", "--world", "solo", "--n", "1", "--prior", f"{source}:strong")
+    assert strong[0].truth.strengths[0] > 590
+    assert strong.manifest["plan"]["world"]["agents"] == list(SOLO.agents)
+    assert "strong" in strong.manifest["plan"]["roles"]["function"]
+    assert " at 0x" not in strong.manifest["plan"]["roles"]["function"]
+    monkeypatch.setattr("phase_ppl.cli.generate.generate", quick)
+    (fetched,) = made("two", "--world", f"{source}:mine", "--cell", f"{source}:fetch=1")
+    assert fetched.id == "fetch-00000"
+    assert fetched.truth.relation == {("green agent", "red agent"): "help"}
+
+
+def test_all_goals_and_ways_to_help_or_hinder_are_drawn_alike() -> None:
+    drawn = [uniform_roles(TRIO, seed) for seed in range(150)]
+    alone = np.mean([not roles.relation for roles in drawn])
+    assert abs(alone - 1 / 3) < 4 * np.sqrt(2 / 9 / len(drawn))
+    own = {roles.stated[0] for roles in drawn} - {None}
+    assert own <= set(possible_goals(0, TRIO))
+    assert len(own) > 0.8 * len(possible_goals(0, TRIO))
+    helped = np.array([bool(roles.relation) for roles in drawn])
+    place = np.array([TRIO.random_scene(seed).start[0, 0] for seed in range(150)])
+    apart = place[helped].mean() - place[~helped].mean()
+    assert abs(apart) < 4 * place.std() * np.sqrt(1 / helped.sum() + 1 / (~helped).sum())
+
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"n": 2, "cells": {"help_lift": 1}}, "the family 'help_lift' is for the world PHASE only"),
+    ({"cells": {"help": 1}}, "the family 'help' needs 2 agents; 'solo' has 1 agent"),
+    ({"cells": {"hlep": 1}}, "unknown family of 'solo' 'hlep'; did you mean 'help'|allowed: 'ind"),
+    ({"n": 2, "copies": 1}, "copies=1 is for the world PHASE only, not 'solo'"),
+    ({"n": 2, "recolour": True}, "recolour=True is for"),
+    ({"n": 2, "max_tries": 1001}, "max_tries=1001, expected at most 1000"),
+    ({"n": 2, "roles": "uniform"}, r"roles='uniform', expected a function \(world, seed\)"),
+    ({}, "n, the number of events, is needed in the world 'solo'"),
+    ({"n": 2, "world": "PHASE", "roles": homewards}, "families draw those of PHASE"),
+]
+
+
+def test_what_is_of_phase_or_another_world_only_is_refused_by_name(tmp_path: Path) -> None:
+    for given, message in REFUSED:
+        with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
+            generate(tmp_path / "set", **{"world": SOLO, **given, **ONE_THREAD})
+    assert not (tmp_path / "set").exists()
+    of_trio = lambda world, seed: ppl.roles.draw(TRIO, seed)  # noqa: E731
+    with pytest.raises(SimulationError, match="the world 'trio', not 'solo'"):
+        generate(tmp_path / "set", 1, world=SOLO, roles=of_trio, **ONE_THREAD)
+
+
+# --- families -------------------------------------------------------------------------------------
 
 
 def relay(draw: CastDraw) -> CastSituation:
@@ -195,6 +195,9 @@ def test_two_show_the_scenario_and_the_others_run_errands(name: str) -> None:
     cast = set()
     for seed in range(8):
         scene, roles = draw_situation(name, TRIO, seed)
+        again = draw_situation(name, "trio", seed)
+        assert roles == again.roles
+        assert np.array_equal(scene.start, again.scene.start)
         found = {
             pair: scenario(*(roles.effective_goals[a] for a in pair), TRIO, pair)
             for pair in itertools.combinations(range(3), 2)
@@ -207,13 +210,6 @@ def test_two_show_the_scenario_and_the_others_run_errands(name: str) -> None:
             literal = goal_literal(goal, agent, TRIO)
             assert not (literal.positive and is_true(literal, scene.start, scene))
     assert len(cast) != 1, "anybody may be one of the two"
-
-
-def test_a_situation_follows_from_its_seed() -> None:
-    one, other, third = (draw_situation("help", "trio", seed) for seed in (1, 1, 2))
-    assert np.array_equal(one.scene.start, other.scene.start)
-    assert one.roles == other.roles
-    assert not np.array_equal(one.scene.start, third.scene.start)
 
 
 @pytest.mark.usefixtures("_forgetful")
@@ -275,76 +271,41 @@ def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(
         generate(tmp_path / "set", **given, resume=True)
 
 
-@pytest.mark.usefixtures("_all_are_kept")
-def test_families_and_random_scenes_come_in_the_proportions_of_the_cells(tmp_path: Path) -> None:
-    found = generate(tmp_path / "set", 4, world="trio", cells={"help": 1, "chasing": 1}, **SMALL)
-    assert found.manifest["kept"] == {"help": 2, "chasing": 2}
-    random = generate(tmp_path / "other", world="solo", cells={"independent": 1}, **SMALL)
-    assert random.entries[0]["family"] == "independent"
-
-
-@pytest.mark.usefixtures("_forgetful", "_all_are_kept")
-def test_the_command_takes_a_family_of_a_file(tmp_path: Path) -> None:
-    own = tmp_path / "own.py"
-    own.write_text(
-        "import phase_ppl as ppl\n"
-        "places = {'home': (8, 8), 'far': (24, 18)}\n"
-        "mine = ppl.World(['red agent', 'green agent'], ['ball'], places, name='mine')\n"
-        "@ppl.register_family('fetch', scenario='collaborative', world=mine)\n"
-        "def fetch(draw):\n"
-        "    'One helps the other to bring the ball home.'\n"
-        "    return draw.situation({'red agent': 'ball to home'},\n"
-        "                          {('green agent', 'red agent'): 'help'}, near={'ball': 'far'})\n"
-    )
-    command = ["generate", "--world", f"{own}:mine", "--cell", f"{own}:fetch=1", "--workers", "1"]
-    assert main([*command, "--out", str(tmp_path / "set")]) == 0
-    (made,) = ppl.load_events(tmp_path / "set")
-    assert made.id == "fetch-00000"
-    assert made.truth.relation == {("green agent", "red agent"): "help"}
+ODD: list[tuple[Any, str]] = [
+    (lambda draw: None, "no situation in 200 draws in 'solo', the last since it returned None"),
+    (lambda draw: draw.refuse("it is late"), "since it is late"),
+    (lambda draw: draw.situation({"red agent": "ball to barn"}, rooms={"ball": "barn"},
+                                 near={"ball": "barn"}, size=4.5), "no place was found"),
+    (lambda draw: draw.situation({"red agent": "ball to barn"}, near={"ball": "brn"}),
+     "unknown agent, item or landmark 'brn'; did you mean 'barn'"),
+    (lambda draw: draw.situation({"red": "ball to barn"}), "unknown agent 'red'"),
+    (lambda draw: SOLO.random_scene(0), "expected a scene and roles, or None"),
+    (lambda draw: (SOLO.random_scene(0), None), "expected a scene and roles, or None"),
+    (lambda draw: draw_situation("help", TRIO, 0), "roles of the world 'solo'"),
+    (lambda draw: (SOLO.scene({"red agent": (4, 4), "ball": (20, 4), "box": (8, 16)}),
+                   Roles.of(SOLO, {"red agent": "red agent to home"})),
+     "since 'Get red agent to home' is true at the start"),
+]  # fmt: skip
 
 
 @pytest.mark.usefixtures("_forgetful")
-@pytest.mark.parametrize(
-    ("drawn", "message"),
-    [
-        (lambda draw: None, "no situation in 200 draws in 'solo', the last since it returned None"),
-        (lambda draw: draw.refuse("it is late"), "since it is late"),
-        (lambda draw: draw.situation({"red agent": "ball to barn"}, rooms={"ball": "barn"},
-                                     near={"ball": "barn"}, size=4.5), "no place was found"),
-        (lambda draw: draw.situation({"red agent": "ball to barn"}, near={"ball": "brn"}),
-         "unknown agent, item or landmark 'brn'; did you mean 'barn'"),
-        (lambda draw: draw.situation({"red": "ball to barn"}), "unknown agent 'red'"),
-        (lambda draw: SOLO.random_scene(0), "expected a scene and roles, or None"),
-        (lambda draw: (SOLO.random_scene(0), None), "expected a scene and roles, or None"),
-        (lambda draw: draw_situation("help", TRIO, 0), "roles of the world 'solo'"),
-        (lambda draw: (SOLO.scene({"red agent": (4, 4), "ball": (20, 4), "box": (8, 16)}),
-                       Roles.of(SOLO, {"red agent": "red agent to home"})),
-         "since 'Get red agent to home' is true at the start"),
-    ],
-)  # fmt: skip
-def test_what_a_family_cannot_draw_is_said(drawn: Any, message: str) -> None:
-    register_family("odd", scenario="independent", world=SOLO)(drawn)
-    with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
-        draw_situation("odd", SOLO, 0)
-
-
-@pytest.mark.usefixtures("_forgetful")
-def test_a_family_that_breaks_its_promise_is_refused_before_anything_is_made(
-    tmp_path: Path,
-) -> None:
+def test_what_a_family_cannot_draw_is_said(tmp_path: Path) -> None:
+    for drawn, message in ODD:
+        register_family("odd", scenario="independent", world=SOLO)(drawn)
+        with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
+            draw_situation("odd", SOLO, 0)
+        del CAST_FAMILIES.entries["odd"]
+    # one that breaks its promise is refused before anything is made
     register_family("odd", scenario="opposing", world=TRIO)(relay)
     with pytest.raises(InvalidSettingError, match="which is not opposing"):
         generate(tmp_path / "set", world=TRIO, cells={"odd": 1}, **SMALL)
-    assert not (tmp_path / "set").exists()
     with pytest.raises(UnknownNameError, match="unknown variant 'help:LMA'; did you mean 'help'"):
         generate(tmp_path / "set", world=TRIO, cells={"help:LMA": 1}, **SMALL)
+    assert not (tmp_path / "set").exists()
 
 
-def test_a_family_of_any_world_can_have_variants_and_names_of_phases(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(families.CAST_FAMILIES, "entries", dict(CAST_FAMILIES.entries))
-
+@pytest.mark.usefixtures("_forgetful")
+def test_a_family_of_any_world_can_have_variants_and_names_of_phases() -> None:
     @register_family("help_move", scenario="independent", variants=("ball", "box"), world=None)
     def of_kind(draw: CastDraw, variant: str) -> CastSituation:
         """Somebody moves something."""
@@ -358,17 +319,15 @@ def test_a_family_of_any_world_can_have_variants_and_names_of_phases(
 # --- what is kept -------------------------------------------------------------------------------
 
 
-def measured(**changes: Any) -> dict[str, Any]:
-    """Return measures of an event of the trio in which everything went well."""
-    pairs = ("red & green", "red & purple", "green & purple")
-    return {
-        "at_start": [False] * 3,
-        "at_end": [True] * 3,
-        "stuck": [0] * 3,
-        "touched": [["blue ball"], ["blue ball"], []],
-        "closest": dict.fromkeys(pairs, NEAR / 2),
-        **changes,
-    }
+PAIRS = ("red & green", "red & purple", "green & purple")
+WELL: dict[str, Any] = {
+    "at_start": [False] * 3,
+    "at_end": [True] * 3,
+    "stuck": [0] * 3,
+    "touched": [["blue ball"], ["blue ball"], []],
+    "closest": dict.fromkeys(PAIRS, NEAR / 2),
+}
+"""Measures of an event of the trio in which everything went well."""
 
 
 def roles(green: str, relation: str | None = None, red: str = HOME) -> Roles:
@@ -379,40 +338,35 @@ def roles(green: str, relation: str | None = None, red: str = HOME) -> Roles:
     return Roles.of(TRIO, {**goals, "green agent": green})
 
 
-FAR = dict.fromkeys(("red & green", "red & purple", "green & purple"), NEAR)
+FAR = {**dict.fromkeys(PAIRS, NEAR), "red & purple": 0.5}
+KEPT: list[tuple[str, Roles, dict[str, Any], str | None]] = [
+    ("collaborative", roles("", "help"), {"at_end": [True, True, False]}, None),
+    ("collaborative", roles("", "help"), {"at_end": [True, False, True]}, "not reached"),
+    ("collaborative", roles("", "help", "red agent to home"), {"touched": [[]] * 3}, None),
+    ("collaborative", roles(HOME), {"touched": [["blue ball"], ["pink ball"], []]}, "not both"),
+    ("collaborative", roles(HOME), {"stuck": [0, 0, MAX_STUCK + 1]}, "is stuck"),
+    ("collaborative", roles(HOME), {"at_start": [False, False, True]}, "true at the start"),
+    ("competing", roles(FIELD), {"at_end": [False] * 3}, None),
+    ("opposing", roles("", "hinder"), {"at_end": [False] * 3, "touched": [[]] * 3}, None),
+    (
+        "opposing",
+        roles("", "hinder"),
+        {"closest": FAR},
+        "never come",
+    ),
+    ("independent", roles("green agent to barn"), {"at_end": [True, True, False]}, "reached"),
+]
 
 
-@pytest.mark.parametrize(
-    ("shown", "wanted", "found", "reason"),
-    [
-        ("collaborative", roles("", "help"), {}, None),
-        ("collaborative", roles("", "help"), {"at_end": [True, True, False]}, None),
-        ("collaborative", roles("", "help"), {"at_end": [True, False, True]}, "not reached"),
-        ("collaborative", roles("", "help", "red agent to home"), {"touched": [[]] * 3}, None),
-        ("collaborative", roles(HOME), {"touched": [["blue ball"], ["pink ball"], []]}, "not both"),
-        ("collaborative", roles(HOME), {"stuck": [0, 0, MAX_STUCK + 1]}, "is stuck"),
-        ("collaborative", roles(HOME), {"at_start": [False, False, True]}, "true at the start"),
-        ("competing", roles(FIELD), {"at_end": [False] * 3}, None),
-        ("competing", roles(FIELD), {"touched": [[], ["blue ball"], []]}, "not both"),
-        ("opposing", roles("", "hinder"), {"at_end": [False] * 3, "touched": [[]] * 3}, None),
-        ("opposing", roles("", "hinder"), {"at_start": [False, True, False]}, None),
-        ("opposing", roles("", "hinder"), {"closest": {**FAR, "red & purple": 0.5}}, "never come"),
-        ("independent", roles("green agent to barn"), {}, None),
-        ("independent", roles("green agent to barn"), {"at_end": [True, True, False]}, "reached"),
-    ],
-)
-def test_kept_is_what_two_show_or_all_if_they_are_independent(
-    shown: str, wanted: Roles, found: dict[str, Any], reason: str | None
-) -> None:
-    told = reason_against(shown, wanted, measured(**found))
-    assert (told is None) if reason is None else reason in str(told)
-
-
-def test_of_several_pairs_one_is_enough() -> None:
+def test_kept_is_what_two_show_or_all_if_they_are_independent() -> None:
+    for shown, wanted, found, reason in KEPT:
+        told = reason_against(shown, wanted, {**WELL, **found})
+        assert (told is None) if reason is None else reason in str(told)
+    # of several pairs one is enough
     everybody = Roles.of(TRIO, dict.fromkeys(TRIO.agents, HOME))
-    ball = ["blue ball"]
-    assert reason_against("collaborative", everybody, measured(touched=[ball, [], ball])) is None
-    assert reason_against("collaborative", everybody, measured(touched=[ball, [], []])) is not None
+    for third, is_kept in ((["blue ball"], True), ([], False)):
+        found = {**WELL, "touched": [["blue ball"], [], third]}
+        assert (reason_against("collaborative", everybody, found) is None) is is_kept
 
 
 def test_measures_are_of_all_agents_and_pairs() -> None:
@@ -425,21 +379,5 @@ def test_measures_are_of_all_agents_and_pairs() -> None:
     assert found["closest"]["red & purple"] == pytest.approx(
         apart.min() / (scene.radius[0] + scene.radius[2])
     )
-    assert list(found["met"]) == ["red & green", "red & purple", "green & purple"]
+    assert tuple(found["met"]) == PAIRS
     assert [len(found[key]) for key in ("touched", "stuck", "at_end", "moved")] == [3, 3, 3, 5]
-
-
-@pytest.mark.slow
-def test_events_of_families_show_what_they_should(tmp_path: Path) -> None:
-    cells = {"help": 1, "hinder": 1}
-    made = generate(
-        tmp_path / "set", world=TRIO, cells=cells, seed=2, frames=80, workers=1, progress=False
-    )
-    for event, entry in zip(made, made.entries, strict=True):
-        ((who, whom), stance), *_ = event.truth.relation.items()
-        assert stance == entry["family"]
-        pair = [TRIO.agent(who), TRIO.agent(whom)]
-        if stance == "help":
-            literals = [goal_literal(event.truth.effective_goals[a], a, TRIO) for a in pair]
-            end = event.observation.trajectory[-1]
-            assert all(is_true(literal, end, event.scene) for literal in literals)
