@@ -45,38 +45,26 @@ def test_an_event_knows_what_its_agents_thought(event: ppl.Event) -> None:
     assert spread[seen].max() < 1e-5 < 1 < spread[0]
 
 
-def test_it_is_said_in_sentences(event: ppl.Event) -> None:
+def test_it_is_said_in_sentences_and_shown_in_a_film(event: ppl.Event, tmp_path: Path) -> None:
     words = " ".join(ppl.explain(event).split())
     assert "the red agent goes" in words
     assert "does not see the blue item and believes it" in words
     assert "as it holds the blue item" in words
     assert "the green agent does nothing, as it has what it wants" in words
+    brief = ppl.simulate(event.scene, CARRY, frames=3, planner=QUICK)
+    ppl.explain(brief, tmp_path / "why.mp4")
+    assert (tmp_path / "why.mp4").stat().st_size > 5000
 
 
 def test_every_kind_of_subgoal_has_words() -> None:
-    said = {
-        doing(Literal(predicate, subject, target, positive), 0, scene())
-        for predicate, subject, target in [
-            *[(Predicate.ON, subject, 2) for subject in range(4)],
-            *[(Predicate.CLOSE, subject, 5) for subject in range(4)],
-            *[
-                (kind, 0, target)
-                for kind in (Predicate.TOUCH, Predicate.ATTACH)
-                for target in (2, 3)
-            ],
-        ]
-        for positive in (True, False)
-    }
+    pairs = [(Predicate.ON, subject, 2) for subject in range(4)]
+    pairs += [(Predicate.CLOSE, subject, 5) for subject in range(4)]
+    pairs += [(kind, 0, item) for kind in (Predicate.TOUCH, Predicate.ATTACH) for item in (2, 3)]
+    said = {doing(Literal(*pair, way), 0, scene()) for pair in pairs for way in (True, False)}
     assert len(said) == 24
     assert doing(STOP, 0, scene()) == "does nothing"
     assert "keeps the green agent away from the red landmark" in said
     assert "brings the blue item to the left door" in said
-
-
-def test_the_film_shows_both_minds(event: ppl.Event, tmp_path: Path) -> None:
-    brief = ppl.simulate(event.scene, CARRY, frames=3, planner=QUICK)
-    ppl.explain(brief, tmp_path / "why.mp4")
-    assert (tmp_path / "why.mp4").stat().st_size > 5000
 
 
 def test_thoughts_that_are_not_known_are_not_made_up(event: ppl.Event) -> None:

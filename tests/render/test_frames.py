@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -20,11 +19,11 @@ from phase_ppl.render.frames import Painter, field_of_view
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import State
-from phase_ppl.world.geometry import centre_of_mass, heading
+from phase_ppl.world.geometry import heading
 from phase_ppl.world.names import BLUE_ITEM, GREEN, PINK_ITEM, RED
 from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS
 from phase_ppl.world.scene import LANDMARK_CENTRES, Scene
-from tests.world.examples import START, make_event, make_scene, walls
+from tests.world.examples import make_event, make_scene, walls
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 POSES = np.array([[13.5, 16.0, 0.0], [19.0, 16.0, 0.7], [13.0, 8.0, 0.0], [19.0, 8.0, 0.0]])
@@ -44,15 +43,11 @@ def covered(picture: NDArray[np.uint8], colour: tuple[int, ...]) -> int:
     return int((picture == colour).all(axis=2).sum())
 
 
-def test_a_frame_is_640_by_480_in_rgb() -> None:
+def test_a_frame_has_landmarks_and_bodies_in_their_places_and_colours() -> None:
     picture = frame()
     assert picture.shape == (480, 640, 3)
     assert picture.dtype == np.uint8
     assert tuple(picture[0, 0]) == WHITE
-
-
-def test_landmarks_have_their_places_and_colours() -> None:
-    picture = frame()
     for centre, colour in zip(LANDMARK_CENTRES, LANDMARK_COLOURS, strict=True):
         assert colour_at(picture, *centre) == colour
         for dx, dy in ((2.2, 2.2), (-2.2, 2.2), (2.2, -2.2), (-2.2, -2.2)):
@@ -61,6 +56,15 @@ def test_landmarks_have_their_places_and_colours() -> None:
         assert colour_at(picture, *(centre + 2.7 * inward)) == WHITE
     assert colour_at(picture, 8.5, 19.5) == (45, 45, 180)  # blue, top left
     assert colour_at(picture, 8.5, 4.5) == (180, 180, 45)  # yellow, bottom left
+    for pose, colour in zip(POSES, ENTITY_COLOURS, strict=True):
+        assert colour_at(picture, pose[0], pose[1]) == colour
+    assert ENTITY_COLOURS[BLUE_ITEM] == (117, 216, 230)
+    # edges are smooth
+    shades = {tuple(map(int, pixel)) for pixel in picture[290:345, 230:300].reshape(-1, 3)}
+    assert len(shades - {WHITE, ENTITY_COLOURS[BLUE_ITEM]}) > 10
+    # a full turn changes nothing
+    difference = frame(POSES + np.array([0, 0, 2 * math.pi])).astype(int) - picture.astype(int)
+    assert np.abs(difference).max() <= 8
 
 
 def test_walls_are_black_and_five_pixels_wide() -> None:
@@ -77,14 +81,7 @@ def test_walls_are_black_and_five_pixels_wide() -> None:
     assert colour_at(picture, 11, 12) == WHITE
 
 
-def test_entities_have_their_places_and_colours() -> None:
-    picture = frame()
-    for pose, colour in zip(POSES, ENTITY_COLOURS, strict=True):
-        assert colour_at(picture, pose[0], pose[1]) == colour
-    assert ENTITY_COLOURS[BLUE_ITEM] == (117, 216, 230)
-
-
-@pytest.mark.parametrize("size", [0.8, 1.01, 1.2, 1.6])
+@pytest.mark.parametrize("size", [0.8, 1.6])
 def test_bodies_cover_the_area_they_have(size: float) -> None:
     picture = frame(radius=[size] * 4)
     disc = math.pi * (20 * size) ** 2
@@ -94,7 +91,7 @@ def test_bodies_cover_the_area_they_have(size: float) -> None:
     assert covered(picture, ENTITY_COLOURS[GREEN]) == pytest.approx(agent, rel=0.14)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 2, 2.5, -2.0])
+@pytest.mark.parametrize("angle", [0.0, 0.5, -2.0])
 def test_two_eyes_look_out_of_the_short_front(angle: float) -> None:
     poses = POSES.copy()
     poses[GREEN, 2] = angle
@@ -112,33 +109,19 @@ def test_two_eyes_look_out_of_the_short_front(angle: float) -> None:
         assert colour_at(picture, *beside_back) == ENTITY_COLOURS[GREEN]
 
 
-def test_edges_are_smooth() -> None:
-    picture = frame()
-    box = picture[290:345, 230:300].reshape(-1, 3)
-    shades = {tuple(int(v) for v in pixel) for pixel in np.unique(box, axis=0)}
-    assert len(shades - {WHITE, ENTITY_COLOURS[BLUE_ITEM]}) > 10
-
-
-def test_a_full_turn_changes_nothing() -> None:
-    turned = POSES + np.array([0, 0, 2 * math.pi])
-    difference = frame(turned).astype(int) - frame().astype(int)
-    assert np.abs(difference).max() <= 8
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.lists(st.floats(-1e4, 1e4), min_size=12, max_size=12))
-def test_what_is_out_of_the_picture_is_not_drawn(values: list[float]) -> None:
-    assert frame(np.array(values).reshape(4, 3)).shape == (480, 640, 3)
-
-
-def test_a_body_half_out_of_the_picture_is_drawn_in_part() -> None:
+def test_what_is_out_of_the_picture_is_not_drawn_and_what_is_half_out_in_part() -> None:
+    for far in (-1e4, 30.0, 300.0, 1e12, 1e300):
+        assert covered(frame(np.full((4, 3), far)), ENTITY_COLOURS[PINK_ITEM]) == 0
     poses = POSES.copy()
     poses[PINK_ITEM, :2] = (0.0, 12.0)
-    poses[BLUE_ITEM, :2] = (1e12, 1e12)
-    picture = frame(poses)
     half = math.pi * (20 * 1.6) ** 2 / 2
-    assert covered(picture, ENTITY_COLOURS[PINK_ITEM]) == pytest.approx(half, rel=0.1)
-    assert covered(picture, ENTITY_COLOURS[BLUE_ITEM]) == 0
+    assert covered(frame(poses), ENTITY_COLOURS[PINK_ITEM]) == pytest.approx(half, rel=0.1)
+    for x, y in ((5.8, 12.0), (26.2, 12.0), (1e12, 3.0), (1e300, 1e300)):
+        poses[RED, :2] = x, y
+        draw_frame(alone(), poses, fields_of_view=True)
+    for wrong in (POSES[:3], [[math.nan] * 3] * 4, "poses", None):
+        with pytest.raises(InvalidEventError, match="poses"):
+            frame(wrong)
 
 
 def test_an_arena_of_another_size_fills_the_same_square() -> None:
@@ -155,12 +138,6 @@ def test_an_arena_of_another_size_fills_the_same_square() -> None:
     )
     picture = draw_frame(scene, scene.start)
     assert tuple(picture[240, 200]) == ENTITY_COLOURS[RED]
-
-
-@pytest.mark.parametrize("poses", [START[:3], [[math.nan] * 3] * 4, "poses", None])
-def test_poses_that_are_none_are_refused(poses: object) -> None:
-    with pytest.raises(InvalidEventError, match="poses"):
-        frame(poses)
 
 
 # --- fields of view are drawn by the simulator's rule ---------------------------------------------
@@ -200,13 +177,12 @@ def seen_by_the_simulator(
 ROOMS = [walls(), walls(up=10), walls(up=7.5, left=10, down=5), walls(left=7.5, right=7.5, up=10)]
 
 
-@pytest.mark.parametrize("room", range(len(ROOMS)))
-def test_a_field_of_view_is_what_the_simulator_lets_an_agent_see(room: int) -> None:
-    rng = np.random.default_rng(room)
+def test_a_field_of_view_is_what_the_simulator_lets_an_agent_see() -> None:
+    rng = np.random.default_rng(0)
     far, different, in_view = 0, 0, 0
-    for _ in range(25):
+    for room in ROOMS * 10:
         place = rng.uniform((7.5, 3.5, -4), (24.5, 20.5, 4), (4, 3))
-        scene = make_scene(walls=ROOMS[room], start=place, radius=rng.uniform(0.5, 2, 4))
+        scene = make_scene(walls=room, start=place, radius=rng.uniform(0.5, 2, 4))
         agent = int(rng.integers(2))
         points, visible = seen_by_the_simulator(scene, agent, rng.uniform(-0.5, 0.5, 2))
         corners = field_of_view(scene, scene.start, agent)
@@ -214,8 +190,8 @@ def test_a_field_of_view_is_what_the_simulator_lets_an_agent_see(room: int) -> N
         far += int(clear.sum())
         different += int((inside(corners, points) != visible)[clear].sum())
         in_view += int(visible.sum())
-    assert far > 9500
-    assert in_view > 700
+    assert far > 15000
+    assert in_view > 1200
     assert different <= 0.0005 * far
 
 
@@ -223,25 +199,6 @@ def alone(**changes: object) -> Scene:
     """Red in the middle, looking up; everybody else behind it."""
     start = [[16.0, 12.0, 0.0], [8.0, 4.0, 0.0], [12.0, 4.0, 0.0], [20.0, 4.0, 0.0]]
     return make_scene(**{"start": start, "radius": [0.6] * 4, "walls": [], **changes})
-
-
-def test_without_anything_in_the_way_it_is_a_cone_from_the_centre_of_mass() -> None:
-    scene = alone()
-    corners = field_of_view(scene, scene.start, 0)
-    assert corners[0] == pytest.approx(centre_of_mass(scene.start[0, :2], 0.0, 0.6, 0))
-    right, left = corners[1] - corners[0], corners[-1] - corners[0]
-    assert math.atan2(right[0], right[1]) == pytest.approx(vision.HALF_ANGLE)
-    assert math.atan2(left[0], left[1]) == pytest.approx(-vision.HALF_ANGLE)
-    assert np.linalg.norm(corners[1:] - corners[0], axis=1).min() > 40  # far beyond the arena
-
-
-def test_a_disc_ends_sight_at_its_centre() -> None:
-    scene = alone(start=[[16.0, 12.1, 0.0], [8, 4, 0], [16.0, 18.0, 0.0], [20, 4, 0]])
-    corners = field_of_view(scene, scene.start, 0)
-    eye = corners[0]
-    assert eye == pytest.approx([16.0, 12.0])
-    points = np.array([[16.0, 17.99], [16.0, 18.01], [16.65, 18.0], [16.55, 18.1]])
-    assert inside(corners, points).tolist() == [True, False, True, False]
 
 
 def test_an_agent_whose_eye_lies_in_a_wall_or_in_another_body_sees_as_the_rule_says() -> None:
@@ -285,35 +242,21 @@ def test_what_an_agent_sees_is_tinted_with_its_colour() -> None:
     assert (tinted[outside] == plain[outside]).all()
 
 
-def test_without_the_option_nothing_is_tinted(tmp_path: Path) -> None:
-    event = make_event()
-    image(event, -1, tmp_path / "plain.png")
-    image(event, -1, tmp_path / "tinted.png", fields_of_view=True)
-    plain, tinted = (
-        np.asarray(Image.open(tmp_path / name)) for name in ("plain.png", "tinted.png")
-    )
-    poses = event.observation.trajectory[-1]
-    assert np.array_equal(plain, draw_frame(event.scene, poses))
-    assert np.array_equal(tinted, draw_frame(event.scene, poses, fields_of_view=True))
-    assert not np.array_equal(plain, tinted)
-
-
-def test_strips_and_videos_show_them_too(tmp_path: Path) -> None:
+def test_pictures_strips_and_videos_show_them_where_told_to(tmp_path: Path) -> None:
     event = make_event(n_frames=2)
-    strip(event, tmp_path / "plain.png", n=2)
-    strip(event, tmp_path / "strip.png", n=2, fields_of_view=True)
-    assert (tmp_path / "plain.png").read_bytes() != (tmp_path / "strip.png").read_bytes()
-    video(event, tmp_path / "v.gif", fields_of_view=True, compare=event, frames_per_step=1)
+    poses = event.observation.trajectory
+    for name, write in {"image": lambda *given, **of: image(given[0], 0, given[1], **of),
+                        "strip": functools.partial(strip, n=2)}.items():  # fmt: skip
+        plain, tinted = tmp_path / f"{name}.png", tmp_path / f"{name}-tinted.png"
+        write(event, plain)
+        write(event, tinted, fields_of_view=True)
+        assert plain.read_bytes() != tinted.read_bytes()
+    for name, seen in (("image", False), ("image-tinted", True)):
+        shown = np.asarray(Image.open(tmp_path / f"{name}.png"))
+        assert np.array_equal(shown, draw_frame(event.scene, poses[0], fields_of_view=seen))
+    video(event, tmp_path / "v.gif", fields_of_view=True, compare=poses, frames_per_step=1)
     with Image.open(tmp_path / "v.gif") as picture:
         both = np.asarray(picture.convert("RGB")).astype(int)
-    poses = event.observation.trajectory[0]
-    alone = draw_frame(event.scene, poses, fields_of_view=True)[60:, 80:560]
+    alone = draw_frame(event.scene, poses[0], fields_of_view=True)[60:, 80:560]
     assert np.abs(both[60:, :480] - alone).mean() < 0.1
     assert np.abs(both[60:, 480:] - alone).mean() < 0.1
-
-
-@pytest.mark.parametrize("place", [(5.8, 12.0), (26.2, 12.0), (1e12, 3.0), (1e300, 1e300)])
-def test_an_agent_at_or_beyond_the_border_is_drawn(place: tuple[float, float]) -> None:
-    poses = alone().start.copy()
-    poses[0, :2] = place
-    draw_frame(alone(), poses, fields_of_view=True)

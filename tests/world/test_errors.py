@@ -9,30 +9,14 @@ import numpy as np
 import pytest
 
 from phase_ppl.world.errors import (
-    InvalidEventError,
     InvalidSettingError,
     OutputError,
-    PhasePPLError,
-    SimulationError,
-    UnknownNameError,
     nonnegative_number,
     positive_number,
     shown,
     unknown_name,
 )
 from phase_ppl.world.files import atomic_output, locked
-
-
-def test_errors_are_caught_by_code_that_knows_only_pythons_own() -> None:
-    for error, base in (
-        (InvalidEventError, ValueError),
-        (UnknownNameError, ValueError),
-        (OutputError, OSError),
-        (SimulationError, RuntimeError),
-    ):
-        assert issubclass(error, base)
-        assert issubclass(error, PhasePPLError)
-
 
 MANY = [f"D0819_{n}_E{n}" for n in range(30)]
 
@@ -61,24 +45,22 @@ def test_a_file_appears_only_when_it_is_complete(tmp_path: Path) -> None:
         part.write_text("new")
         assert not target.exists()
     assert target.read_text() == "new"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
-    target = tmp_path / "result.json"
-    target.write_text("old")
+    # what fails leaves it as it was, and nothing else
 
     def write_half() -> None:
         with atomic_output(target, (".json",)) as part:
             part.write_text("half")
-            raise error
+            raise KeyboardInterrupt
 
-    with pytest.raises(error):
+    with pytest.raises(KeyboardInterrupt):
         write_half()
-    assert target.read_text() == "old"
+    # nothing is no result, as of a program that ends well and writes nothing
+    with (
+        pytest.raises(OutputError, match=r"result\.json: nothing was written"),
+        atomic_output(target, (".json",)),
+    ):
+        pass
+    assert target.read_text() == "new"
     assert list(tmp_path.iterdir()) == [target]
 
 
@@ -101,18 +83,6 @@ def test_where_nothing_can_be_written_is_found_out_before_the_work(
     assert not begun
     assert "\n" not in str(raised.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.json"]
-
-
-def test_nothing_is_no_result(tmp_path: Path) -> None:
-    """As of a program that ends well and writes nothing."""
-
-    def write_nothing() -> None:
-        with atomic_output(tmp_path / "film.mp4", (".mp4",)):
-            pass
-
-    with pytest.raises(OutputError, match=r"film\.mp4: nothing was written"):
-        write_nothing()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_lock_is_for_one_at_a_time_and_leaves_nothing(tmp_path: Path) -> None:

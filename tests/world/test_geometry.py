@@ -47,23 +47,20 @@ def placed_pairs(draw: st.DrawFn) -> Pair:
     return first, second, poses, radii
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.7, -2.0, 9.0])
-def test_the_front_of_an_agent_is_the_short_side_its_heading_points_to(angle: float) -> None:
-    corners = agent_outline(np.array([2.0, 3.0, angle]), 1.2)
-    front = corners[1:3].mean(axis=0)
-    assert front == pytest.approx(np.array([2.0, 3.0]) + 1.2 * heading(angle))
-    assert np.linalg.norm(corners[2] - corners[1]) == pytest.approx(1.2)
-    assert np.linalg.norm(corners[3] - corners[0]) == pytest.approx(3.6)
-    assert heading(angle) == pytest.approx(rotation(angle) @ [0, 1])
-
-
-def test_angles_turn_counter_clockwise_from_up() -> None:
+def test_the_front_of_an_agent_is_the_short_side_its_heading_points_to() -> None:
     assert heading(0.0) == pytest.approx([0, 1])
-    assert heading(math.pi / 2) == pytest.approx([-1, 0])
+    assert heading(math.pi / 2) == pytest.approx([-1, 0])  # counter-clockwise from up
+    for angle in (0.7, -2.0, 9.0):
+        corners = agent_outline(np.array([2.0, 3.0, angle]), 1.2)
+        front = corners[1:3].mean(axis=0)
+        assert front == pytest.approx(np.array([2.0, 3.0]) + 1.2 * heading(angle))
+        assert np.linalg.norm(corners[2] - corners[1]) == pytest.approx(1.2)
+        assert np.linalg.norm(corners[3] - corners[0]) == pytest.approx(3.6)
+        assert heading(angle) == pytest.approx(rotation(angle) @ [0, 1])
 
 
-@pytest.mark.parametrize("radius", SIZES)
-def test_centre_of_mass_is_the_centroid_of_the_outline(radius: float) -> None:
+def test_centre_of_mass_is_the_centroid_of_the_outline() -> None:
+    radius = 1.01
     x, y = agent_outline(np.array([5.0, 5.0, 0.9]), radius).T
     cross = x * np.roll(y, -1) - np.roll(x, -1) * y
     area = cross.sum() / 2
@@ -144,36 +141,16 @@ def found_in_both(
     return bool((inside & contains(second, poses[second], radii[second], 1.2 * grown, grid)).any())
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 @given(placed_pairs())
 def test_touch_agrees_with_sampled_points(pair: Pair) -> None:
     meets = touches(*pair)
+    first, second, *placed = pair
+    assert shapes_meet(*pair, 1.0, 1.3) == shapes_meet(second, first, *placed, 1.3, 1.0)
     if found_in_both(*pair, grown=1.0):
         assert meets
     if meets:  # a grid misses thin overlaps, not those of shapes a little larger
         assert found_in_both(*pair, grown=1.1)
-
-
-@settings(max_examples=100, deadline=None)
-@given(placed_pairs(), pose)
-def test_touch_does_not_depend_on_where_the_pair_is(
-    pair: Pair, motion: tuple[float, float, float]
-) -> None:
-    first, second, poses, radii = pair
-    moved = poses + np.array([0.0, 0.0, motion[2]])
-    moved[:, :2] = poses[:, :2] @ rotation(motion[2]).T + motion[:2]
-    # a hair larger and smaller, so that rounding cannot decide
-    if touches(first, second, moved, radii):
-        assert shapes_meet(*pair, 1.0001, 1.2001)
-    else:
-        assert not shapes_meet(*pair, 0.9999, 1.1999)
-
-
-@settings(max_examples=100, deadline=None)
-@given(placed_pairs())
-def test_shapes_meet_whichever_is_named_first(pair: Pair) -> None:
-    first, second, *placed = pair
-    assert shapes_meet(*pair, 1.0, 1.3) == shapes_meet(second, first, *placed, 1.3, 1.0)
 
 
 def test_on_a_landmark_means_centre_inside_its_square() -> None:

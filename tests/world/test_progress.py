@@ -18,9 +18,6 @@ def test_the_bar_says_that_it_warms_up_until_the_first_simulation(
     done = capsys.readouterr().err
     assert WARMING_UP in waiting
     assert "simulating: 100%" in done
-
-
-def test_a_hidden_bar_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with Progress(1, shown=False) as bar:
         bar.one_more()
     assert capsys.readouterr().err == ""
@@ -47,11 +44,7 @@ def test_uneven_simulations_give_a_steady_estimate(monkeypatch: pytest.MonkeyPat
                 assert after == pytest.approx(left, rel=0.35)
                 assert before == pytest.approx(left + 10, rel=0.5)
     assert estimates[0] is None
-
-
-def test_what_was_done_before_is_counted_but_not_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 0.0
-    monkeypatch.setattr(progress, "clock", lambda: now)
+    # what was done before is counted, but not its time
     with Progress(30, shown=False, done=20, batch=2) as bar:
         for _ in range(4):
             now += 3.0
