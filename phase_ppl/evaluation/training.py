@@ -43,7 +43,7 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import differences, versions
 from phase_ppl.world.progress import Bar, counted
 from phase_ppl.world.scene import check_is_phase
@@ -90,7 +90,8 @@ def train_socialgnn(
     Raises:
         InvalidSettingError: PyTorch is not installed, or a number is not allowed.
         InvalidEventError: ``data`` holds no generated set, or none of a split.
-        OutputError: ``out`` cannot be written, or holds a training of something else.
+        OutputError: ``out`` cannot be written, holds a training of something else, or another
+            process is at work in it.
     """
     settings = settings or TrainingSettings.of("extended")
     n_seeds = whole_number("seeds", seeds, maximum=_MOST_SEEDS)
@@ -107,11 +108,13 @@ def train_socialgnn(
         "data": _identity(found, splits),
         "versions": versions(),
     }
-    folder = _prepared(Path(out), asked, resume)
-    missing = [one for one in wanted if not _is_finished(folder, one)]
-    if missing:
-        _train(folder, missing, splits, settings, progress)
-    return _finish(folder, wanted, splits, settings, asked, progress)
+    folder = writable_folder(out)
+    with locked(folder):
+        _prepare(folder, asked, resume)
+        missing = [one for one in wanted if not _is_finished(folder, one)]
+        if missing:
+            _train(folder, missing, splits, settings, progress)
+        return _finish(folder, wanted, splits, settings, asked, progress)
 
 
 def _identity(found: GeneratedEvents, splits: dict[str, list[Event]]) -> dict[str, Any]:
@@ -127,7 +130,7 @@ def _identity(found: GeneratedEvents, splits: dict[str, list[Event]]) -> dict[st
     }
 
 
-def _prepared(folder: Path, asked: dict[str, Any], resume: bool) -> Path:
+def _prepare(folder: Path, asked: dict[str, Any], resume: bool) -> None:
     target = folder / ASKED
     if target.exists():
         if not resume:
@@ -138,7 +141,6 @@ def _prepared(folder: Path, asked: dict[str, Any], resume: bool) -> Path:
     writable_folder(folder / MEMBERS)
     if not target.exists():
         write_json(target, asked)
-    return folder
 
 
 def _is_finished(folder: Path, seed: int) -> bool:

@@ -21,6 +21,7 @@ from phase_ppl.evaluation.registry import ready
 from phase_ppl.models.socialgnn.graphs import VARIANTS
 from phase_ppl.models.socialgnn.store import TrainingSettings, load, shipped
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
+from phase_ppl.world.files import locked
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 from tests.evaluation.toys import changed
@@ -177,6 +178,8 @@ def test_a_folder_is_resumed_only_by_the_same_training(data: Path, trained: Path
     other = TrainingSettings.of("extended", epochs=4)
     with pytest.raises(OutputError, match=r"something else: settings\.epochs is 4, was 3"):
         ppl.train_socialgnn(data, trained, settings=other, resume=True)
+    with locked(trained), pytest.raises(OutputError, match="another process is at work"):
+        ppl.train_socialgnn(data, trained, settings=QUICK, resume=True)
 
 
 @needs_torch
