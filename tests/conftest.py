@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import io
@@ -159,8 +160,8 @@ def _figures_of_few_pixels() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextlib.contextmanager
+def nothing_painted() -> Iterator[None]:
     """Figures are made but not painted, which is most of their work: each file is the same PNG."""
     from matplotlib.figure import Figure
 
@@ -176,7 +177,15 @@ def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
         else:
             save(self, target, **options)
 
-    monkeypatch.setattr(Figure, "savefig", keep)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", keep)
+        yield
+
+
+@pytest.fixture
+def unpainted() -> Iterator[None]:
+    with nothing_painted():
+        yield
 
 
 @pytest.fixture

@@ -112,7 +112,8 @@ def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePos
         return phase_ppl.load_posterior(path, weights)
     if not (path / POSTERIOR).is_file():
         kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
-        hint = f"; it holds an evaluation, with one such as {kept}" if kept else ""
+        one = shlex.quote(str(kept))
+        hint = f"; it holds an evaluation, with one such as {one}" if kept else ""
         raise InvalidEventError(f"{path} holds no {POSTERIOR}{hint}")
     return phase_ppl.load_posterior(path / POSTERIOR, weights)
 

@@ -10,7 +10,7 @@ from matplotlib.text import Text
 
 def texts_of(figure: Figure) -> list[Text]:
     """Return all texts that are seen once the figure is drawn."""
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     found: list[Text] = [*figure.texts, *(t for box in figure.legends for t in box.get_texts())]
     for axes in figure.axes:
         if not axes.get_visible():

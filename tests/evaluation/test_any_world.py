@@ -24,7 +24,6 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import Roles
 from tests.evaluation.judged import values
-from tests.evaluation.test_simple import LESIONS
 
 TRIO, SOLO = ppl.worlds.TRIO, ppl.worlds.SOLO
 PAIRS = ("red & green", "red & purple", "green & purple")
@@ -118,14 +117,12 @@ def test_what_came_true_is_what_the_last_frame_says(events: list[ppl.Event]) -> 
     against = found.against(ppl.evaluate(events, always_home, **ONE_PROCESS))
     of_agents = [f"by_agent.{name} agent.goal_accuracy" for name in ("green", "purple")]
     assert values(against, *of_agents) == [0.0, -1.0]
-
-
-def test_where_nothing_came_true_all_goals_that_can_be_had_are_alike() -> None:
+    # where nothing came true all goals that can be had are alike
     still = moved(TRIO, 3, None)
-    found = ppl.evaluate([still], "last_frame", **ONE_PROCESS).predictions["trio-3"]
-    shares = dict(zip(TRIO.goals, found.probabilities["goal_red"], strict=True))
-    assert shares["get to red agent"] == 0
-    assert shares["get to green agent"] == shares[HOME] > 0
+    found = ppl.evaluate([still], "last_frame", **ONE_PROCESS)
+    shares = found.predictions["trio-3"].probabilities["goal_red"]
+    of = dict(zip(TRIO.goals, shares, strict=True))
+    assert of["get to green agent"] == of[HOME] > of["get to red agent"] == 0
 
 
 def test_what_the_closed_loop_answers_is_its_posterior() -> None:
@@ -168,26 +165,28 @@ def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path
     assert str(ppl.ModelComparison.load(compared.save(tmp_path / "kept"))) == text
 
 
-@pytest.mark.parametrize(
-    ("model", "more", "message"),
-    [
-        *((name, {}, f"'{name}' knows the world PHASE only, not 'trio'")
-          for name in ("majority", "vlm", "socialgnn")),
-        ("last_frame", {"observer": "people"}, "an observer of people knows the world PHASE"),
-    ],
-)  # fmt: skip
-def test_what_is_of_phase_is_refused(
-    events: list[ppl.Event], model: str, more: dict[str, str], message: str
+def test_what_is_of_phase_is_refused_before_a_model_is_asked(
+    events: list[ppl.Event], study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        ppl.evaluate(events, model, **more, **ONE_PROCESS)
+    def never(scene: ppl.Scene, observation: Observation, seed: int) -> dict[str, Any]:
+        raise AssertionError("the model was asked")
 
-
-def test_the_papers_numbers_and_trainings_are_of_phase(tmp_path: Path) -> None:
-    file = tmp_path / "videos.json"
-    scene = SOLO.random_scene(0)
-    event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=3, id="solo")
-    ppl.save_events([event], file)
+    for name in ("majority", "vlm", "socialgnn"):
+        with pytest.raises(InvalidSettingError, match=f"'{name}' knows the world PHASE only, not"):
+            ppl.evaluate(events, name, **ONE_PROCESS)
+    of_people = "an observer of people knows the world PHASE only, not 'trio'"
+    with pytest.raises(InvalidSettingError, match=of_people):
+        ppl.evaluate(events, never, observer="people", **ONE_PROCESS)
+    for given in (never, None):
+        with pytest.raises(InvalidSettingError, match=of_people):
+            ppl.evidence_from(events, given)
+    with pytest.raises(InvalidSettingError, match="fit_people knows the world PHASE only"):
+        ppl.fit_people(events, ppl.load_judgments(study_file, events))
+    file = tmp_path / "events.json"
+    ppl.save_events(events, file)
+    command = ["fit-people", str(file), "--judgments", str(study_file)]
+    assert main([*command, "--out", str(tmp_path / "people.json")]) != 0
+    assert of_people in capsys.readouterr().err
     with pytest.raises(InvalidSettingError, match="reproduce knows the world PHASE only"):
         ppl.reproduce(tmp_path / "paper", videos=file, progress=False)
     ppl.generate(tmp_path / "set", n=1, world=SOLO, frames=24, seed=0, **ONE_PROCESS)
@@ -195,13 +194,16 @@ def test_the_papers_numbers_and_trainings_are_of_phase(tmp_path: Path) -> None:
         ppl.train_socialgnn(tmp_path / "set", tmp_path / "gnn")
 
 
-@pytest.mark.parametrize("model", LESIONS)
+@pytest.mark.parametrize("model", ["no_physics", "noisy_physics", "no_social_goals"])
 def test_lesions_of_simple_are_asked_about_any_world(model: str) -> None:
     scene = SOLO.random_scene(0)
     event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=4, id="solo")
     quick = {"kernel": "prior_mh", "chains": 2, "iterations": 1}
     found = ppl.evaluate([event], model, **quick, **ONE_PROCESS)
     assert found.predictions["solo"].probabilities["goal_red"].sum() == pytest.approx(1)
+
+
+# --- people ------------------------------------------------------------------------------------
 
 
 STUDY = f"""participant,video,goal_red,goal_green,goal_purple,relation_red_green,relation_red_purple
@@ -212,12 +214,17 @@ p2,trio-2,{HOME},{HOME},,neutral,
 """
 
 
-def test_people_are_scored_by_agent_and_pair_beside_a_model(
-    events: list[ppl.Event], tmp_path: Path
-) -> None:
-    file = tmp_path / "study.csv"
+@pytest.fixture(scope="module")
+def study_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("study") / "study.csv"
     file.write_text(STUDY)
-    study = ppl.load_judgments(file, events)
+    return file
+
+
+def test_people_are_scored_by_agent_and_pair_beside_a_model(
+    events: list[ppl.Event], study_file: Path, tmp_path: Path
+) -> None:
+    study = ppl.load_judgments(study_file, events)
     assert study.judgments["trio-1"].share("goal_green", HOME) == 0.5
     assert study.judgments["trio-1"].majority("relation_red_purple") == "friendly"
     found = study.accuracy(events)
@@ -227,10 +234,9 @@ def test_people_are_scored_by_agent_and_pair_beside_a_model(
     # red and purple compete
     assert values(found, *of_agents, *of_pairs) == pytest.approx([0.5, 0.75, 1.0, 0.0])
 
-    evaluation = ppl.evaluate(events, always_home, judgments=study, out=tmp_path / "out",
-                              **ONE_PROCESS)  # fmt: skip
-    kept = ppl.Evaluation.load(tmp_path / "out")
-    for one in (evaluation, kept):
+    out = tmp_path / "out"
+    evaluation = ppl.evaluate(events, always_home, judgments=study, out=out, **ONE_PROCESS)
+    for one in (evaluation, ppl.Evaluation.load(out)):
         people, human = one.metrics["people"], one.metrics["human"]
         assert people["goal_accuracy"]["value"] == pytest.approx((5 / 6 + 1 / 2) / 2)
         # the goals of three agents in two events: the model's probabilities beside people's shares
@@ -252,38 +258,30 @@ def r_of_goals(events: list[ppl.Event], study: ppl.Study) -> float:
     return float(np.corrcoef(np.array(pairs, float).T)[0, 1])
 
 
-@pytest.mark.parametrize(
-    ("was", "now", "message"),
-    [
-        ("goal_purple", "goal_blue", "unknown column 'goal_blue'"),
-        (f"{FIELD},friendly", "Get blue ball to blue lm,friendly", "goal_purple: unknown goal"),
-        ("trio-2", "trio-3", "unknown video 'trio-3'"),
-        ("relation_red_purple", "relation", "unknown column 'relation'"),
-    ],
-)
 def test_a_study_of_another_world_is_read_by_its_questions(
-    events: list[ppl.Event], tmp_path: Path, was: str, now: str, message: str
+    events: list[ppl.Event], study_file: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "study.csv"
-    file.write_text(STUDY.replace(was, now))
-    with pytest.raises(PhasePPLError, match=message):
-        ppl.load_judgments(file, events)
+    for text, message in (
+        (STUDY.replace("goal_purple", "goal_blue"), "unknown column 'goal_blue'"),
+        (STUDY.replace(f"{FIELD},friendly", "Get blue ball to blue lm,friendly"),
+         "goal_purple: unknown goal"),
+        (STUDY.replace("trio-2", "trio-3"), "unknown video 'trio-3'"),
+        ("participant,video,relation\np1,trio-1,friendly\n",
+         r"'relation'.*\(the events are of the world 'trio'\)"),
+    ):  # fmt: skip
+        file.write_text(text)
+        with pytest.raises(PhasePPLError, match=message):
+            ppl.load_judgments(file, events)
     with pytest.raises(PhasePPLError, match="without its events a study is one of PHASE"):
-        ppl.load_judgments(file)
-
-
-def test_a_study_of_another_world_than_that_of_the_events_is_refused(
-    events: list[ppl.Event], tmp_path: Path
-) -> None:
-    file = tmp_path / "phase.csv"
-    file.write_text("participant,video,relation\np1,trio-1,friendly\n")
-    with pytest.raises(PhasePPLError, match=r"'relation'.*\(the events are of the world 'trio'\)"):
-        ppl.load_judgments(file, events)
-    file.write_text(STUDY)
+        ppl.load_judgments(study_file)
+    study = ppl.load_judgments(study_file, events)
     near = ppl.Predicate("near", "red agent", "green agent", within=4)
     elsewhere = [moved(dataclasses.replace(TRIO, predicates=[near]), 1, None)]
     with pytest.raises(InvalidEventError, match="the events are of another 'trio'"):
-        ppl.with_judgments(elsewhere, ppl.load_judgments(file, events))
+        ppl.with_judgments(elsewhere, study)
+    with pytest.raises(InvalidEventError, match="is about the world 'trio', the events are of"):
+        ppl.with_judgments([ppl.load_event("collaborate")], study)
 
 
 def test_people_who_judge_a_single_agent_have_no_relations_to_judge(tmp_path: Path) -> None:
@@ -300,39 +298,20 @@ def test_people_who_judge_a_single_agent_have_no_relations_to_judge(tmp_path: Pa
     assert found.metrics["human"]["relation_r"] is None
 
 
-def test_observers_of_people_refuse_another_world_before_a_model_is_asked(
-    events: list[ppl.Event], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_judgments_are_kept_with_their_event(
+    events: list[ppl.Event], study_file: Path, tmp_path: Path
 ) -> None:
-    def never(scene: ppl.Scene, observation: Observation, seed: int) -> dict[str, Any]:
-        raise AssertionError("the model was asked")
-
-    for given in (never, None):
-        with pytest.raises(InvalidSettingError, match="an observer of people knows the world"):
-            ppl.evidence_from(events, given)
-    (tmp_path / "study.csv").write_text(STUDY)
-    ppl.save_events(events, tmp_path / "events.json")
-    files = [str(tmp_path / "events.json"), "--judgments", str(tmp_path / "study.csv")]
-    assert main(["fit-people", *files, "--out", str(tmp_path / "people.json")]) != 0
-    assert "an observer of people knows the world PHASE only, not 'trio'" in capsys.readouterr().err
-
-
-def test_judgments_are_kept_with_their_event(events: list[ppl.Event], tmp_path: Path) -> None:
-    file = tmp_path / "study.csv"
-    file.write_text(STUDY)
-    study = ppl.load_judgments(file, events)
-    ppl.save_events(ppl.with_judgments(events, study), tmp_path / "events.json")
-    assert ppl.load_judgments(file, tmp_path / "events.json").table.equals(study.table)
-    for event in ppl.load_events(tmp_path / "events.json"):
+    study = ppl.load_judgments(study_file, events)
+    file = tmp_path / "events.json"
+    ppl.save_events(ppl.with_judgments(events, study), file)
+    assert ppl.load_judgments(study_file, file).table.equals(study.table)
+    for event in ppl.load_events(file):
         found, made = event_judgments(event), study.judgments[event.id]
         assert found is not None
         assert found.responses == made.responses
         assert {q: n.tolist() for q, n in found.counts.items()} == {
             q: n.tolist() for q, n in made.counts.items()
         }
-    with pytest.raises(InvalidEventError, match="is about the world 'trio', the events are of"):
-        ppl.with_judgments([ppl.load_event("collaborate")], study)
-    with pytest.raises(InvalidSettingError, match="fit_people knows the world PHASE only"):
-        ppl.fit_people(events, study)
 
 
 def test_parts_of_the_metrics_are_those_of_their_questions() -> None:
@@ -376,11 +355,10 @@ def test_events_that_tell_models_apart_are_found_in_any_world(events: list[ppl.E
 
 @pytest.mark.usefixtures("unpainted")
 def test_the_terminal_evaluates_and_reports_models_and_people_of_another_world(
-    events: list[ppl.Event], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    events: list[ppl.Event], study_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ppl.save_events(events, tmp_path / "events.json")
-    (tmp_path / "study.csv").write_text(STUDY)
-    files = [str(tmp_path / "events.json"), "--judgments", str(tmp_path / "study.csv")]
+    files = [str(tmp_path / "events.json"), "--judgments", str(study_file)]
     models, out = ["--model", "last_frame", "--model", "predicate"], tmp_path / "out"
     assert main(["evaluate", *files, *models, "--out", str(out)]) == 0
     printed = capsys.readouterr().out

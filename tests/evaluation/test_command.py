@@ -19,11 +19,17 @@ from tests.test_cli import Capture, fails, told
 
 pytestmark = pytest.mark.usefixtures("unpainted")
 
+EVENTS = Path("some events.json")
+OUT = Path("out put")
+BOTH = ("--model", "right", "--model")
+QUICK = ("--out", OUT, "--no-figures")
+
 
 @pytest.fixture(autouse=True)
 def _models(own_models: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Give some models names, in a folder of its own for each test."""
+    """Give some models names, in a folder of its own for each test, with three events."""
     monkeypatch.chdir(tmp_path)
+    ppl.save_events(several(3), EVENTS)
 
     def stops_once(scene: Any, observation: Any, seed: int) -> Any:
         if Path("stop").exists():
@@ -47,37 +53,42 @@ def _models(own_models: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
         ppl.register_model(name, parallel=False)(factory)
 
 
-@pytest.fixture
-def events(tmp_path: Path) -> Path:
-    path = tmp_path / "some events.json"
-    ppl.save_events(several(3), path)
-    return path
-
-
 def evaluate(*arguments: object) -> int:
     return main(["evaluate", *map(str, arguments), "--workers", "1", "--quiet"])
 
 
-BOTH = ("--model", "right", "--model")
+def refused(capsys: Capture, *arguments: object) -> str:
+    return fails(capsys, "evaluate", EVENTS, *arguments)
+
+
+def read(name: str, folder: Path = OUT) -> Any:
+    return json.loads((folder / name).read_text())
 
 
 def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
-    events: Path, capsys: Capture
+    capsys: Capture,
 ) -> None:
-    out = Path("out put")
-    assert evaluate(events, "--model", "last_frame", "--out", out, "--limit", 1) == 0
+    study = Path("people.csv")
+    study.write_text("participant,video,relation\np1,a,neutral\np2,a,friendly\n")
+    more = ("--option", "size=3", "--judgments", study, "--out", OUT, "--limit", 1)
+    assert evaluate(EVENTS, "--model", "right", *more) == 0
     printed = capsys.readouterr().out
-    assert "last_frame: 1 of 1 events, seed 0" in printed
-    assert f"Kept in {out}" in printed
-    assert json.loads((out / "metrics.json").read_text())["n_events"] == 1
-    assert (out / "figures" / "accuracy.png").stat().st_size > 1000
-    assert len(list(out.glob("events/*/page.html"))) == 1
+    for words in ("right: 1 of 1 events, seed 0", f"Kept in {OUT}", f"phase-ppl report '{OUT}'"):
+        assert words in printed
+    assert read("metrics.json")["n_events"] == 1
+    assert read("metrics.json")["people"]["relation_accuracy"]["value"] == 0.5
+    assert read("settings.json")["options"] == {"size": 3}
+    assert (OUT / "figures" / "accuracy.png").stat().st_size > 1000
+    assert len(list(OUT.glob("events/*/page.html"))) == 1
+    error = fails(capsys, "evaluate", OUT, "--model", "right")
+    assert f"its events are in {OUT / 'events.json'}" in error
+    assert f"{OUT} holds no posterior.nc\n" in fails(capsys, "query", OUT, "P(goal_red)")
 
 
 def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_is_kept(
-    events: Path, capsys: Capture
+    capsys: Capture,
 ) -> None:
-    command = ["evaluate", str(events), "--model", "right", "--workers", "1"]
+    command = ["evaluate", str(EVENTS), "--model", "right", "--workers", "1"]
     assert main(command) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
@@ -86,12 +97,11 @@ def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_
     assert "predicting" in capsys.readouterr().err
 
 
-def test_a_failing_event_is_told_by_the_exit_code(events: Path, capsys: Capture) -> None:
-    out = Path("out")
-    assert evaluate(events, "--model", "fails", "--out", out, "--no-figures") == 1
+def test_a_failing_event_is_told_by_the_exit_code(capsys: Capture) -> None:
+    assert evaluate(EVENTS, "--model", "fails", *QUICK) == 1
     assert "failed: b: ValueError: not today" in capsys.readouterr().out
-    assert not (out / "figures").exists()
-    assert evaluate(events, *BOTH, "fails", "--out", "two", "--no-figures") == 1
+    assert not (OUT / "figures").exists()
+    assert evaluate(EVENTS, *BOTH, "fails", "--out", "two", "--no-figures") == 1
     written = capsys.readouterr()
     assert "fails: failed: b: ValueError: not today" in written.err
     words = "fails predicts 2 of 3 events (1 failed); its scores are about those"
@@ -99,93 +109,113 @@ def test_a_failing_event_is_told_by_the_exit_code(events: Path, capsys: Capture)
 
 
 def test_a_failing_figure_costs_no_results(
-    events: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(folder: Any, *given: Any, **more: Any) -> Any:
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(figures, "draw_figures", broken)
     monkeypatch.setattr(report, "page_of", broken)
-    out = Path("out")
-    assert evaluate(events, "--model", "right", "--out", out) == 1
+    assert evaluate(EVENTS, "--model", "right", "--out", OUT) == 1
     written = capsys.readouterr()
     assert "the figures cannot be drawn: no ink" in written.err
     assert "the page of b cannot be drawn: no ink" in written.err
     assert "goals right" in written.out
-    assert (out / "metrics.json").exists()
+    assert (OUT / "metrics.json").exists()
 
 
-def test_ctrl_c_says_how_to_go_on_and_resume_does(events: Path, capsys: Capture) -> None:
-    out = Path("out")
-    assert evaluate(events, "--model", "stops", "--out", out) == 130
+def test_ctrl_c_says_how_to_go_on_and_resume_does(capsys: Capture) -> None:
+    Path("stop").touch()
+    command = ("--model", "stops_once", "--out", OUT)
+    assert evaluate(EVENTS, *command) == 130
     errors = capsys.readouterr().err
-    assert "1 of 3 events are finished" in errors
+    assert "0 of 3 events are finished" in errors
     assert "--resume" in errors
-    assert "already holds" in fails(capsys, "evaluate", events, "--model", "stops", "--out", out)
-    other = fails(capsys, "evaluate", events, "--model", "right", "--out", out, "--resume")
-    assert other.endswith("with other settings: model is 'right', was 'stops'\n")
-    assert evaluate(events, "--model", "stops", "--out", out, "--resume") == 130
+    assert evaluate(EVENTS, *command, "--resume") == 0
+    assert "already holds" in refused(capsys, *command)
+    error = refused(capsys, "--model", "right", "--out", OUT, "--resume")
+    assert error.endswith("with other settings: model is 'right', was 'stops_once'\n")
 
 
-def test_against_compares_with_another_folder_also_later(events: Path, capsys: Capture) -> None:
-    one, other = Path("one"), Path("other")
-    assert evaluate(events, "--model", "wrong", "--out", other, "--no-figures") == 0
-    now = (events, "--model", "right", "--out", one, "--no-figures", "--against", other)
-    later = ("--out", other, "--against", one)
+def test_against_compares_with_another_folder_also_later(capsys: Capture) -> None:
+    other = Path("other")
+    assert evaluate(EVENTS, "--model", "wrong", "--out", other, "--no-figures") == 0
+    now = (EVENTS, "--model", "right", *QUICK, "--against", other)
+    later = ("--out", other, "--against", OUT)
     for given, said, folder, value in (
-        (now, "right minus wrong: on the 3 events", one, 1),
+        (now, "right minus wrong: on the 3 events", OUT, 1),
         (later, "wrong minus right", other, -1),
     ):
         assert evaluate(*given) == 0
         assert said in capsys.readouterr().out
-        kept = json.loads((folder / "against.json").read_text())
-        assert kept["relation_accuracy"]["value"] == value
-
-
-def test_what_cannot_be_compared_with_is_refused_before_the_work(
-    events: Path, capsys: Capture
-) -> None:
-    Path("empty").mkdir()
-    ppl.save_events([still("x", predictions={"theirs": {"relation": "neutral"}})], "x.json")
-    assert evaluate("x.json", "--model", "wrong", "--out", "other", "--no-figures") == 0
-    capsys.readouterr()
-    for given, against, message in (
-        (events, "empty", "holds no evaluation"),
-        (events, "other", "wrong predicts none of the 3 events"),
-        ("x.json", "thiers", "thiers: no such folder, and no reference model (theirs)"),
-    ):
-        command = ["evaluate", given, "--model", "stops", "--against", against, "--out", "out"]
-        assert message in fails(capsys, *command)
-        assert not Path("out").exists()
-
-
-def test_a_finished_evaluation_leads_to_its_report_and_is_no_folder_of_events(
-    events: Path, capsys: Capture
-) -> None:
-    out = Path("out put")
-    assert evaluate(events, "--model", "right", "--out", out, "--no-figures") == 0
-    assert f"phase-ppl report '{out}'" in capsys.readouterr().out
-    error = fails(capsys, "evaluate", out, "--model", "right")
-    assert f"its events are in {out / 'events.json'}" in error
-    assert f"{out} holds no posterior.nc\n" in fails(capsys, "query", out, "P(goal_red)")
+        assert read("against.json", folder)["relation_accuracy"]["value"] == value
 
 
 def test_asked_for_a_posterior_an_evaluation_names_one(capsys: Capture) -> None:
-    folder = make_folder(Path("out"))
+    folder = make_folder(OUT)
     folder.add(prediction("one"), with_posterior)
     error = fails(capsys, "diagnose", folder.path)
     assert "holds an evaluation, with one such as" in error
-    told(capsys, "diagnose", error.rsplit("such as ", 1)[1].strip())
+    named = shlex.split(error.rsplit("such as ", 1)[1])
+    told(capsys, "diagnose", *named)
 
 
-def test_options_and_judgments_reach_the_evaluation(events: Path) -> None:
-    study, out = Path("people.csv"), Path("out")
-    study.write_text("participant,video,relation\np1,a,neutral\np2,a,friendly\n")
-    given = ["--option", "size=3", "--judgments", study, "--out", out, "--no-figures"]
-    assert evaluate(events, "--model", "right", *given) == 0
-    assert json.loads((out / "settings.json").read_text())["options"] == {"size": 3}
-    people = json.loads((out / "metrics.json").read_text())["people"]
-    assert people["relation_accuracy"]["value"] == 0.5
+def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> None:
+    odd = ["../../x", "a/b c", "a?b c", "x" * 300, "x" * 299 + "y"]
+    ppl.save_events([still(id, shift=0.1 * i) for i, id in enumerate(odd)], "odd.json")
+    assert evaluate("odd.json", "--model", "right", *QUICK) == 0
+    assert list(ppl.Evaluation.load(OUT).predictions) == odd
+    assert len(list(OUT.glob("events/*/prediction.json"))) == 5
+    assert {entry.name for entry in tmp_path.iterdir()} == {"odd.json", str(EVENTS), str(OUT)}
+
+
+# --- several models ------------------------------------------------------------------------------
+
+
+def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
+    capsys: Capture,
+) -> None:
+    (OUT / "pages").mkdir(parents=True)
+    (OUT / "pages" / "0007-of_an_event_no_more_compared.html").touch()
+    assert evaluate(EVENTS, *BOTH, "other=wrong", "--out", OUT, "--limit", 2) == 0
+    printed = capsys.readouterr().out
+    for words in ("2 models on 2 events", "right - other", f"Kept in {OUT}"):
+        assert words in printed
+    for label, model in (("right", "right"), ("other", "wrong")):
+        found = ppl.Evaluation.load(OUT / label)
+        assert (found.name, len(found.predictions)) == (model, 2)
+        assert (OUT / label / "metrics.json").is_file()
+        assert (OUT / label / "figures" / "accuracy.png").is_file()
+        assert len(list((OUT / label).glob("events/*/page.html"))) == 2
+    assert ppl.ModelComparison.load(OUT).models == ["right", "other"]
+    assert (OUT / "figures" / "differences.png").is_file()
+    assert {page.name for page in (OUT / "pages").iterdir()} == {"0000-a.html", "0001-b.html"}
+
+
+def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) -> None:
+    both = [*BOTH, "stops_once", *QUICK]
+    Path("stop").touch()
+    assert evaluate(EVENTS, *both) == 130
+    assert "--resume" in capsys.readouterr().err
+    assert not (OUT / "comparison.json").exists()
+    assert f"{OUT / 'right'} already holds an evaluation" in refused(capsys, *both)
+    # that one cannot go on is said before another is asked, which would stop
+    Path("stop").touch()
+    others = ["--model", "stops_once", "--model", "right", "--option", "right.size=2"]
+    error = refused(capsys, *others, *QUICK, "--resume")
+    assert "holds an evaluation with other settings: options.size is 2, was None" in error
+    Path("stop").unlink()
+    assert evaluate(EVENTS, *both, "--resume") == 0
+    assert ppl.ModelComparison.load(OUT).models == ["right", "stops_once"]
+
+
+def test_plain_options_go_to_the_models_that_take_them_and_others_to_the_one_they_name() -> None:
+    models = {"right": "right", "wrong": "wrong", "two": "right", "any": "any"}
+    given = [("size", 2), ("two.size", 3), ("any.what", 4)]
+    found = options_of(models, {}, given)
+    assert [*found.values()] == [{"size": 2}, {}, {"size": 3}, {"size": 2, "what": 4}]
+    alone = options_of({"x": "y"}, {"a": 1}, [("b", 2), ("x.c", 3)])
+    assert alone == {"x": {"a": 1, "b": 2, "c": 3}}
 
 
 @pytest.mark.parametrize(
@@ -196,117 +226,38 @@ def test_options_and_judgments_reach_the_evaluation(events: Path) -> None:
         ("--out nowhere --resume", "EVENTS is missing"),
         ("--out nowhere", "nowhere holds no evaluation"),
         ("--out nowhere --limit 2 --seed 0", "EVENTS is missing with --limit, --seed"),
-        ("collaborate --model last_fram", "'last_frame'"),
-        ("collaborate --model last_frame --planner fast", "planner"),
-        ("collaborate --model right --option seed=3", "seed: no option of a model"),
-        ("collaborate --planner fast --option planner=paper", "given twice"),
-        ("collaborate --option size", "NAME=VALUE"),
-        ("collaborate --resume", "--resume needs --out"),
-        ("collaborate --limit 0", "at least 1"),
-        ("collaborate --model right --judgments nowhere.csv", "nowhere.csv: no such file"),
-        ("collaborate --model right --against nowhere", "nowhere: no such folder"),
+        ("EVENTS --model last_frame --planner fast", "planner"),
+        ("EVENTS --planner fast --option planner=paper", "given twice"),
+        ("EVENTS --option size", "NAME=VALUE"),
+        ("EVENTS --resume", "--resume needs --out"),
+        ("EVENTS --model right --judgments nowhere.csv", "nowhere.csv: no such file"),
+        ("EVENTS --model stops --against nowhere", "nowhere: no such folder"),
+        ("EVENTS --model right --stored theirs", "--stored is for several models"),
+        # of several models
+        ("EVENTS --model right --model rigth", "'right'"),
+        ("BOTH --option wrong.size=2", "wrong"),
+        ("BOTH --planner fast", "planner: none of the models right, wrong"),
+        ("BOTH --option ritgh.size=2", "did you mean 'right'"),
+        ("BOTH --option size=2 --option size=3", "size: given twice"),
+        ("BOTH --option right.seed=2", "seed: no option of a model"),
+        ("EVENTS --model right --model right", "given twice: name them, as in --model o"),
+        ("EVENTS --model ../a=right", "'../a' is no name for a folder"),
+        ("BOTH --against nobody", "model to compare with 'nobody'"),
+        ("BOTH --stored theirs", "stored model 'theirs'"),
+        ("EVENTS --model right --model people=wrong", "called 'people', as people are"),
+        ("BOTH --resume", "--resume needs --out"),
+        ("BOTH --out single", "holds an evaluation of one model"),
     ],
 )
-def test_bad_input_ends_with_one_line(arguments: str, message: str, capsys: Capture) -> None:
-    assert message in fails(capsys, "evaluate", *shlex.split(arguments))
-
-
-def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> None:
-    odd = ["../../x", "a/b c", "a?b c", "x" * 300, "x" * 299 + "y"]
-    path, out = Path("odd.json"), Path("out")
-    ppl.save_events([still(id, shift=0.1 * i) for i, id in enumerate(odd)], path)
-    assert evaluate(path, "--model", "right", "--out", out, "--no-figures") == 0
-    assert list(ppl.Evaluation.load(out).predictions) == odd
-    assert len(list(out.glob("events/*/prediction.json"))) == 5
-    assert {entry.name for entry in tmp_path.iterdir()} == {"odd.json", "out"}
-
-
-# --- several models ------------------------------------------------------------------------------
-
-
-def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
-    events: Path, capsys: Capture
-) -> None:
-    out = Path("out")
-    both = [*BOTH, "other=wrong", "--out", out, "--limit", 2]
-    (out / "pages").mkdir(parents=True)
-    (out / "pages" / "0007-of_an_event_no_more_compared.html").touch()
-    assert evaluate(events, *both) == 0
-    printed = capsys.readouterr().out
-    for words in ("2 models on 2 events", "right - other", f"Kept in {out}"):
-        assert words in printed
-    for label, model in (("right", "right"), ("other", "wrong")):
-        found = ppl.Evaluation.load(out / label)
-        assert (found.name, len(found.predictions)) == (model, 2)
-        assert (out / label / "metrics.json").is_file()
-        assert (out / label / "figures" / "accuracy.png").is_file()
-        assert len(list((out / label).glob("events/*/page.html"))) == 2
-    assert ppl.ModelComparison.load(out).models == ["right", "other"]
-    assert (out / "figures" / "differences.png").is_file()
-    assert [page.name for page in sorted((out / "pages").iterdir())] == [
-        "0000-a.html", "0001-b.html",
-    ]  # fmt: skip
-
-
-def test_an_interrupted_evaluation_of_several_models_goes_on(events: Path, capsys: Capture) -> None:
-    out = Path("out")
-    both = [*BOTH, "stops_once", "--out", out, "--no-figures"]
-    Path("stop").touch()
-    assert evaluate(events, *both) == 130
-    assert "--resume" in capsys.readouterr().err
-    assert not (out / "comparison.json").exists()
-    error = fails(capsys, "evaluate", events, *both)
-    assert f"{out / 'right'} already holds an evaluation" in error
-    # that one cannot go on is said before another is asked, which would stop
-    Path("stop").touch()
-    others = ["--model", "stops_once", "--model", "right", "--option", "right.size=2"]
-    error = fails(capsys, "evaluate", events, *others, *both[4:], "--resume")
-    assert "holds an evaluation with other settings: options.size is 2, was None" in error
-    Path("stop").unlink()
-    assert evaluate(events, *both, "--resume") == 0
-    assert ppl.ModelComparison.load(out).models == ["right", "stops_once"]
-
-
-def test_plain_options_go_to_the_models_that_take_them_and_others_to_the_one_they_name() -> None:
-    models = {"right": "right", "wrong": "wrong", "two": "right", "any": "any"}
-    given = [("size", 2), ("two.size", 3), ("any.what", 4)]
-    found = options_of(models, {}, given)
-    assert [*found.values()] == [{"size": 2}, {}, {"size": 3}, {"size": 2, "what": 4}]
-    simple = {"simple": "simple", "last_frame": "last_frame"}
-    given = [("rule", "paper"), ("chains", 3), ("beta", 0.1)]
-    taken = {"planner": "fast", "rule": "paper", "chains": 3, "beta": 0.1}
-    found = options_of(simple, {"planner": "fast"}, given)
-    assert found == {"simple": taken, "last_frame": {}}
-    alone = options_of({"x": "y"}, {"a": 1}, [("b", 2), ("x.c", 3)])
-    assert alone == {"x": {"a": 1, "b": 2, "c": 3}}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("--model right --model rigth", "'right'"),
-        ("--model right --model wrong --option wrong.size=2", "wrong"),
-        ("--model right --model wrong --planner fast", "planner: none of the models right, wrong"),
-        ("--model right --model wrong --option ritgh.size=2", "did you mean 'right'"),
-        ("--model right --model wrong --option size=2 --option size=3", "size: given twice"),
-        ("--model right --model wrong --option right.seed=2", "no option of a model"),
-        ("--model right --model right", "--model right is given twice: name them, as in --model o"),
-        ("--model ../a=right", "'../a' is no name for a folder"),
-        ("--model right --model wrong --against nobody", "model to compare with 'nobody'"),
-        ("--model right --model wrong --stored theirs", "stored model 'theirs'"),
-        ("--model right --model people=wrong", "called 'people', as people are"),
-        ("--model right --model wrong --resume", "--resume needs --out"),
-        ("--model right --stored theirs", "--stored is for several models"),
-        ("--model right --model wrong --out single", "holds an evaluation of one model"),
-    ],
-)
-def test_what_is_wrong_is_found_before_the_first_model_is_asked(
-    arguments: str, message: str, events: Path, capsys: Capture
+def test_what_is_wrong_is_found_before_a_model_is_asked_and_told_in_one_line(
+    arguments: str, message: str, capsys: Capture
 ) -> None:
     if "single" in arguments:
-        assert evaluate(events, "--model", "right", "--out", "single", "--no-figures") == 0
+        assert evaluate(EVENTS, "--model", "right", "--out", "single", "--no-figures") == 0
         capsys.readouterr()
-    assert message in fails(capsys, "evaluate", events, *shlex.split(arguments))
+    arguments = arguments.replace("BOTH", "EVENTS --model right --model wrong")
+    given = shlex.split(arguments.replace("EVENTS", shlex.quote(str(EVENTS))))
+    assert message in fails(capsys, "evaluate", *given)
 
 
 def test_folders_are_compared_later_and_under_names(capsys: Capture) -> None:
@@ -318,14 +269,13 @@ def test_folders_are_compared_later_and_under_names(capsys: Capture) -> None:
     printed = told(capsys, *compare, "right", "wrong", "--stored", "all")
     assert "3 models on 2 events" in printed
     assert "Nothing was saved" in printed
-    given = ["x=right", "y=wrong", "--against", "y", "--margin", 0.2, "--out", "c", "--no-figures"]
+    given = ["x=right", "y=wrong", "--against", "y", "--margin", 0.2, *QUICK]
     told(capsys, *compare, *given)
-    kept = json.loads(Path("c/comparison.json").read_text())
+    kept = read("comparison.json")
     assert [one["name"] for one in kept["models"]] == ["x", "y"]
     assert kept["settings"] == {"margin": 0.2, "against": "y", "seed": 0, "resamples": 50}
     for arguments, message in (
         ("x=right wrong", "a different name for each"),
-        ("x=right =wrong", "a different name for each"),
         ("right --margin 2", "margin=2.0"),
         ("nowhere", "nowhere: no such folder"),
         ("right --out wrong", "--out wrong holds an evaluation"),

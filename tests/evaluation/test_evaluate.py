@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
+from phase_ppl.evaluation import evaluate as module
 from phase_ppl.evaluation.evaluate import Progress
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.world.errors import (
@@ -41,32 +43,35 @@ from tests.evaluation.toys import (
 WRONG = {"relation": "friendly"}
 """A prediction in the events, of which all are neutral."""
 
+
+def saying(given: Any) -> Any:
+    """Return a model that always answers this."""
+    return lambda scene, observation, seed: given
+
+
+def never(scene: Any, observation: Any, seed: int) -> Any:
+    pytest.fail("it was asked")
+
+
 # --- answers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"relation": {"friendly": 0.25, "neutral": 0.75}},
-        {"relation": {"friendly": np.float32(0.25), "neutral": np.float64(0.75)}},
-        {"relation": [0.25, 0.75, 0]},
-        {"relation": np.array([0.25, 0.75, 0])},
-        {"relation": xr.DataArray([0.25, 0.75, 0], {"relation": list("abc")})},
-        ppl.Prediction("of whatever event", {"relation": [0.25, 0.75, 0]}),
-        ppl.Answer({"relation": [0.25, 0.75, 0]}),
-    ],
-)
-def test_an_answer_may_have_several_forms(given: Any) -> None:
-    found = evaluate(still(), lambda scene, observation, seed: given).predictions["still"]
-    assert found.event_id == "still"
-    assert found.probabilities["relation"].tolist() == [0.25, 0.75, 0]
-    assert found.answers == {"relation": "neutral"}
+def test_an_answer_may_have_several_forms() -> None:
+    shares = [0.25, 0.75, 0]
+    named = {"friendly": np.float32(0.25), "neutral": np.float64(0.75)}
+    labelled = xr.DataArray(shares, {"relation": list("abc")})
+    forms = [{"relation": one} for one in (shares, np.array(shares), named, labelled)]
+    for given in (*forms, ppl.Prediction("of whatever event", forms[0]), ppl.Answer(forms[0])):
+        found = evaluate(still(), saying(given)).predictions["still"]
+        assert found.event_id == "still"
+        assert found.probabilities["relation"].tolist() == shares
+        assert found.answers == {"relation": "neutral"}
 
 
 def test_what_an_answer_cost_is_kept_as_plain_data(tmp_path: Path) -> None:
     cost = {"simulations": np.int64(7), "loss": np.nan, "device": Path("x"), "seconds": -1}
     given = ppl.Prediction("", answers={"relation": "friendly"}, cost=cost)
-    found = evaluate(model=lambda scene, observation, seed: given, out=tmp_path)
+    found = evaluate(model=saying(given), out=tmp_path)
     kept = json.loads((tmp_path / "metrics.json").read_text())["cost"]
     assert kept["simulations"] == 28
     assert kept["events"]["a"]["loss"] is None
@@ -79,12 +84,10 @@ def test_what_an_answer_cost_is_kept_as_plain_data(tmp_path: Path) -> None:
     [
         (raises, "ValueError: not today (toys.py, line"),
         (lambda: {"relation": [0.5, np.nan, 0.5]}, "relation has the probability nan"),
-        (lambda: {"goal_red": np.ones(36)}, "goal_red has probabilities of sum 36"),
         (lambda: {"goal_red": [1.0]}, "shape (1,), expected (36,)"),
         (lambda: {"goal_red": "Get blue item to red landmark"}, "'Get blue item to red lm'"),
         (lambda: {"goal_blue": RED_TO_RED}, "unknown question 'goal_blue'"),
         (lambda: {"relation": None}, "the answer is empty"),
-        (lambda: {}, "the answer is empty"),
         (lambda: None, "the answer is None, expected a Prediction or a mapping"),
         (lambda: exit(3), "SystemExit: 3"),
     ],
@@ -123,65 +126,61 @@ def test_options_that_are_no_plain_data_are_kept_as_text(tmp_path: Path) -> None
     options = {"a": np.nan, "b": raises, "c": (1, np.float32(2))}
     evaluate(model="any", out=tmp_path, **options)
     found = evaluate(model="any", out=tmp_path, resume=True, **options)
-    assert found.settings["options"] == {
-        "a": None,
-        "b": "tests.evaluation.toys.raises",
-        "c": [1, 2.0],
-    }
+    text = "tests.evaluation.toys.raises"
+    assert found.settings["options"] == {"a": None, "b": text, "c": [1, 2.0]}
 
 
 # --- what a model gets to know -----------------------------------------------------------------
 
 
-def seeds(events: Any, **more: Any) -> dict[str, str]:
-    """Return what a model that only has its seed says of each event."""
-    found = evaluate(events, guesses, **more).predictions
-    return {name: given.probabilities["goal_red"].tobytes() for name, given in found.items()}
-
-
-def test_seeds_follow_from_seed_and_content_alone() -> None:
-    every = seeds(EVENTS)
-    assert len(set(every.values())) == 4
-    assert seeds(EVENTS[::-1], limit=2) == {name: every[name] for name in "dc"}
-    assert seeds(dataclasses.replace(EVENTS[1], id="other"))["other"] == every["b"]
-    assert set(seeds(EVENTS, seed=1).values()).isdisjoint(every.values())
-
-
-def test_truth_judgments_and_references_do_not_reach_a_model() -> None:
+def test_a_model_gets_what_is_seen_and_a_seed_that_follows_from_it_alone() -> None:
     asked: list[Any] = []
 
     def curious(*given: Any) -> Any:
         asked.append(given)
         return guesses(*given)
 
-    event = still()
+    def drawn(events: Any, **more: Any) -> dict[str, bytes]:
+        """Return what a model that only has its seed says of each event."""
+        found = evaluate(events, curious, **more).predictions
+        return {name: given.probabilities["goal_red"].tobytes() for name, given in found.items()}
+
+    every = drawn(EVENTS)
+    assert len(set(every.values())) == 4
+    assert drawn(EVENTS[::-1], limit=2) == {name: every[name] for name in "dc"}
+    assert set(drawn(EVENTS, seed=1).values()).isdisjoint(every.values())
     truth = Truth("get to green agent", "get to red agent")
     said = {"judgments": {"relation_counts": {"friendly": 9}}, "predictions": {"someone": WRONG}}
-    other = dataclasses.replace(event, id="x", truth=truth, **said)
-    one, two = (evaluate(e, curious).predictions[e.id] for e in (event, other))
-    for question, given in one.probabilities.items():
-        assert given.tobytes() == two.probabilities[question].tobytes()
-    for scene, observation, seed in asked:
-        assert (type(scene), type(observation), type(seed)) == (ppl.Scene, ppl.Observation, int)
+    other = dataclasses.replace(EVENTS[1], id="other", truth=truth, **said)
+    assert drawn(other) == {"other": every["b"]}
+    for given in asked:
+        assert tuple(map(type, given)) == (ppl.Scene, ppl.Observation, int)
 
 
-def test_a_model_cannot_change_what_others_see() -> None:
-    def vandal(scene: Any, observation: Any, seed: int) -> Any:
-        observation.trajectory[:] = 0
-
-    found = evaluate(still(), vandal)
-    assert "read-only" in found.failures["still"]
-
-
-def test_longest_events_come_first(tmp_path: Path) -> None:
+def test_longest_events_come_first_and_a_model_cannot_change_what_others_see() -> None:
     order: list[int] = []
 
-    def noted(scene: Any, observation: Any, seed: int) -> Any:
+    def vandal(scene: Any, observation: Any, seed: int) -> Any:
         order.append(observation.n_frames)
-        return right(scene, observation, seed)
+        observation.trajectory[:] = 0
 
-    evaluate([EVENTS[1], EVENTS[3], EVENTS[0], EVENTS[2]], noted)
+    found = evaluate([EVENTS[1], EVENTS[3], EVENTS[0], EVENTS[2]], vandal)
     assert order == [6, 5, 4, 3]
+    assert all("read-only" in failure for failure in found.failures.values())
+
+
+def test_workers_let_go_of_compiled_programs_and_the_callers_process_keeps_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import jax
+
+    cleared: list[int] = []
+    monkeypatch.setattr(jax, "clear_caches", lambda: cleared.append(1))
+    evaluate(several(module.COMPILED_OF))
+    assert not cleared
+    monkeypatch.setattr(module, "in_worker", lambda: True)
+    evaluate(several(2 * module.COMPILED_OF))
+    assert len(cleared) == 2
 
 
 # --- events ------------------------------------------------------------------------------------
@@ -222,7 +221,7 @@ def test_what_cannot_be_evaluated_is_refused_at_once(
     given: Any, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):
-        evaluate(model=lambda *given: pytest.fail("it was asked"), **given)
+        evaluate(model=never, **given)
 
 
 # --- what is kept ------------------------------------------------------------------------------
@@ -237,9 +236,9 @@ def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
         raise AssertionError(constant)
 
     kept = json.loads((tmp_path / "metrics.json").read_text(), parse_constant=refuse)
-    assert kept == found.metrics
     again = ppl.Evaluation.load(tmp_path)
-    assert (again.metrics, str(again)) == (kept, str(found))
+    assert kept == found.metrics == again.metrics
+    assert str(again) == str(found)
     assert set(kept) >= {
         *("n_events", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy", "by_scenario"),
         *("calibration", "confusion", "human", "people", "reference_models", "failures"),
@@ -255,16 +254,14 @@ def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
 
 
 def test_files_that_belong_to_an_answer_are_kept_beside_it(tmp_path: Path) -> None:
-    def write(path: Path) -> None:
-        path.write_text("a note")
+    def answering(write: Callable[..., Any]) -> Any:
+        return lambda *given: ppl.Answer(right(*given), {"note.txt": write})
 
-    answered = lambda *given: ppl.Answer(right(*given), {"note.txt": write})  # noqa: E731
-    found = evaluate(model=answered, out=tmp_path)
+    found = evaluate(model=answering(lambda path: path.write_text("a note")), out=tmp_path)
     assert len(list(tmp_path.glob("events/*/note.txt"))) == 4
     assert found.folder is not None
     assert (found.folder.folder_of("b") / "note.txt").read_text() == "a note"
-    unwritten = lambda *given: ppl.Answer(right(*given), {"note.txt": raises})  # noqa: E731
-    assert not evaluate(model=unwritten).failures
+    assert not evaluate(model=answering(raises)).failures, "nothing is written without a folder"
 
 
 def test_judgments_from_a_file_take_the_place_of_those_in_the_events(tmp_path: Path) -> None:
@@ -292,9 +289,7 @@ def test_differences_are_paired_over_common_events(tmp_path: Path) -> None:
 
 
 def test_opponents_are_models_that_have_seen_the_same() -> None:
-    one = evaluate(
-        [dataclasses.replace(event, predictions={"rival": WRONG}) for event in EVENTS[:2]]
-    )
+    one = evaluate([dataclasses.replace(e, predictions={"rival": WRONG}) for e in EVENTS[:2]])
     assert values(one.against("rival"), "relation_accuracy") == [1]
     others: list[tuple[Any, type[Exception], str]] = [
         ("rivla", InvalidEventError, r"rivla: no such folder.*\(rival\)"),
@@ -319,7 +314,6 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     assert max(map(len, printed.splitlines())) <= 100
     names = [f"g_name_{i}" for i in range(4)]
     assert all(w in printed for w in ("people", *names, "1.00 [0.29, 1.00]", "independent (4)"))
-    assert repr(found) == "<Evaluation of FailsAt: 3 of 4 events, 1 failed>"
 
 
 def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture[str]) -> None:
@@ -346,7 +340,26 @@ def test_the_time_left_rests_on_seconds_per_frame_and_workers() -> None:
 # --- interrupted, kept and gone on with -----------------------------------------------------------
 
 
-def test_finished_events_are_not_asked_again_and_failed_ones_are(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_was_done_also_just_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stops(*given: Any) -> Any:
+        raise KeyboardInterrupt
+
+    with pytest.raises(ppl.EvaluationInterrupted, match=r"2 of 4 events.*kept in") as caught:
+        evaluate(model=FailsAt(4, stops), out=tmp_path / "asked")
+    assert list(caught.value.evaluation.predictions) == ["c", "d"]
+    assert caught.value.evaluation.metrics["n_events"] == 2
+    assert not (tmp_path / "asked" / "metrics.json").exists()
+
+    add = ResultsFolder.add
+    monkeypatch.setattr(ResultsFolder, "add", lambda *given: stops(add(*given)))
+    with pytest.raises(ppl.EvaluationInterrupted, match=r"1 of 4 events.*kept in") as caught:
+        evaluate(out=tmp_path / "kept")
+    assert list(caught.value.evaluation.predictions) == ["d"]
+
+
+def test_an_evaluation_is_gone_on_with_where_it_is_not_finished(tmp_path: Path) -> None:
     out, broken = tmp_path / "out", tmp_path / "broken"
     broken.touch()
 
@@ -356,61 +369,50 @@ def test_finished_events_are_not_asked_again_and_failed_ones_are(tmp_path: Path)
         return guesses(scene, observation, seed)
 
     model = Counted(tmp_path / "calls", fails_while_broken)
-    first = evaluate(model=model, out=out)
-    assert list(first.failures) == ["b"]
+    go_on = {"model": model, "out": out, "resume": True}
+    first = evaluate(**go_on, limit=2)  # also where there is nothing yet
+    assert (list(first.predictions), list(first.failures)) == (["a"], ["b"])
     broken.unlink()
-    second = evaluate(model=model, out=out, resume=True)
+    half = out / "events" / ".part-12345678"  # a killed evaluation left it half done
+    half.mkdir()
+    (half / "note.txt").touch()
+    whole = evaluate(**go_on)
     assert model.calls() == {3: 1, 4: 2, 5: 1, 6: 1}
-    assert not second.failures
+    assert not whole.failures
+    assert not half.exists()
     assert not (out / "failures.json").exists()
-    for name, whole in evaluate(model=guesses).predictions.items():
-        again = second.predictions[name].probabilities["goal_red"]
-        np.testing.assert_allclose(again, whole.probabilities["goal_red"], rtol=0, atol=1e-15)
-
-
-def test_resume_begins_where_there_is_nothing_and_goes_on_with_more_events(tmp_path: Path) -> None:
-    model, out = Counted(tmp_path / "calls"), tmp_path / "out"
-    assert len(evaluate(model=model, out=out, resume=True, limit=2).predictions) == 2
-    assert len(evaluate(model=model, out=out, resume=True).predictions) == 4
-    assert model.calls() == {3: 1, 4: 1, 5: 1, 6: 1}
     assert len(ResultsFolder.open(out).events) == 4
+    for name, alone in evaluate(model=guesses).predictions.items():
+        again = whole.predictions[name].probabilities["goal_red"]
+        np.testing.assert_allclose(again, alone.probabilities["goal_red"], rtol=0, atol=1e-15)
     with pytest.raises(InvalidSettingError, match="of 4 events, but 2 are given"):
-        evaluate(model=model, out=out, resume=True, limit=2)
-
-
-def test_truth_may_change_and_only_the_metrics_with_it(tmp_path: Path) -> None:
-    model, out = Counted(tmp_path / "calls"), tmp_path / "out"
-    evaluate(model=model, out=out)
+        evaluate(**go_on, limit=2)
+    # truth may change, and only the metrics with it
     truth = Truth(GREEN_TO_RED, GREEN_TO_RED)
-    corrected = [dataclasses.replace(event, truth=truth) for event in EVENTS]
-    found = evaluate(corrected, model, out=out, resume=True)
-    assert found.metrics["goal_accuracy"]["value"] == 0.5
-    assert ResultsFolder.open(out).events[0].truth == corrected[0].truth
-    assert sum(model.calls().values()) == 4
+    found = evaluate([dataclasses.replace(event, truth=truth) for event in EVENTS], **go_on)
+    right = [given.answers["relation"] == truth.relation for given in whole.predictions.values()]
+    assert found.metrics["relation_accuracy"]["value"] == np.mean(right)
+    assert ResultsFolder.open(out).events[0].truth == truth
+    assert sum(model.calls().values()) == 5
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_other_settings_and_events_are_refused_and_named(tmp_path: Path) -> None:
+    evaluate(out=tmp_path)
+    evaluate([still("a"), *EVENTS[1:]], out=tmp_path, resume=True)  # the same event made again
+    changes: list[tuple[dict[str, Any], str]] = [
         ({"model": wrong}, "model is 'wrong', was 'right'"),
         ({"seed": 1}, "seed is 1, was 0"),
         ({"events": several(5)[1:]}, "number 1 is 'b', was 'a'"),
-        ({"events": [still("a", 3, shift=0.3), *EVENTS[1:]]}, "another event 'a': its scene or"),
-    ],
-)
-def test_other_settings_and_events_are_refused_and_named(
-    changes: dict[str, Any], message: str, tmp_path: Path
-) -> None:
-    evaluate(out=tmp_path)
-    evaluate([still("a"), *EVENTS[1:]], out=tmp_path, resume=True)  # the same event made again
-    with pytest.raises(InvalidSettingError, match=message):
-        evaluate(out=tmp_path, resume=True, **changes)
+        ({"events": [still("a", shift=0.3), *EVENTS[1:]]}, "another event 'a': its scene or"),
+    ]
+    for change, message in changes:
+        with pytest.raises(InvalidSettingError, match=message):
+            evaluate(out=tmp_path, resume=True, **change)
     assert (tmp_path / "metrics.json").exists()
 
 
 def test_other_versions_are_refused_while_there_is_something_left(tmp_path: Path) -> None:
-    evaluate(out=tmp_path, limit=2)
-    before = {**evaluate(limit=1).settings["versions"], "numpy": "1.0"}
+    before = {**evaluate(out=tmp_path, limit=2).settings["versions"], "numpy": "1.0"}
     changed(tmp_path / "settings.json", versions=before)
     found = evaluate(out=tmp_path, resume=True, limit=2)
     assert found.settings["versions"]["numpy"] == "1.0"
@@ -433,72 +435,49 @@ def test_a_folder_that_cannot_be_written_is_found_out_first(tmp_path: Path) -> N
     evaluate(out=tmp_path / "out")
     file = tmp_path / "file"
     file.touch()
-    asked = lambda *given: pytest.fail("it was asked")  # noqa: E731
     for out, message in ((file, "cannot write into"), (tmp_path / "out", "already holds.*resume")):
         with pytest.raises(OutputError, match=message):
-            evaluate(model=asked, out=out)
+            evaluate(model=never, out=out)
 
 
-NO_COST = '{"event": "b", "probabilities": {}, "answers": {}, "cost": 7}'
-
-
-@pytest.mark.parametrize("content", ["", '{"event": "b", "proba', "[]", '{"event": "a"}', NO_COST])
-def test_a_damaged_prediction_is_made_again_with_a_note(content: str, tmp_path: Path) -> None:
+def test_a_damaged_prediction_is_made_again_with_a_note(tmp_path: Path) -> None:
     model, out = Counted(tmp_path / "calls"), tmp_path / "out"
     first = evaluate(model=model, out=out)
     assert first.folder is not None
     damaged = first.folder.folder_of("b") / "prediction.json"
-    damaged.write_text(content)
-    with pytest.raises(InvalidEventError, match=r"prediction\.json"):
-        ppl.Evaluation.load(out)
-    second = evaluate(model=model, out=out, resume=True)
-    assert model.calls() == {3: 1, 4: 2, 5: 1, 6: 1}
-    (note,) = second.notes
-    assert str(damaged) in note
-    assert "note: " in str(second)
-    assert second.metrics["n_events"] == 4
+    no_cost = '{"event": "b", "probabilities": {}, "answers": {}, "cost": 7}'
+    contents = ("", '{"event": "b", "proba', "[]", '{"event": "a"}', no_cost)
+    for times, content in enumerate(contents, 2):
+        damaged.write_text(content)
+        with pytest.raises(InvalidEventError, match=r"prediction\.json"):
+            ppl.Evaluation.load(out)
+        again = evaluate(model=model, out=out, resume=True)
+        assert model.calls() == {3: 1, 4: times, 5: 1, 6: 1}
+        (note,) = again.notes
+        assert str(damaged) in note
+        assert "note: " in str(again)
+        assert again.metrics["n_events"] == 4
 
 
-@pytest.mark.parametrize(
-    ("file", "content", "message"),
-    [
+def test_a_damaged_folder_is_refused_with_the_file(tmp_path: Path) -> None:
+    evaluate(out=tmp_path)
+    settings = json.loads((tmp_path / "settings.json").read_text())
+    nameless, seedless = ({k: v for k, v in settings.items() if k != n} for n in ("model", "seed"))
+    for file, content, message in (
         ("settings.json", "{", "settings.json: is not JSON"),
         ("settings.json", "{}", "its schema is None"),
-        ("settings.json", '{"schema": "phase-ppl-evaluation-1"}', "other settings: model is"),
+        ("settings.json", json.dumps(nameless), r"settings\.json has no model"),
+        ("settings.json", json.dumps(seedless), r"settings\.json has no seed"),
         ("events.json", "", "events.json: is empty"),
         ("events.json", None, "events.json: no such file"),
-    ],
-)
-def test_a_damaged_folder_is_refused_with_the_file(
-    file: str, content: str | None, message: str, tmp_path: Path
-) -> None:
-    evaluate(out=tmp_path)
-    if content is None:
-        (tmp_path / file).unlink()
-    else:
-        (tmp_path / file).write_text(content)
-    with pytest.raises((InvalidEventError, InvalidSettingError), match=message):
-        evaluate(out=tmp_path, resume=True)
-
-
-def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
-    evaluate(out=tmp_path)
+    ):
+        whole = (tmp_path / file).read_text()
+        (tmp_path / file).unlink() if content is None else (tmp_path / file).write_text(content)
+        with pytest.raises(InvalidEventError, match=message):
+            ppl.Evaluation.load(tmp_path)
+        with pytest.raises((InvalidEventError, InvalidSettingError)):
+            evaluate(out=tmp_path, resume=True)
+        (tmp_path / file).write_text(whole)
     ppl.save_events(EVENTS[1:], tmp_path / "events.json")
     with pytest.raises(InvalidEventError, match="do not fit together"):
         evaluate(out=tmp_path, resume=True)
-    path = tmp_path / "settings.json"
-    settings = json.loads(path.read_text())
-    for name in ("seed", "model"):
-        del settings[name]
-        path.write_text(json.dumps(settings))
-        with pytest.raises(InvalidEventError, match=rf"settings\.json has no {name}"):
-            ppl.Evaluation.load(tmp_path)
-
-
-def test_what_a_killed_evaluation_left_half_done_is_cleared_away(tmp_path: Path) -> None:
-    evaluate(out=tmp_path)
-    half = tmp_path / "events" / ".part-12345678"
-    half.mkdir()
-    (half / "note.txt").touch()
-    evaluate(out=tmp_path, resume=True)
-    assert not half.exists()

@@ -58,41 +58,29 @@ def test_all_figures_are_drawn_where_everything_is_known(
 
 
 @pytest.mark.usefixtures("unpainted")
-@pytest.mark.parametrize(
-    ("of", "predicted", "missing"),
-    [
-        (events(judgments=None), True, {"correlation", "scatter_goals", "scatter_relations",
-                                        "people"}),
-        (events(truth=None), True, {"accuracy", "confusion"}),
-        (events(), False, None),  # where nothing has begun nothing is compared
-    ],
-    ids=["no judgments", "no truth", "no predictions"],
-)  # fmt: skip
 def test_what_the_results_do_not_allow_is_not_drawn_and_what_was_is_taken_away(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    of: list[ppl.Event],
-    predicted: bool,
-    missing: set[str] | None,
-) -> None:
-    folder = make_folder(tmp_path / "results", of, predicted=lambda _: predicted)
-    left = missing or set(drawings_of(opened(folder.path))) - {"film_strips"}
-    (folder.path / "figures").mkdir()
-    for name in left:
-        (folder.path / "figures" / f"{name}.png").write_bytes(b"old")
-    assert left_out(folder, capsys) == left
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_one_event_of_one_scenario_is_enough(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    of_people = {"correlation", "scatter_goals", "scatter_relations", "people"}
     only = dataclasses.replace(events()[0], predictions=None)
-    folder = make_folder(tmp_path / "results", [only])
-    assert left_out(folder, capsys) == set()
+    for number, (of, predicted, missing) in enumerate((
+        (events(judgments=None), True, of_people),
+        (events(truth=None), True, {"accuracy", "confusion"}),
+        (events(), False, None),  # where nothing has begun nothing is compared
+        ([only], True, set[str]()),  # one event of one scenario is enough
+    )):  # fmt: skip
+        folder = make_folder(tmp_path / f"{number}", of, lambda _, known=predicted: known)
+        if missing is None:
+            missing = set(drawings_of(opened(folder.path))) - {"film_strips"}
+        (folder.path / "figures").mkdir()
+        for name in missing:
+            (folder.path / "figures" / f"{name}.png").write_bytes(b"old")
+        assert left_out(folder, capsys) == missing
     shown = shown_in(figures.accuracy(folder.path))
     assert "all" in shown
     assert "competing" not in shown  # it would be the same again
+    with pytest.raises(NothingToDrawError, match="people judged no goal"):
+        figures.scatter_goals(tmp_path / "0")
 
 
 def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
@@ -134,12 +122,6 @@ def test_figures_take_a_path_and_write_to_one(folder: ResultsFolder, tmp_path: P
         ppl.figures.accuracy(tmp_path)
 
 
-def test_a_figure_that_cannot_be_drawn_says_what_is_missing(tmp_path: Path) -> None:
-    folder = make_folder(tmp_path / "results", events(judgments=None))
-    with pytest.raises(NothingToDrawError, match="people judged no goal"):
-        figures.scatter_goals(folder.path)
-
-
 def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
     said = {"goals": {"red agent": BLUE_TO_RED}, "relation_probs": {"adversarial": 1.0}}
     names = ["x", "a model with a name that is long", "another"]
@@ -169,7 +151,9 @@ def tags_file(tmp_path: Path) -> Path:
     return file
 
 
-def test_a_video_has_a_category_that_half_of_its_viewers_see(tags_file: Path) -> None:
+def test_a_video_has_a_category_that_half_of_its_viewers_see(
+    tags_file: Path, tmp_path: Path
+) -> None:
     tags = ppl.load_tags(tags_file)
     assert tags.viewers.to_dict() == {"a": 3, "b": 2, "c": 1}
     assert tags.shares.loc["a", "helping"] == pytest.approx(2 / 3)
@@ -181,15 +165,22 @@ def test_a_video_has_a_category_that_half_of_its_viewers_see(tags_file: Path) ->
     assert found.loc["collaborating", ["percent", "used"]].tolist() == [0, 1]
     assert found.index[-1] == "dancing", "labels of others come last"
     assert tags.summary(0.7).loc["helping", "percent"] == 0
+    (axes,) = ppl.figures.tags(tags_file, tmp_path / "tags.png").axes
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert names == ["dancing", *reversed(LABELS)]
+    assert len(set(names)) == 1 + 23
+    widths = dict(zip(names, [bar.get_width() for bar in axes.patches], strict=True))
+    assert [widths["helping"], widths["stalking"]] == pytest.approx([100 / 3, 0])
+    assert len(axes.lines) == 1, "collaborating was chosen by somebody"
+    assert (tmp_path / "tags.png").stat().st_size > 1000
 
 
 LABELLED = "participant,video,label\n"
 RATED = "participant,video,group,rating\n"
 
 
-@pytest.mark.parametrize(
-    ("load", "text", "message"),
-    [
+def test_mistakes_in_files_are_named(tmp_path: Path) -> None:
+    mistakes: list[tuple[Any, str, str]] = [
         (ppl.load_tags, "", "is empty"),
         (ppl.load_tags, "participant,video\np,a\n", "expected a column label"),
         (ppl.load_tags, LABELLED, "holds no rows"),
@@ -203,30 +194,15 @@ RATED = "participant,video,group,rating\n"
         (ppl.load_likeness, f"{RATED}p,a,g,4\np,b,h,4\n",
          "line 3: participant 'p' is in two groups"),
         (ppl.load_likeness, f"{RATED}p,a,g,4\nq,a,g,4\n", r"groups are \['g'\], expected two"),
-    ],
-)  # fmt: skip
-def test_mistakes_in_files_are_named(tmp_path: Path, load: Any, text: str, message: str) -> None:
+    ]  # fmt: skip
     file = tmp_path / "said.csv"
-    file.write_text(text, "utf-8")
-    with pytest.raises(InvalidEventError, match=f"said.csv.*{message}"):
-        load(file)
-
-
-def test_other_columns_of_other_peoples_files_do_not_matter(tmp_path: Path) -> None:
-    file = tmp_path / "tags.csv"
+    for load, text, message in mistakes:
+        file.write_text(text, "utf-8")
+        with pytest.raises(InvalidEventError, match=f"said.csv.*{message}"):
+            load(file)
+    # other columns of other people's files do not matter
     file.write_text("age,label,video,participant\n33,helping,a,p\n", "utf-8")
     assert ppl.load_tags(file).table.values.tolist() == [["p", "a", "helping"]]
-
-
-def test_the_figure_of_labels_shows_their_percentages(tags_file: Path, tmp_path: Path) -> None:
-    (axes,) = ppl.figures.tags(tags_file, tmp_path / "tags.png").axes
-    names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == ["dancing", *reversed(LABELS)]
-    assert len(set(names)) == 1 + 23
-    widths = dict(zip(names, [bar.get_width() for bar in axes.patches], strict=True))
-    assert [widths["helping"], widths["stalking"]] == pytest.approx([100 / 3, 0])
-    assert len(axes.lines) == 1, "collaborating was chosen by somebody"
-    assert (tmp_path / "tags.png").stat().st_size > 1000
 
 
 def ratings(played: float, generated: float, n: int = 30, noise: float = 0.4) -> Likeness:
@@ -280,16 +256,13 @@ def test_ratings_without_any_difference_show_nothing_and_one_group_may_be_all_al
     assert 0 < found["p"] < 0.5
 
 
-def test_the_summary_has_deviations_of_videos_and_of_people() -> None:
-    found = ratings(4.0, 3.0).summary()
-    assert list(found.index) == ["played", "generated"]
-    assert found.loc["played", ["videos", "participants", "ratings"]].tolist() == [5, 30, 150]
-    assert (found["sd_participants"] > 0).all()
-
-
 def test_the_figure_of_ratings_says_whether_equivalence_is_shown(tmp_path: Path) -> None:
     file = tmp_path / "likeness.csv"
     ratings(4.0, 4.0).table.to_csv(file, index=False)
+    found = ppl.load_likeness(file).summary()
+    assert list(found.index) == ["played", "generated"]
+    assert found.loc["played", ["videos", "participants", "ratings"]].tolist() == [5, 30, 150]
+    assert (found["sd_participants"] > 0).all()
     figure = ppl.figures.likeness(file, tmp_path / "likeness.pdf")
     shares, means, difference = figure.axes
     assert sum(bar.get_height() for bar in shares.patches) == pytest.approx(2)
@@ -298,12 +271,12 @@ def test_the_figure_of_ratings_says_whether_equivalence_is_shown(tmp_path: Path)
     assert difference.lines[-1].get_markerfacecolor() != "white"
 
 
-@pytest.mark.parametrize("draw", [ppl.figures.tags, ppl.figures.likeness])
-def test_figures_refuse_what_they_cannot_draw(draw: Any, tags_file: Path, tmp_path: Path) -> None:
-    for bad in (3, None, ppl.load_event("compete"), tmp_path / "nothing.csv"):
-        with pytest.raises(PhasePPLError):
-            draw(bad)
-    for majority in (0, -1, 1.1, "half"):
+def test_figures_refuse_what_they_cannot_draw(tags_file: Path, tmp_path: Path) -> None:
+    for bad in (3, ppl.load_event("compete"), tmp_path / "nothing.csv"):
+        for draw in (ppl.figures.tags, ppl.figures.likeness):
+            with pytest.raises(PhasePPLError):
+                draw(bad)  # type: ignore[arg-type]
+    for majority in (0, 1.1, "half"):
         with pytest.raises(InvalidSettingError, match="majority="):
             ppl.figures.tags(tags_file, majority=majority)  # type: ignore[arg-type]
     with pytest.raises(InvalidSettingError, match="margin"):

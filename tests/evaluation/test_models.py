@@ -76,15 +76,14 @@ def test_the_majority_is_the_same_of_every_event() -> None:
         assert given.ties("goal_red") == 8
 
 
-@pytest.mark.parametrize("agent", [0, 1])
-def test_goals_are_as_frequent_as_their_types_in_the_original_events(agent: int) -> None:
-    shares = dict(zip(GOALS, goal_shares(agent), strict=True))
-    assert sum(shares.values()) == pytest.approx(1)
-    to_landmark = [goal for goal in GOALS if goal.startswith("Get blue item to")]
-    assert [shares[goal] for goal in to_landmark] == pytest.approx([0.584 / 8] * 4)
-    other = "green agent" if agent == 0 else "red agent"
-    assert shares[f"get to {other}"] == pytest.approx(0.063)
-    assert not np.any([shares[g] for i, g in enumerate(GOALS) if is_self_referring(i, agent)])
+def test_goals_are_as_frequent_as_their_types_in_the_original_events() -> None:
+    for agent, other in enumerate(("green agent", "red agent")):
+        shares = dict(zip(GOALS, goal_shares(agent), strict=True))
+        assert sum(shares.values()) == pytest.approx(1)
+        to_landmark = [goal for goal in GOALS if goal.startswith("Get blue item to")]
+        assert [shares[goal] for goal in to_landmark] == pytest.approx([0.584 / 8] * 4)
+        assert shares[f"get to {other}"] == pytest.approx(0.063)
+        assert not np.any([shares[g] for i, g in enumerate(GOALS) if is_self_referring(i, agent)])
 
 
 # --- predicate inverse planning -------------------------------------------------------------------
@@ -105,9 +104,8 @@ def test_options_of_predicates_are_thresholds_and_rationality_and_are_kept() -> 
     assert (kept["on_item"], kept["rationality"], kept["prior"]) == (2.0, 0.4, "independent")
 
 
-@pytest.mark.parametrize("n_frames", [2, 3])
-def test_a_video_in_which_next_to_nothing_happens_has_an_answer(n_frames: int) -> None:
-    event = still(n_frames=n_frames)
+def test_a_video_in_which_next_to_nothing_happens_has_an_answer() -> None:
+    event = still(n_frames=2)
     given = ppl.evaluate(event, "predicate", workers=1, prior="independent").predictions[event.id]
     for question, labels in QUESTIONS.items():
         assert given.probabilities[question].shape == (len(labels),)
@@ -162,7 +160,6 @@ def two(scene: Any, observation: Any) -> Any:
         ("predicate", {"planner": "fast"}, InvalidSettingError, "planner is no.*rationality"),
         ("predicate", {"on_item": -1}, InvalidSettingError, "on_item=-1"),
         ("predicate", {"prior": "unifrom"}, UnknownNameError, "'uniform'"),
-        ("predicate", {"prior": ["uniform"]}, UnknownNameError, "'uniform'"),
     ],
 )
 def test_what_is_no_model_and_no_option_is_refused(

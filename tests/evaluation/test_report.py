@@ -22,6 +22,7 @@ from phase_ppl.world.files import write_json
 from phase_ppl.world.goals import GOALS
 from tests.analysis.readings import reading
 from tests.browser import browser_path, needs_browser
+from tests.conftest import nothing_painted
 
 from .small import (
     GREEN,
@@ -70,7 +71,8 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_folder(tmp_path_factory.mktemp("report") / "a folder")
     folder.add(prediction("one"), with_posterior)
     write_json(folder.path / "failures.json", {"four": "<b>SimulationError</b>: no"})
-    assert ppl.report(folder.path) == folder.path / "report.html"
+    with nothing_painted():
+        assert ppl.report(folder.path) == folder.path / "report.html"
     return folder.path / "report.html"
 
 
@@ -80,7 +82,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     post = make_posterior(HOSTILE)
     post.save(folder / POSTERIOR)
     ppl.render.video(post.observed(), folder / "replay.mp4", events()[0].scene)
-    return ppl.report(folder)
+    with nothing_painted():
+        return ppl.report(folder)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +91,8 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_folder(tmp_path_factory.mktemp("compared") / "one")
     sources = {HOSTILE: folder.path, "<i>second</i>": folder.path}
     found = ppl.compare_models(sources, stored="all", resamples=50)
-    return ppl.report(found.save(folder.path.parent / "both"), progress=False)
+    with nothing_painted():
+        return ppl.report(found.save(folder.path.parent / "both"), progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +124,7 @@ def test_the_report_of_a_run_has_all_its_parts(run: Path) -> None:
     assert len(page.all("video")) == 1
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_report_of_a_stepwise_run_says_what_decided(tmp_path: Path) -> None:
     StepwisePosterior(reading()).save(tmp_path / POSTERIOR)
     page = Page(ppl.report(tmp_path).read_text("utf-8"))
@@ -130,7 +135,7 @@ def test_the_report_of_a_stepwise_run_says_what_decided(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("which", PAGES)
-def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
+def test_a_page_is_whole_fetches_nothing_and_takes_no_html_from_files(
     which: str, request: pytest.FixtureRequest
 ) -> None:
     text = request.getfixturevalue(which).read_text("utf-8")
@@ -146,11 +151,7 @@ def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
     policy = str(page.all("meta")[1]["content"])
     assert policy.startswith("default-src 'none'")
     assert "unsafe-inline" not in policy.split("script-src")[1]
-
-
-@pytest.mark.parametrize("which", PAGES)
-def test_pictures_and_tables_say_what_they_are(which: str, request: pytest.FixtureRequest) -> None:
-    page = Page(request.getfixturevalue(which).read_text("utf-8"))
+    # pictures and tables say what they are
     assert page.all("html")[0]["lang"] == "en"
     assert len(page.all("h1")) == len(page.all("main")) == len(page.all("title")) == 1
     assert all(image["alt"] for image in page.all("img"))
@@ -161,11 +162,15 @@ def test_pictures_and_tables_say_what_they_are(which: str, request: pytest.Fixtu
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_an_unfinished_evaluation_compares_what_is_finished(tmp_path: Path) -> None:
+def test_an_unfinished_evaluation_compares_what_is_finished_with_films_on_demand(
+    tmp_path: Path,
+) -> None:
     folder = make_folder(tmp_path / "results", predicted=lambda name: name == "one")
-    text = Page(ppl.report(folder.path).read_text("utf-8")).text
-    assert "1 of 3 events predicted; not finished" in text
-    assert text.count("no prediction") == 3  # a choice of the menu, and two events
+    target = tmp_path / "films.html"
+    page = Page(ppl.report(folder.path, target, videos=True).read_text("utf-8"))
+    assert "1 of 3 events predicted; not finished" in page.text
+    assert page.text.count("no prediction") == 3  # a choice of the menu, and two events
+    assert str(page.all("video")[0]["src"]).startswith("data:video/mp4;base64,")
 
 
 @pytest.mark.usefixtures("unpainted")
@@ -178,13 +183,6 @@ def test_an_evaluation_without_truth_judgments_and_predictions_is_reported_too(
     assert "nothing to compare" in page.text
     assert "Not drawn." in page.text
     assert len(page.all("img")) == 1 + 3
-
-
-@pytest.mark.usefixtures("unpainted")
-def test_films_of_events_are_made_on_demand(tmp_path: Path) -> None:
-    folder = make_folder(tmp_path / "results", events()[:1])
-    page = Page(ppl.report(folder.path, tmp_path / "films.html", videos=True).read_text("utf-8"))
-    assert str(page.all("video")[0]["src"]).startswith("data:video/mp4;base64,")
 
 
 @pytest.mark.usefixtures("unpainted")
@@ -205,6 +203,7 @@ def test_bad_folders_and_places_are_named(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("**/*.html"))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_the_report_and_says_where(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -286,33 +285,26 @@ def opened(path: Path, folder: Path) -> tuple[str, str]:
 
 
 @needs_browser
-@pytest.mark.parametrize("which", PAGES)
-def test_a_browser_shows_the_page_without_complaint(
-    which: str, request: pytest.FixtureRequest, tmp_path: Path
+def test_a_browser_shows_the_videos_and_filters_and_sorts_them(
+    evaluation: Path, tmp_path: Path
 ) -> None:
-    text, console = opened(request.getfixturevalue(which), tmp_path)
+    text, console = opened(evaluation, tmp_path)
     assert console == ""
     page = Page(text)
-    if which == "evaluation":
-        assert "3 of 3 videos" in page.text
-        assert "hidden" not in page.all("form")[0]
-
-
-@needs_browser
-def test_menus_filter_and_sort_the_videos(evaluation: Path, tmp_path: Path) -> None:
+    assert "3 of 3 videos" in page.text
+    assert "hidden" not in page.all("form")[0]
     # what a reader does with the menus, done by a script, which the page's policy would not run
     choose = """<script>
       const form = document.getElementById("filters");
-      form.elements.outcome.value = OUTCOME;
+      form.elements.outcome.value = "wrong";
       form.elements.order.value = "surprise";
       form.dispatchEvent(new Event("input"));
     </script></body>"""
     text = re.sub(r'<meta http-equiv="Content[^>]*>', "", evaluation.read_text("utf-8"))
-    for outcome, count, hidden in (("", "3 of 3", 0), ("wrong", "1 of 3", 2)):
-        copy = tmp_path / f"chosen{count[0]}.html"
-        copy.write_text(text.replace("</body>", choose.replace("OUTCOME", repr(outcome))), "utf-8")
-        page = Page(opened(copy, tmp_path)[0])
-        videos = [d for d in page.all("details") if "data-name" in d]
-        assert f"{count} videos" in page.text
-        assert [d["data-name"] for d in videos] == ["one", HOSTILE, "three"]
-        assert sum("hidden" in d for d in videos) == hidden
+    copy = tmp_path / "chosen.html"
+    copy.write_text(text.replace("</body>", choose), "utf-8")
+    page = Page(opened(copy, tmp_path)[0])
+    videos = [d for d in page.all("details") if "data-name" in d]
+    assert "1 of 3 videos" in page.text
+    assert [d["data-name"] for d in videos] == ["one", HOSTILE, "three"]
+    assert sum("hidden" in d for d in videos) == 2

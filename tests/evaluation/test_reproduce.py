@@ -38,41 +38,27 @@ def ours(value: float, low: float | None = None, high: float | None = None) -> d
     return {"value": value, "ci_low": low, "ci_high": high}
 
 
-@pytest.mark.parametrize(
-    ("printed", "found", "wanted"),
-    [
-        ((0.59, 0.41, 0.77), ours(0.8, 0.5, 1.0), "inside"),  # the paper's in ours
-        ((0.59, 0.41, 0.77), ours(0.7, 0.65, 0.75), "inside"),  # ours in the paper's
-        ((0.59, 0.41, 0.77), ours(0.9, 0.8, 1.0), "outside"),
-        ((0.78,), ours(0.84, 0.75, 0.92), "inside"),
-        ((0.78,), ours(0.84, 0.80, 0.92), "outside"),
-        ((18.0,), ours(18.0), "inside"),
-        ((18.0,), ours(17.0), "outside"),
-        ((0.6, None, None, True), ours(0.7, 0.55, 0.8), "inside"),
-        ((0.6, None, None, True), ours(0.7, 0.65, 0.8), "outside"),
-        ((0.6, None, None, True), ours(0.2), "inside"),
-    ],
-)
-def test_verdicts(printed: tuple[Any, ...], found: dict[str, Any], wanted: str) -> None:
-    assert verdict(Printed("here", "what", SIMPLE, "goal_accuracy", *printed), found) == wanted
-
-
-@pytest.mark.parametrize(
-    ("printed", "found", "loose"),
-    [
-        ((0.59, 0.41, 0.77), ours(0.0, 0.0, 0.71), True),  # it is inside as it could be anything
-        ((0.59, 0.41, 0.77), ours(0.5, 0.1, 0.9), False),  # in the paper's, however wide ours is
-        ((0.59, 0.41, 0.77), ours(0.8, 0.7, 0.9), False),
-        ((0.59, 0.41, 0.77), ours(0.0, 0.0, 0.2), False),  # outside
-        ((0.6, None, None, True), ours(0.7, 0.5, 0.8), True),  # a bound that only ours holds
-        ((0.6, None, None, True), ours(0.55, 0.5, 0.8), False),
-    ],
-)
-def test_what_is_inside_of_a_wide_interval_only_is_so_loosely(
-    printed: tuple[Any, ...], found: dict[str, Any], loose: bool
-) -> None:
-    given = Printed("here", "what", SIMPLE, "goal_accuracy", *printed)
-    assert Cell(given, "simple", found, verdict(given, found)).loose is loose
+def test_verdicts() -> None:
+    """Loosely inside is what is so as our interval is wide only."""
+    interval, bound = (0.59, 0.41, 0.77), (0.6, None, None, True)
+    for printed, found, wanted, loose in (
+        (interval, ours(0.8, 0.5, 1.0), "inside", True),  # only the paper's in ours
+        (interval, ours(0.7, 0.65, 0.75), "inside", False),  # ours in the paper's
+        (interval, ours(0.0, 0.0, 0.71), "inside", True),  # it could be anything
+        (interval, ours(0.5, 0.1, 0.9), "inside", False),  # in the paper's, however wide ours is
+        (interval, ours(0.9, 0.8, 1.0), "outside", False),
+        ((0.78,), ours(0.84, 0.75, 0.92), "inside", False),
+        ((0.78,), ours(0.84, 0.80, 0.92), "outside", False),
+        ((18.0,), ours(18.0), "inside", False),
+        ((18.0,), ours(17.0), "outside", False),
+        (bound, ours(0.7, 0.55, 0.8), "inside", True),  # a bound that only ours holds
+        (bound, ours(0.55, 0.5, 0.8), "inside", False),
+        (bound, ours(0.7, 0.65, 0.8), "outside", False),
+        (bound, ours(0.2), "inside", False),
+    ):
+        given = Printed("here", "what", SIMPLE, "goal_accuracy", *printed)
+        assert verdict(given, found) == wanted, (printed, found)
+        assert Cell(given, "simple", found, wanted).loose is loose, (printed, found)
 
 
 def test_every_printed_number_has_its_place_and_lies_in_its_interval() -> None:
@@ -132,9 +118,8 @@ def models(monkeypatch: pytest.MonkeyPatch, unpainted: None) -> None:
 
 @pytest.fixture
 def cheap(models: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have pages without figures too, which take most of the time."""
-    monkeypatch.setattr(module, "_drawings", lambda *given: iter(()))
-    monkeypatch.setattr(report, "drawings_of", lambda results: {})
+    """Have no pages either, which take most of the time."""
+    monkeypatch.setattr(report, "reproduction_page", lambda *given, **more: "a page")
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +170,7 @@ def test_real_videos_give_cells_figures_and_one_page(
         assert words in str(made)
 
 
-def test_it_goes_on_with_what_is_finished_and_refuses_another(
+def test_it_goes_on_with_what_is_finished_and_takes_what_people_said_later(
     cheap: None, videos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
@@ -198,36 +183,28 @@ def test_it_goes_on_with_what_is_finished_and_refuses_another(
         return evaluate(events, model, **given)
 
     monkeypatch.setattr(module, "evaluate", stops)
-    command = ["reproduce", "--videos", str(videos), "--out", str(tmp_path), "--workers", "1",
-               "--quiet"]  # fmt: skip
+    out, one, two = tmp_path / "out", tmp_path / "one.csv", tmp_path / "two.csv"
+    for file in (one, two):
+        file.write_text(TAGS)
+    command = ["reproduce", "--videos", str(videos), "--out", str(out), "--workers", "1", "--quiet"]
     assert main(command) == 130
-    done = tmp_path / "models" / "simple"
+    done = out / "models" / "simple"
     before = {file: file.stat().st_mtime_ns for file in done.glob("events/*/*")}
     assert before
     assert main(command) == 2, "it is not gone on with unasked"
-    with pytest.raises(OutputError, match="resume it"):
-        ppl.reproduce(tmp_path, videos, progress=False)
-    with pytest.raises(InvalidSettingError, match=r"begun with others: seed is 1, was 0"):
-        ppl.reproduce(tmp_path, videos, seed=1, resume=True, progress=False)
     assert main([*command, "--resume"]) == 0
+    again = {"workers": 1, "progress": False, "say": lambda line: None}
+    with pytest.raises(OutputError, match="resume it"):
+        ppl.reproduce(out, videos, **again)
+    with pytest.raises(InvalidSettingError, match=r"begun with others: seed is 1, was 0"):
+        ppl.reproduce(out, videos, seed=1, resume=True, **again)
+    made = ppl.reproduce(out, videos, tags=one, resume=True, **again)
+    assert cells(made)["labels", "labels that are a category"].ours["value"] == 2
+    for tags, said in ((two, "'.*"), (None, "None")):  # neither changed nor left out
+        with pytest.raises(InvalidSettingError, match=rf"with others: tags is {said}, was '"):
+            ppl.reproduce(out, videos, tags=tags, resume=True, **again)
     after = {file: file.stat().st_mtime_ns for file in done.glob("events/*/*")}
     assert after == before, "nothing is predicted twice"
-
-
-def test_what_people_said_can_be_added_but_not_changed_or_left_out(
-    cheap: None, videos: Path, tmp_path: Path
-) -> None:
-    one, two = tmp_path / "one.csv", tmp_path / "two.csv"
-    for file in (one, two):
-        file.write_text(TAGS)
-    again = {"workers": 1, "resume": True, "progress": False, "say": lambda line: None}
-    ppl.reproduce(tmp_path / "out", videos, **again)
-    made = ppl.reproduce(tmp_path / "out", videos, tags=one, **again)
-    assert cells(made)["labels", "labels that are a category"].ours["value"] == 2
-    with pytest.raises(InvalidSettingError, match=r"was begun with others: tags is '.*, was '"):
-        ppl.reproduce(tmp_path / "out", videos, tags=two, **again)
-    with pytest.raises(InvalidSettingError, match=r"was begun with others: tags is None, was '"):
-        ppl.reproduce(tmp_path / "out", videos, **again)
 
 
 def test_what_cannot_be_read_loses_nothing(
@@ -239,29 +216,30 @@ def test_what_cannot_be_read_loses_nothing(
 
 
 def test_generated_events_are_no_reproduction_and_say_so_everywhere(
-    models: None, tmp_path: Path
-) -> None:
-    data = make_set(tmp_path / "set", eight(), ["train"] * 4 + ["test"] * 4)
-    made = ppl.reproduce(tmp_path / "out", data, workers=1, progress=False, say=lambda line: None)
-    assert not made.real
-    assert len(made.comparison.events) == 4, "of a generated set the test split"
-    page = (tmp_path / "out" / module.PAGE).read_text()
-    escaped = NO_REPRODUCTION.replace("'", "&#39;")
-    assert page.count(escaped) == 1 + 4, "above, and with every event"
-    assert str(made).startswith(NO_REPRODUCTION)
-    assert not json.loads((tmp_path / "out" / module.RESULT).read_text())["real"]
-
-
-def test_without_videos_events_are_generated_once(
-    cheap: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    models: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_QUICK_SET", 1)
+    monkeypatch.setattr(module, "_drawings", lambda *given: iter(()))
+    monkeypatch.setattr(report, "drawings_of", lambda results: {})
     said: list[str] = []
-    made = ppl.reproduce(tmp_path, workers=1, progress=False, say=said.append)
+    given = {"workers": 1, "progress": False, "say": said.append}
+    made = ppl.reproduce(tmp_path / "out", **given)
     assert said[0] == "no real videos: 1 events are generated"
     assert not made.real
-    again = ppl.reproduce(tmp_path, workers=1, progress=False, resume=True, say=said.append)
-    assert said.count(said[0]) == 1
+    escaped = NO_REPRODUCTION.replace("'", "&#39;")
+    page = (tmp_path / "out" / module.PAGE).read_text()
+    assert page.count(escaped) == 1 + 1, "above, and with every event"
+    assert str(made).startswith(NO_REPRODUCTION)
+    assert not json.loads((tmp_path / "out" / module.RESULT).read_text())["real"]
+    again = ppl.reproduce(tmp_path / "out", **given, resume=True)
+    assert said.count(said[0]) == 1, "they are generated once"
     ids = [[event.id for event in one.comparison.events] for one in (made, again)]
     assert ids[0] == ids[1]
     assert len(ids[0]) == 1
+
+
+def test_of_a_generated_set_the_test_split_is_taken(cheap: None, tmp_path: Path) -> None:
+    data = make_set(tmp_path / "set", eight(), ["train"] * 4 + ["test"] * 4)
+    made = ppl.reproduce(tmp_path / "out", data, workers=1, progress=False, say=lambda line: None)
+    assert not made.real
+    assert len(made.comparison.events) == 4
