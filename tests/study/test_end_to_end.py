@@ -28,7 +28,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ahead = [near_goals(name, start=start, radius=radius) for name, radius in sizes.items()]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(play, "COUNTDOWN", 0)
-        study = make_study(folder / "study", ahead, trials=2, hold=6, limit=40)
+        study = make_study(folder / "study", ahead, trials=2, hold=6, limit=60, steps_per_second=24)
         with serving(study) as client:
             both_play(client, drives("forward"))
     study.export(folder / "out")

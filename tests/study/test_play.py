@@ -42,7 +42,7 @@ Made = Callable[..., Study]
 
 @pytest.fixture(autouse=True)
 def _in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, seconds in (("COUNTDOWN", 0), ("_PING", 0.05), ("_SAVED_EVERY", 0.1)):
+    for name, seconds in (("COUNTDOWN", 0), ("_PING", 0.02), ("_SAVED_EVERY", 0.1)):
         monkeypatch.setattr(play, name, seconds)
 
 
@@ -75,7 +75,7 @@ def of_kind(messages: Sequence[Message], kind: str) -> list[Message]:
 
 
 def test_two_people_play_until_both_goals_hold(made: Made) -> None:
-    study = made(trials=2)
+    study = made(trials=2, limit=300)
     with serving(study) as client:
         players, both = both_play(client, drives("forward"))
         assert outcomes(players) == ["finished"] * 2
@@ -91,8 +91,10 @@ def test_two_people_play_until_both_goals_hold(made: Made) -> None:
         assert {one["participant"] for one in session["players"]} == {one.id for one in players}
         steps = session["steps"]
         assert [step["number"] for step in steps] == [*range(1, len(steps) + 1)]
-        assert {step["keys"] for step in steps[1:]} == {'[["forward"], ["forward"]]'}
-        assert all(0 < one["rtt_ms"] < 10_000 for one in session["players"])
+        assert steps[-1]["keys"] == '[["forward"], ["forward"]]'
+    trips = [one["rtt_ms"] for session in recorded(study) for one in session["players"]]
+    assert any(trips)
+    assert all(trip is None or 0 < trip < 10_000 for trip in trips)
 
 
 def scribbles(seed: int) -> React:
@@ -111,7 +113,7 @@ def scribbles(seed: int) -> React:
 
 def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
     scene = near_goals(start=[[12, 10, 0], [20, 10, 0], [12, 12, 0], [20, 12, 0]], walls=[])
-    study = make_study(tmp_path / "study", [scene], hold=100)
+    study = make_study(tmp_path / "study", [scene], hold=100, steps_per_second=24)
     with serving(study) as client:
         players = [Player(client), Player(client)]
         together(*(lambda k=k: players[k].play(scribbles(k)) for k in range(2)))
@@ -162,7 +164,7 @@ def test_players_are_sent_what_their_agents_see_and_nothing_else(made: Made, vie
 @pytest.mark.parametrize("partner", ["computer", "either"])
 def test_one_person_alone_plays_with_the_computer_by_either_rule(made: Made, partner: str) -> None:
     resets = partner == "either"
-    study = made(partner=partner, wait_at_most=0.1, limit=60, resets_velocity=resets)
+    study = made(partner=partner, wait_at_most=0.1, limit=300, resets_velocity=resets)
     with serving(study) as client:
         player = Player(client)
         messages = player.play(drives("forward"))
@@ -190,7 +192,7 @@ def test_who_waits_in_vain_is_thanked(made: Made) -> None:
 def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(
     made: Made, tmp_path: Path
 ) -> None:
-    study = made(hold=100, limit=200, rejoin_within=0.1)
+    study = made(hold=100, limit=200, rejoin_within=0.3)
     with serving(study) as client:
         stays, leaves = Player(client), Player(client)
         both = [lambda: stays.play(drives()), lambda: leaves.play(drives(), until="begun")]
@@ -210,7 +212,7 @@ def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(
 
 
 def test_a_player_who_comes_back_in_time_goes_on(made: Made) -> None:
-    study = made(hold=100, rejoin_within=30)
+    study = made(hold=100, rejoin_within=30, limit=60)
     with serving(study) as client:
         players = [Player(client), Player(client)]
 
@@ -227,7 +229,7 @@ def test_a_player_who_comes_back_in_time_goes_on(made: Made) -> None:
 
 
 def test_whoever_does_not_begin_is_out_and_the_other_goes_back(made: Made) -> None:
-    with serving(made(ready_within=0.3, wait_at_most=0.1)) as client:
+    with serving(made(ready_within=0.7, wait_at_most=0.1, limit=300)) as client:
         willing, absent = Player(client), Player(client)
         messages, _ = together(
             lambda: willing.play(drives("forward")), lambda: absent.play(lambda message: [])
