@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ def write(folder: Path, content: str | bytes, name: str = "study.csv") -> Path:
     return path
 
 
-def test_study_holds_what_the_file_says_and_no_more(tmp_path: Path) -> None:
+def test_study_holds_what_the_file_says_and_shares_of_those_who_answered(tmp_path: Path) -> None:
     study = ppl.load_judgments(write(tmp_path, STUDY), EVENTS)
     assert study.participants == ("p01", "p02", "p03")
     assert list(study.table.columns) == HEADER.split(",")
@@ -52,10 +53,7 @@ def test_study_holds_what_the_file_says_and_no_more(tmp_path: Path) -> None:
     assert study.table.loc[0].tolist() == first
     assert study.table.loc[2, "goal_green"] is None
     assert math.isnan(study.table.loc[2, "response_time"])
-
-
-def test_shares_are_of_those_who_answered_the_question(tmp_path: Path) -> None:
-    judgments = load_judgments(write(tmp_path, STUDY)).judgments["a"]
+    judgments = study.judgments["a"]
     assert judgments.n_raters == 3
     assert judgments.counts["relation"].tolist() == [2, 1, 0]
     assert judgments.distribution("relation") == pytest.approx([2 / 3, 1 / 3, 0])
@@ -77,22 +75,21 @@ def test_relations_alone_are_a_study(tmp_path: Path) -> None:
     assert judgments.ties("goal_red") == 0
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda text: "\ufeff" + text,
-        lambda text: text.replace("\n", "\r\n"),
-        lambda text: text.replace("\n", "\r"),
-        lambda text: text.replace("\n", "\n\n") + ",,,,,\n",
-        lambda text: text.replace(",", " , "),
-        lambda text: text.replace("friendly", "Friendly").replace("Get", "get"),
-        lambda text: text.replace("p01", '"p01"').rstrip(),
-    ],
-)
-def test_what_spreadsheets_make_of_it_is_read_alike(tmp_path: Path, change: Any) -> None:
+CHANGES: list[Callable[[str], str]] = [
+    lambda text: "\ufeff" + text,
+    lambda text: text.replace("\n", "\r\n"),
+    lambda text: text.replace("\n", "\r"),
+    lambda text: text.replace("\n", "\n\n") + ",,,,,\n",
+    lambda text: text.replace(",", " , "),
+    lambda text: text.replace("friendly", "Friendly").replace("Get", "get"),
+    lambda text: text.replace("p01", '"p01"').rstrip(),
+]
+
+
+def test_what_spreadsheets_make_of_it_is_read_alike(tmp_path: Path) -> None:
     expected = load_judgments(write(tmp_path, STUDY)).table
-    found = load_judgments(write(tmp_path, change(STUDY))).table
-    assert found.equals(expected)
+    for change in CHANGES:
+        assert load_judgments(write(tmp_path, change(STUDY))).table.equals(expected)
 
 
 ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
@@ -102,35 +99,26 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
     ("content", "message"),
     [
         ("", "study.csv: is empty"),
-        ("\n\n", "study.csv: is empty"),
         (HEADER, "study.csv: holds no judgments"),
-        (f"{HEADER}\np01,a,,,,3", "study.csv: holds no judgments"),
         (HEADER.replace(",", ";"), "line 1: is 'participant;video.*separated by commas"),
         (HEADER.replace("goal_red", "goal_rde"), "line 1: unknown column.*'goal_red'"),
         (HEADER.replace("goal_red", "video"), "line 1: names the column video twice"),
         (HEADER.replace("participant,", ""), "line 1: names no column participant"),
-        ("participant,video,response_time", "line 1: names none of the columns goal_red"),
-        (f"{HEADER}\n{ROW}\np02,a,x,,,", "line 3: goal_red: unknown goal 'x'"),
         (
             f"{HEADER}\n{ROW}\np02,a,,Get blu item to red lm,,",
             "line 3: goal_green: unknown goal.*did you mean 'Get blue item to red lm'",
         ),
-        (f"{HEADER}\np02,a,,,freindly,", "line 2: relation: .*did you mean 'friendly'"),
         (f"{HEADER}\n{ROW}\n{ROW}", "line 3: has participant 'p01', video 'a' a second time"),
         (f"{HEADER}\n{ROW}\np02,a,,,friendly", "line 3: has 5 cells, expected 6"),
-        (f"{HEADER}\n{ROW},", "line 2: has 7 cells, expected 6"),
-        (f"{HEADER}\n,a,,,friendly,", "line 2: participant is '', expected printable text"),
-        (f"{HEADER}\np01,,,,friendly,", "line 2: video is ''"),
         (f"{HEADER}\np\x1b[2J,a,,,friendly,", "line 2: participant is 'p.*printable"),
         *(
             (f"{HEADER}\np01,a,,,friendly,{time}", f"line 2: response_time is '{time}', expected")
-            for time in ("-1", "nan", "inf", "1e999", "soon", "1_0")
+            for time in ("-1", "nan", "1e999", "1_0")
         ),
         (f'{HEADER}\n\n{ROW}\np02,a,,,"friendly,\n', "line 4: is no CSV: unexpected end of data"),
         (f"{HEADER}\n{'x' * 200_000},a,,,friendly,", "line 2: is no CSV: field larger than"),
         (b"PK\x03\x04\x00\x00", "is no CSV file in UTF-8: it holds zero bytes"),
         (b"\x80\x04\x95\x10", "is no CSV file: byte 0 is not UTF-8"),
-        ((HEADER + "\n" + ROW).encode("utf-16"), "is no CSV file"),
         # cells with lines of their own
         (f'{HEADER}\n"p01",a,,,"friend\nly",', r"line 2: relation: unknown .* 'friend\\nly'"),
         (
@@ -174,7 +162,7 @@ def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None
 # --- studies and events ------------------------------------------------------------------------
 
 
-def test_events_get_the_judgments_of_the_study_alone(tmp_path: Path) -> None:
+def test_events_get_the_judgments_of_the_study_alone_and_files_keep_them(tmp_path: Path) -> None:
     study = load_judgments(write(tmp_path, STUDY))
     before = [*EVENTS[:2], make_event("c", votes=[1, 2, 3])]
     events = with_judgments(before, study)
@@ -184,22 +172,16 @@ def test_events_get_the_judgments_of_the_study_alone(tmp_path: Path) -> None:
     judgments = event_judgments(events[0])
     assert judgments.responses == study.judgments["a"].responses
     assert judgments.responses["p02"] == {"goal_red": BLUE_TO_RED, "relation": "friendly"}
-    with pytest.raises(InvalidEventError, match="of none of the 1 events, but of 'a', 'b'"):
-        with_judgments([EVENTS[2]], study)
-
-
-def test_judgments_survive_an_event_file(tmp_path: Path) -> None:
-    study = load_judgments(write(tmp_path, STUDY))
-    events = with_judgments(EVENTS, study)
     ppl.save_events(events, tmp_path / "events.json")
-    *judged, silent = ppl.load_events(tmp_path / "events.json")
+    *read, silent = ppl.load_events(tmp_path / "events.json")
     assert event_judgments(silent) is None
-    for event, again in zip(events, judged, strict=False):
+    for event, again in zip(events, read, strict=False):
         assert again.judgments == event.judgments
         one, other = study.judgments[event.id], event_judgments(again)
         assert (one.n_raters, one.responses) == (other.n_raters, other.responses)
-        for question, votes in one.counts.items():
-            assert np.array_equal(votes, other.counts[question])
+        np.testing.assert_equal(one.counts, other.counts)
+    with pytest.raises(InvalidEventError, match="of none of the 1 events, but of 'a', 'b'"):
+        with_judgments([EVENTS[2]], study)
 
 
 def test_accuracy_is_of_each_participant_then_averaged(tmp_path: Path) -> None:
@@ -268,18 +250,12 @@ ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
     ("record", "message"),
     [
         ({"relation_count": {"friendly": 3}}, "has .'relation_count'., expected one of"),
-        ({"relation_counts": [3, 0, 1]}, "the counts of relation is .3, 0, 1., expected an object"),
         ({"relation_counts": {"friendly": -1}}, "relation: 'friendly' has -1, expected a number"),
-        ({"relation_counts": {"friendly": 1.5}}, "relation: 'friendly' has 1.5"),
-        ({"relation_counts": {"friendly": True}}, "relation: 'friendly' has True"),
         ({"relation_counts": {"friendly": 10**12}}, "relation: 'friendly' has 1000000000000"),
         ({"relation_counts": {"freindly": 1}}, "unknown relation 'freindly'; did you mean"),
-        ({"relation_counts": {"friendly": 3}, "n_raters": 2}, "n_raters is 2, .* has 3 votes"),
         ({"relation_counts": {"friendly": 3}, "n_raters": 5}, "n_raters is 5, .* 3 votes in all"),
-        ({"relation_counts": {"friendly": 3}, "n_raters": "3"}, "n_raters has '3'"),
         ({"n_raters": 4}, "n_raters is 4, but there are 0 votes"),
         ({"goal_counts": {"blue agent": {}}}, "unknown agent in goal_counts 'blue agent'"),
-        ({"goal_counts": {"red agent": {"Get": 1}}}, "unknown goal 'Get'"),
         ({"goal_counts": 3}, "goal_counts is 3, expected an object"),
         ({"responses": {}}, "responses is {}, expected a list"),
         ({"responses": [{"relation": "friendly"}]}, "responses.0. has the participant None"),
@@ -290,7 +266,6 @@ ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
             {**ONE, "goal_counts": {"red agent": {BLUE_TO_RED: 1}}},
             "the counts of goal_red contradict the responses",
         ),
-        ({**ONE, "n_raters": 2}, "n_raters is 2"),
     ],
 )
 def test_bad_votes_are_refused_and_the_event_is_named(record: dict[str, Any], message: str) -> None:

@@ -35,14 +35,15 @@ SIMPLE = {
 
 
 def test_what_a_file_gives_is_read_and_nothing_added() -> None:
+    some = {"goal_probs": {"green agent": {BLUE_TO_RED: 0.75, PINK_TO_BLUE: 0.25}}, "goals": None}
     events = [
         make_event("a", predictions={"simple": SIMPLE, "gnn": {"relation": "neutral"}}),
         make_event("b", predictions={"gnn": {"relation": "friendly"}, "simple": None}),
-        make_event("c"),
+        make_event("c", predictions={"green": some}),
     ]
     found = reference_predictions(events)
     ids = {model: list(made) for model, made in found.items()}
-    assert ids == {"simple": ["a"], "gnn": ["a", "b"]}
+    assert ids == {"simple": ["a"], "gnn": ["a", "b"], "green": ["c"]}
     simple = found["simple"]["a"]
     # the answer given stays, even where another is more probable
     given = (BLUE_TO_RED, PINK_TO_BLUE, "adversarial")
@@ -51,53 +52,41 @@ def test_what_a_file_gives_is_read_and_nothing_added() -> None:
     assert simple.probabilities["relation"].sum() == pytest.approx(1, abs=1e-15)
     assert found["gnn"]["a"].answers == {"relation": "neutral"}
     assert found["gnn"]["a"].scenario is None
+    assert found["green"]["c"].answers == {"goal_green": BLUE_TO_RED}
+    assert found["green"]["c"].top("goal_green", 2) == (BLUE_TO_RED, PINK_TO_BLUE)
 
 
 def test_predictions_of_the_package_are_read_back(tmp_path: Path) -> None:
     given = {"relation": [0.5, 0.25, 0.25]}
     made = Prediction("a", given, {"goal_red": BLUE_TO_RED}, errors={"relation": [0.1, 0.0, 0.1]})
-    record = made.to_dict()
-    ppl.save_event(make_event("a", predictions={"mine": record}), tmp_path / "a.json")
-    events = [
-        ppl.load_event(tmp_path / "a.json"),
-        make_event("b", predictions={"mine": {"answers": {"relation": "neutral"}}}),
-    ]
+    ppl.save_event(make_event("a", predictions={"mine": made.to_dict()}), tmp_path / "a.json")
+    answers = {"answers": {"relation": "neutral"}}
+    events = [ppl.load_event(tmp_path / "a.json"), make_event("b", predictions={"mine": answers})]
     found = reference_predictions(events)["mine"]
-    assert found["a"].to_dict() == record
+    assert found["a"].to_dict() == made.to_dict()
     assert found["b"].answers == {"relation": "neutral"}
 
 
 def test_errors_of_probabilities_are_kept() -> None:
-    errors = [0.1, float("nan"), 0.0]
-    made = Prediction("a", {"relation": [0.5, 0.25, 0.25]}, errors={"relation": errors})
+    given, errors = {"relation": [0.5, 0.25, 0.25]}, [0.1, float("nan"), 0.0]
+    made, unknown = Prediction("a", given, errors={"relation": errors}), Prediction("a", given)
     assert str(made.estimate("relation", "friendly")) == "0.50 ± 0.10"
-    assert np.isnan(made.estimate("relation", "neutral").error)
     again = Prediction.from_dict(json.loads(json.dumps(made.to_dict())))
     np.testing.assert_array_equal(again.errors["relation"], errors)
-    unknown = Prediction("a", {"relation": [0.5, 0.25, 0.25]})
     assert "errors" not in unknown.to_dict()
-    assert np.isnan(unknown.estimate("relation", "friendly").error)
+    for one, label in ((made, "neutral"), (unknown, "friendly")):
+        assert np.isnan(one.estimate("relation", label).error)
 
 
-@pytest.mark.parametrize(
-    ("errors", "message"),
-    [
+def test_bad_errors_are_refused() -> None:
+    for errors, message in (
         ({"goal_red": [0.1] * 36}, "goal_red has errors, but no probabilities"),
         ({"relation": [0.1, 0.1]}, "relation has errors .*, expected 3 numbers >= 0 or NaN"),
         ({"relation": [0.1, -0.1, 0.1]}, "expected 3 numbers >= 0"),
         ({"relations": [0.1, 0.1, 0.1]}, "unknown question 'relations'"),
-    ],
-)
-def test_bad_errors_are_refused(errors: dict[str, list[float]], message: str) -> None:
-    with pytest.raises((InvalidEventError, UnknownNameError), match=message):
-        Prediction("a", {"relation": [0.5, 0.25, 0.25]}, errors=errors)
-
-
-def test_probabilities_of_goals_may_be_given_for_one_agent() -> None:
-    record = {"goal_probs": {"green agent": {BLUE_TO_RED: 0.75, PINK_TO_BLUE: 0.25}}, "goals": None}
-    found = reference_predictions([make_event("a", predictions={"m": record})])["m"]["a"]
-    assert found.answers == {"goal_green": BLUE_TO_RED}
-    assert found.top("goal_green", 2) == (BLUE_TO_RED, PINK_TO_BLUE)
+    ):
+        with pytest.raises((InvalidEventError, UnknownNameError), match=message):
+            Prediction("a", {"relation": [0.5, 0.25, 0.25]}, errors=errors)
 
 
 @pytest.mark.parametrize(
@@ -105,15 +94,10 @@ def test_probabilities_of_goals_may_be_given_for_one_agent() -> None:
     [
         (3, "it is 3, expected an object"),
         ({"relations": "friendly"}, "unknown field 'relations'; did you mean 'relation'"),
-        ({"relation": "freindly"}, "unknown relation 'freindly'"),
-        ({"relation": ["friendly"]}, "unknown relation"),
         ({"goals": {"red": BLUE_TO_RED}}, "unknown agent in goals 'red'; did you mean 'red agent'"),
         ({"goals": {"red agent": "win"}}, "unknown goal 'win'"),
-        ({"goals": [BLUE_TO_RED, BLUE_TO_RED]}, "goals is .*, expected an object"),
         ({"relation_probs": {"friendly": 0.4}}, "relation has probabilities of sum 0.4"),
-        ({"relation_probs": {"friendly": -1, "neutral": 2}}, "relation has the probability -1"),
         ({"relation_probs": [1, 0, 0]}, "relation is .1, 0, 0., expected answers with numbers"),
-        ({"relation_probs": {"friendly": "1"}}, "'friendly' has '1', expected a number"),
         ({"answers": {}, "relation": "friendly"}, "unknown field 'relation'"),
         ({"event": "z", "answers": {"relation": "friendly"}}, "is of the event 'z'"),
         ({"probabilities": [0.1, 0.2, 0.7]}, "probabilities of a prediction is .*an object"),

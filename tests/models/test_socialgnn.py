@@ -145,15 +145,6 @@ def test_the_papers_contact_is_being_near_with_no_wall_between() -> None:
     assert not touching(open_scene, moved, "extended")[0, 0, 1]
 
 
-def test_edges_have_a_slot_each_and_two_landmarks_none() -> None:
-    twelve, more = edge_slots("original"), edge_slots("extended")
-    pairs = ((0, 1), (0, 2), (0, 3), (1, 0), (3, 2))
-    assert [int(twelve[pair]) for pair in pairs] == [0, 1, 2, 3, 11]
-    assert (twelve.diagonal() == -1).all()
-    assert sorted(more[more >= 0]) == list(range(12 + 32))
-    assert (more[4:, 4:] == -1).all()
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_graphs_do_not_depend_on_whole_turns_nor_on_the_angles_of_items(variant: Variant) -> None:
     event = walk(0, 1)
@@ -179,26 +170,21 @@ def test_an_example_is_the_event_itself_unless_it_is_asked_for_in_another_look()
             np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("look", range(len(LOOKS)))
-def test_goals_follow_what_is_seen_in_every_look(look: int) -> None:
-    made = Examples([BRINGING], "message_passing")(0, look)
-    red, green = (GOALS[goal] for goal in made.goals)
-    end = made.graphs.nodes[-1]
-    for goal in (red, green):
-        entity, landmark = goal.removeprefix("Get ").split(" to ")
-        node = ("red agent", "green agent", "blue item", "pink item").index(entity)
-        place = 4 + ("blue lm", "green lm", "red lm", "yellow lm").index(landmark)
-        assert np.linalg.norm(end[node, :2] - end[place, :2]) < 0.15
-    # who touched whom beforehand is what is found in the look itself
-    swapped = LOOKS[look].agents
-    item = 2 + LOOKS[look].items
-    assert (8, int(swapped), item) in edges(made.graphs, CONTACT)
-    assert len(edges(made.graphs, CONTACT)) == len(edges(graphs(), CONTACT))
-
-
-def test_there_is_one_look_that_changes_nothing() -> None:
+def test_goals_follow_what_is_seen_in_every_look() -> None:
     assert len(set(LOOKS)) == 20
     assert LOOKS[AS_IT_IS] == ("none", False, False)
+    examples = Examples([BRINGING], "message_passing")
+    for number, look in enumerate(LOOKS):
+        made = examples(0, number)
+        end = made.graphs.nodes[-1]
+        for goal in made.goals:
+            entity, landmark = GOALS[goal].removeprefix("Get ").split(" to ")
+            node = ("red agent", "green agent", "blue item", "pink item").index(entity)
+            place = 4 + ("blue lm", "green lm", "red lm", "yellow lm").index(landmark)
+            assert np.linalg.norm(end[node, :2] - end[place, :2]) < 0.15
+        # who touched whom beforehand is what is found in the look itself
+        assert (8, int(look.agents), 2 + look.items) in edges(made.graphs, CONTACT)
+        assert len(edges(made.graphs, CONTACT)) == len(edges(graphs(), CONTACT))
 
 
 def test_events_without_truth_teach_nothing() -> None:
@@ -208,13 +194,6 @@ def test_events_without_truth_teach_nothing() -> None:
 
 
 # --- learning ----------------------------------------------------------------------------------
-
-
-@needs_torch
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_the_arrays_of_a_network_are_those_that_files_hold(variant: Variant) -> None:
-    arrays = SocialGNN(variant).state_dict()
-    assert {n: tuple(a.shape) for n, a in arrays.items()} == shapes(variant)
 
 
 @needs_torch
@@ -287,20 +266,18 @@ def test_training_that_leads_nowhere_says_so(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @needs_torch
-def test_rare_relations_weigh_more_and_events_one_on_average() -> None:
+def test_the_loss_is_that_of_the_relation_and_of_each_agents_goal_and_rare_ones_weigh_more() -> (
+    None
+):
+    examples = [Examples([walk(0, 1)], "extended")(0)]
+    even = network.Outputs(torch.zeros(1, 3), torch.zeros(1, 2, 36))
+    assert network.loss(even, examples).item() == pytest.approx(np.log(3) + 2 * np.log(36))
+    assert network.loss(even._replace(goals=None), examples).item() == pytest.approx(np.log(3))
     relations = [0, 0, 0, 0, 1, 2, 2, 2]
     weights = network.class_weights(relations).numpy()
     np.testing.assert_allclose(weights, [8 / 12, 8 / 3, 8 / 9])
     assert weights[relations].mean() == pytest.approx(1)
     np.testing.assert_allclose(network.class_weights([0, 0, 2]).numpy(), [0.75, 1, 1.5])
-
-
-@needs_torch
-def test_the_loss_is_that_of_the_relation_and_of_each_agents_goal() -> None:
-    examples = [Examples([walk(0, 1)], "extended")(0)]
-    even = network.Outputs(torch.zeros(1, 3), torch.zeros(1, 2, 36))
-    assert network.loss(even, examples).item() == pytest.approx(np.log(3) + 2 * np.log(36))
-    assert network.loss(even._replace(goals=None), examples).item() == pytest.approx(np.log(3))
 
 
 # --- answers -----------------------------------------------------------------------------------
@@ -312,19 +289,6 @@ def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float
     return store.halved(
         {name: rng.normal(0, 0.3, shape) for name, shape in shapes(variant).items()}
     )
-
-
-def answers(trained: Trained) -> dict[str, NDArray[np.float64]]:
-    return Ensemble(trained)(BRINGING.scene, BRINGING.observation)
-
-
-@needs_torch
-def test_networks_together_say_the_mean_of_their_probabilities() -> None:
-    members = tuple(random_member("extended", seed) for seed in range(3))
-    each = [answers(Trained("extended", (member,))) for member in members]
-    for name, shares in answers(Trained("extended", members)).items():
-        np.testing.assert_allclose(shares, np.mean([one[name] for one in each], axis=0))
-        assert shares.sum() == pytest.approx(1)
 
 
 @needs_torch
@@ -356,19 +320,15 @@ def test_nobody_near_and_nobody_touching_is_answered_too() -> None:
 # --- files -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_networks_come_back_bit_by_bit(variant: Variant, tmp_path: Path) -> None:
-    members = [random_member(variant, seed) for seed in range(2)]
-    store.save(members, tmp_path / f"{variant}.npz")
-    for source in (tmp_path, tmp_path / f"{variant}.npz"):
+def test_networks_come_back_bit_by_bit(tmp_path: Path) -> None:
+    members = [random_member("extended", seed) for seed in range(2)]
+    store.save(members, tmp_path / "extended.npz")
+    for source in (tmp_path, tmp_path / "extended.npz"):
         found = store.load(source)
-        assert found.variant == variant
-        for one, other in zip(found.members, members, strict=True):
-            assert set(one) == set(other)
-            for name, array in one.items():
-                np.testing.assert_array_equal(array, other[name])
-        assert found.digest() == Trained(variant, tuple(members)).digest()
-    assert found.digest() != Trained(variant, tuple(members[:1])).digest()
+        assert found.variant == "extended"
+        np.testing.assert_equal(list(found.members), members)
+        assert found.digest() == Trained("extended", tuple(members)).digest()
+    assert found.digest() != Trained("extended", tuple(members[:1])).digest()
 
 
 @pytest.mark.parametrize(
@@ -415,11 +375,13 @@ def test_what_is_no_file_of_arrays_is_refused_in_a_line(tmp_path: Path) -> None:
         assert len(str(told.value)) < 300 + len(str(tmp_path))
 
 
-def test_a_file_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+def test_files_that_unpack_to_much_and_numbers_too_large_are_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as packed:
         packed.writestr("0/edge.bias.npy", bytes(10**8))
     with pytest.raises(InvalidSettingError, match="unpacks to more than 67108864"):
         store.load(tmp_path / "bomb.npz")
+    with pytest.raises(InvalidSettingError, match="edge holds something else than finite"):
+        store.halved({"edge": np.array([1e6])})
 
 
 def test_a_folder_with_no_weights_or_with_two_is_refused(tmp_path: Path) -> None:
@@ -429,8 +391,3 @@ def test_a_folder_with_no_weights_or_with_two_is_refused(tmp_path: Path) -> None
         store.save([random_member(variant)], tmp_path / f"{variant}.npz")
     with pytest.raises(InvalidSettingError, match=r"several, extended\.npz, original\.npz, .*name"):
         store.load(tmp_path)
-
-
-def test_numbers_too_large_for_half_precision_are_refused() -> None:
-    with pytest.raises(InvalidSettingError, match="edge holds something else than finite"):
-        store.halved({"edge": np.array([1e6])})

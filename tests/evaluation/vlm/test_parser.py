@@ -33,31 +33,27 @@ def test_a_good_answer_is_read_as_it_is() -> None:
     assert parse(text(goal_red=sure)).probabilities["goal_red"][3] == 1
 
 
-@pytest.mark.parametrize(
-    ("given", "repair"),
-    [
-        (f"```json\n{text()}\n```", "code fence removed"),
-        (f"```\n{text()}```\n", "code fence removed"),
-        (f"```json\r\n{text()}\r\n```\r\n", "code fence removed"),
-        (f"Here you are:\n```json\n{text()}\n```\nAny more?", "code fence and text around it"),
-        (text(Goal_Red=goals(), goal_red=None), "'Goal_Red' read as 'goal_red'"),
-        (text(relation=relation(1, 0, 0, "Friendly")), "'Friendly' read as 'friendly'"),
-        (text().replace(GOALS[0], "get blue  item to blue lm"), "read as 'Get blue item to bl"),
-        (text(reasoning="they meet"), "'reasoning' left out"),
-    ],
-)
-def test_what_has_one_meaning_is_repaired_and_noted(given: str, repair: str) -> None:
-    found = parse(given)
-    assert len(found.repairs) == 1
-    assert repair in found.repairs[0]
+REPAIRED = {
+    f"```json\n{text()}\n```": "code fence removed",
+    f"```json\r\n{text()}\r\n```\r\n": "code fence removed",
+    f"```\n{text()}```\n": "code fence removed",
+    f"Here you are:\n```json\n{text()}\n```\nAny more?": "code fence and text around it",
+    text(Goal_Red=goals(), goal_red=None): "'Goal_Red' read as 'goal_red'",
+    text(relation=relation(1, 0, 0, "Friendly")): "'Friendly' read as 'friendly'",
+    text().replace(GOALS[0], "get blue  item to blue lm"): "read as 'Get blue item to bl",
+    text(reasoning="they meet"): "'reasoning' left out",
+}
 
 
-def test_every_repair_is_counted() -> None:
+def test_what_has_one_meaning_is_repaired_and_noted() -> None:
+    for given_answer, expected in REPAIRED.items():
+        (repair,) = parse(given_answer).repairs
+        assert expected in repair
     one, two = goals(), goals(5)
     one["GET BLUE ITEM TO BLUE LM"] = one.pop(GOALS[0])
     two[GOALS[5]] += 0.02
-    given = f"```json\n{text(goal_red=one, goal_green=two, why='so')}\n```"
-    assert len(parse(given).repairs) == 4
+    many = f"```json\n{text(goal_red=one, goal_green=two, why='so')}\n```"
+    assert len(parse(many).repairs) == 4
 
 
 def shares_of(total: float) -> dict[str, float]:
@@ -80,10 +76,8 @@ def test_a_little_that_is_missing_or_too_much_is_shared_out(
     assert values[:10] == pytest.approx(named * np.array(SHARES))
     assert values[10:] == pytest.approx(other)
     assert f"goal_red sums to {repair}" in found.repairs[0]
-
-
-def test_relations_are_scaled_since_none_is_unnamed() -> None:
-    found = parse(text(relation=relation(0.33, 0.33, 0.33)))
+    # relations are scaled, since none is unnamed
+    found = parse(text(relation=relation(0.33, 0.33, 0.33)), remaining)
     assert found.probabilities["relation"] == pytest.approx([1 / 3] * 3)
 
 
@@ -92,23 +86,15 @@ def renamed(name: str) -> dict[str, float]:
 
 
 REFUSED: dict[str, tuple[str, str]] = {
-    "empty": ("", "is empty"),
-    "an empty fence": ("```json\n\n```", "is empty"),
     "a refusal": ("I'm sorry, I cannot help with that.", r"not JSON.*it begins \"I'm sorry"),
-    "a refusal like a pickle": ("cannot\n", "not JSON"),
     "spaces for ever": ("```" + " " * 1_000_000 + "x", "not JSON"),  # in no time
     "cut": (text()[:200], "not JSON: line 1"),
-    "text before": (f"Here you are: {text()}", "not JSON"),
     "two fences": (f"```json\n{text()}\n```\nor\n```json\n{text()}\n```", "2 blocks of code"),
     "a list": ("[1, 2]", "expected a JSON object"),
     "nested deeply": ("[" * 100_000, "nested too deeply|not JSON"),
     "NaN": (text().replace("0.4", "NaN", 1), "holds NaN"),
     "infinity": (text().replace("0.4", "1e999", 1), "holds 1e999"),
     "a goal twice": (text().replace(GOALS[1], GOALS[0], 1), f"gives '{GOALS[0]}' twice"),
-    "a goal twice in other letters": (
-        text(goal_red=renamed(GOALS[1].upper())),
-        f"goal_red gives '{GOALS[1]}' twice",
-    ),
     "a question twice": (text(Goal_red=goals()), "gives goal_red twice"),
     "no relation": (text(relation=None), "lacks relation; it has 'goal_red', 'goal_green'"),
     "nothing in it": ("{}", "lacks goal_red, goal_green, relation; it has nothing"),
@@ -116,11 +102,6 @@ REFUSED: dict[str, tuple[str, str]] = {
     "nine goals": (
         text(goal_red=dict(list(goals().items())[1:])),
         "goal_red has 9 entries, expected exactly 10",
-    ),
-    "eleven goals": (text(goal_green={**goals(), GOALS[20]: 0}), "goal_green has 11 entries, exp"),
-    "two relations": (
-        text(relation={"friendly": 0.5, "neutral": 0.5}),
-        "relation has 2 entries, expected exactly 3",
     ),
     "an unknown goal": (
         text(goal_red=renamed("Get blue ball to blue lm")),
@@ -130,11 +111,8 @@ REFUSED: dict[str, tuple[str, str]] = {
         text(relation=relation(0.5, 0.3, 0.2, "hostile")),
         "unknown relation 'hostile'; allowed",
     ),
-    "negative": (text(goal_red=goals() | {GOALS[9]: -0.01}), r"has -0\.01, expected a number"),
     "percent": (text(goal_red=goals() | {GOALS[0]: 40}), "has 40, expected a number from 0 to 1"),
-    "text for a number": (text(goal_red=goals() | {GOALS[0]: "0.4"}), "has '0.4', expected"),
     "true for a number": (text(goal_red=goals() | {GOALS[0]: True}), "has True, expected"),
-    "null for a number": (text(goal_red=goals() | {GOALS[0]: None}), "has None, expected"),
     "sums far below 1": (text(goal_red=shares_of(0.9)), "goal_red sums to 0.9, expected 1"),
     "relations beyond 1": (text(relation=relation(1, 0.5, 0)), "relation sums to 1.5"),
     "half a character": (text(goal_red=renamed("\ud800")), "unknown goal"),
