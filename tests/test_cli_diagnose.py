@@ -24,15 +24,17 @@ def folder(tmp_path: Path) -> Path:
     return out
 
 
-def test_a_file_and_its_folder_print_the_same_table(folder: Path, capsys: Capture) -> None:
+def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys: Capture) -> None:
     printed = told(capsys, "diagnose", folder)
     assert told(capsys, "diagnose", folder / "posterior.nc") == printed
     for word in ("accepted", "windows", "log joint", "goal red", "scenario", "verdict"):
         assert f"\n{word}" in printed
-    assert max(map(len, printed.splitlines())) <= 88
+    said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
+    post = Posterior.load(folder / "posterior.nc", "likelihood")
+    assert json.loads(said) == post.diagnostics()
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (15, 6), (4, 123)])
+@pytest.mark.parametrize("shape", [(1, 1), (4, 123)])
 def test_the_table_has_at_most_88_columns(shape: tuple[int, int]) -> None:
     found = Posterior(random_tree(7, *shape)).diagnostics()
     assert max(map(len, table("an event with a long name " * 9, found).splitlines())) <= 88
@@ -49,12 +51,6 @@ def test_numbers_of_the_table_are_those_of_the_diagnostics() -> None:
     assert label in row
     numbers = [entry[name] for name in ("probability", "share", "mcse", "ess", "r_hat")]
     np.testing.assert_allclose([float(x) for x in row.split()[-5:]], numbers, atol=0.5)
-
-
-def test_json_is_the_diagnostics_under_the_weights_asked_for(folder: Path, capsys: Capture) -> None:
-    said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
-    post = Posterior.load(folder / "posterior.nc", "likelihood")
-    assert json.loads(said) == post.diagnostics()
 
 
 def test_figures_are_written_to_a_new_folder(folder: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
+
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from tests.analysis.factory import random_tree
+from tests.analysis.readings import reading
 
 STEPS = {
     "import phase_ppl as ppl": "numpy pandas xarray numba jax numpyro arviz matplotlib torch",
     "try: ppl.cli.main(['--help'])\nexcept SystemExit: pass": "pandas xarray numba jax matplotlib",
     "import phase_ppl.render, phase_ppl.dataset": (
         "pandas xarray numba jax numpyro arviz matplotlib torch"
+    ),
+    "for name in ('a.nc', 'b.nc'):\n"
+    "    ppl.cli.main(['query', name, 'P(relation=friendly)', 'hdi strength_red'])": (
+        "arviz jax matplotlib numba numpyro pymunk scipy.stats torch"
     ),
     "import phase_ppl.study, phase_ppl.cli.commands, phase_ppl.evaluation.experiments": (
         "starlette uvicorn websockets markdown_it"
@@ -22,7 +32,9 @@ STEPS = {
 """What is done, one after the other in a process, and what is not loaded then."""
 
 
-def test_each_step_loads_no_more_than_it_needs() -> None:
+def test_each_step_loads_no_more_than_it_needs(tmp_path: Path) -> None:
+    Posterior(random_tree()).save(tmp_path / "a.nc")
+    StepwisePosterior(reading()).save(tmp_path / "b.nc")
     script = "import sys\n"
     for done, heavy in STEPS.items():
         script += f"{done}\nfound = set({heavy.split()}) & set(sys.modules)\n"
@@ -31,6 +43,7 @@ def test_each_step_loads_no_more_than_it_needs() -> None:
             script += "assert not [name for name in sys.modules if name.startswith('phase_ppl.')]\n"
             script += "import phase_ppl.cli\n"
     command = [sys.executable, "-c", script]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
+    assert run.stdout.count("P(relation=friendly) = ") == 2
     assert "last_frame: 1 of 1 events" in run.stdout

@@ -187,13 +187,12 @@ class Run:
 
     def check(self, iterations: int | None, budget: Budget | None) -> None:
         """Make the kernel and trace a step of it, with nothing simulated."""
-        kernel = make_kernel(self.recipe, self.data(0, unread=True))
+        data = self.data(0, unread=True)
+        kernel = make_kernel(self.recipe, data)
         Length.of(kernel, self.info, self.chains, iterations, budget, self.n_frames)
-        # one program: NumPyro's own kernels are made ready by init
-        jax.eval_shape(
-            lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}),
-            random.split(random.key(0), self.chains),
-        )
+        init, step = compiled(self.recipe)  # what is traced here is not traced again by the run
+        keys = random.split(random.key(0), self.chains)
+        step.shapes(init.shapes(keys, data), data)
 
 
 def check_event(given: object) -> None:

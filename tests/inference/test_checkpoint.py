@@ -24,6 +24,7 @@ from phase_ppl.inference import checkpoint, sampler
 from phase_ppl.inference.checkpoint import Checkpoint, read_archive, write_archive
 from phase_ppl.world import identity
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
+from phase_ppl.world.files import locked
 from tests.inference.runs import EVENT, MODEL, OPTIONS, assert_same_draws, infer, stops_at
 from tests.inference.toy import walkers, walking_event
 
@@ -57,13 +58,12 @@ def path(tmp_path: Path, finished: bytes) -> Path:
 # --- going on --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_finished_run_is_extended_to_what_a_longer_one_gives(
-    path: Path, whole: ppl.Posterior, workers: int
+def test_a_finished_run_is_extended_by_any_workers_to_what_a_longer_one_gives(
+    path: Path, whole: ppl.Posterior
 ) -> None:
     before = Checkpoint(path)
     rivals = sum(record.iteration > before.done for record in before.records)
-    longer = resume(path, iterations=4, workers=workers)
+    longer = resume(path, iterations=4, workers=2)
     assert_same_draws(whole.tree, longer.tree)
     assert longer.settings == whole.settings
     assert longer.cost["simulations"] == whole.cost["simulations"] + rivals
@@ -156,17 +156,14 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
 
 
 def test_records_keep_their_trajectories_in_single_precision(path: Path) -> None:
-    arrays = read_archive(path)[1]
-    saved = Checkpoint(path)
+    arrays, results = read_archive(path)[1], [record.result for record in Checkpoint(path).records]
     assert arrays["records/trajectory"].dtype == np.float32
-    assert len(arrays["records/trajectory"]) == sum(
-        r.result.frames_simulated for r in saved.records
-    )
-    for record in saved.records:
-        n = record.result.frames_simulated
-        assert np.isfinite(record.result.trajectory[:n]).all()
-        assert np.isnan(record.result.trajectory[n:]).all()
-        assert np.isinf(record.result.errors[n:]).all()
+    assert len(arrays["records/trajectory"]) == sum(r.frames_simulated for r in results)
+    for result in results:
+        n = result.frames_simulated
+        assert np.isfinite(result.trajectory[:n]).all()
+        assert np.isnan(result.trajectory[n:]).all()
+        assert np.isinf(result.errors[n:]).all()
 
 
 # --- another run -----------------------------------------------------------------------------
@@ -190,14 +187,12 @@ OTHERS: list[tuple[dict[str, Any], str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("given", "message"), OTHERS)
-def test_what_is_another_run_is_refused_and_the_file_left_alone(
-    given: dict[str, Any], message: str, path: Path
-) -> None:
+def test_what_is_another_run_is_refused_and_the_file_left_alone(path: Path) -> None:
     before = path.read_bytes()
-    with pytest.raises(InvalidSettingError, match=message):
-        resume(path, **given)
-    assert path.read_bytes() == before
+    for given, message in OTHERS:
+        with pytest.raises(InvalidSettingError, match=message):
+            resume(path, **given)
+        assert path.read_bytes() == before
 
 
 def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
@@ -205,23 +200,23 @@ def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
 
     path = tmp_path / "run.ckpt"
     infer(kernel=PriorMH(), iterations=1, weights="count", checkpoint=path)
-    with pytest.raises(InvalidSettingError, match=r"kernel prior_mh was given as an object"):
+    with pytest.raises(InvalidSettingError, match="kernel prior_mh was given as an object"):
         resume(path)
-    with pytest.raises(InvalidSettingError, match=r"_early_reject is False, was True"):
+    with pytest.raises(InvalidSettingError, match="_early_reject is False, was True"):
         resume(path, kernel=PriorMH(early_reject=False))
     assert resume(path, kernel=PriorMH()).tree["posterior"].sizes["draw"] == 1
 
 
-@pytest.mark.parametrize("name", ["run.ckpt", "nowhere/run.ckpt", "run.npz"])
 def test_a_file_that_exists_or_cannot_be_written_is_refused_at_once(
-    name: str, path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sampler, "Runner", stops_at(0))
     before = path.read_bytes()
-    with pytest.raises(OutputError, match="run"):
-        infer(checkpoint=path.parent / name)
-    assert path.read_bytes() == before
-    assert list(path.parent.iterdir()) == [path]
+    for name in ("run.ckpt", "nowhere/run.ckpt", "run.npz"):
+        with pytest.raises(OutputError, match="run"):
+            infer(checkpoint=path.parent / name)
+        assert path.read_bytes() == before
+        assert list(path.parent.iterdir()) == [path]
 
 
 def test_a_full_disk_ends_the_run_but_loses_nothing(
@@ -287,6 +282,12 @@ def odd_frames(document: dict[str, Any], arrays: dict[str, Any]) -> None:
     arrays["records/frames_simulated"] = arrays["records/frames_simulated"] * 1000
 
 
+def no_numbers(document: dict[str, Any], arrays: dict[str, Any]) -> None:
+    state = {name: a for name, a in arrays.items() if name.startswith("state/")}
+    name = next(name for name, array in state.items() if array.dtype.kind == "f")
+    arrays[name] = np.full_like(arrays[name], np.nan)
+
+
 HOSTILE: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda content: b"",
     "text": lambda content: b"a run",
@@ -302,6 +303,12 @@ HOSTILE: dict[str, Callable[[bytes], bytes]] = {
     "lists": rewritten(lambda run, arrays: run.update(identity=[], spent=[])),
     "odd frames": rewritten(odd_frames),
     "odd kind": rewritten(lambda run, arrays: run["state"][-1].__setitem__(1, "magic")),
+    "odd settings": rewritten(lambda run, arrays: run["again"].update(settings={"x": 1})),
+    "list of settings": rewritten(lambda run, arrays: run["again"].update(settings=[3])),
+    "no target": rewritten(lambda run, arrays: run.update(target={})),
+    "no failures": rewritten(lambda run, arrays: run.update(failures={})),
+    "odd versions": rewritten(lambda run, arrays: run.update(versions=3)),
+    "no numbers": rewritten(no_numbers),
 }
 
 
@@ -311,8 +318,10 @@ def test_a_foreign_or_hostile_file_is_one_clear_error(
 ) -> None:
     content = make(path.read_bytes())
     path.write_bytes(content)
-    with pytest.raises(InvalidEventError, match=r"run.ckpt is no checkpoint, or a damaged one"):
-        resume(path)
+    said = r"run.ckpt is no checkpoint, or a damaged one"
+    with pytest.raises(InvalidEventError, match=said) as raised:
+        resume(path, iterations=3)
+    assert "\n" not in str(raised.value)
     assert path.read_bytes() == content
     path.unlink()
     with pytest.raises(InvalidEventError, match=r"run.ckpt: no such file"):
@@ -333,7 +342,7 @@ def test_unpickling_never_happens(path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_truncated_file_is_noticed_wherever_it_was_cut(path: Path) -> None:
     content = path.read_bytes()
-    for length in np.linspace(0, len(content) - 1, 60).astype(int):
+    for length in np.linspace(0, len(content) - 1, 30).astype(int):
         path.write_bytes(content[:length])
         with pytest.raises(InvalidEventError, match="damaged"):
             Checkpoint(path)
@@ -343,7 +352,7 @@ def test_a_damaged_file_is_noticed_or_means_the_same(path: Path) -> None:
     content = path.read_bytes()
     document, arrays = read_archive(path)
     noticed = 0
-    for position in np.random.default_rng(0).integers(len(content), size=150):
+    for position in np.random.default_rng(0).integers(len(content), size=60):
         changed = bytearray(content)
         changed[position] ^= 0x55
         path.write_bytes(changed)
@@ -355,7 +364,7 @@ def test_a_damaged_file_is_noticed_or_means_the_same(path: Path) -> None:
         # a date, or another number of the container that nobody reads
         assert again == document
         np.testing.assert_equal(other, arrays)
-    assert noticed > 100
+    assert noticed > 40
 
 
 # --- other versions, and two at once ---------------------------------------------------------
@@ -386,19 +395,8 @@ def test_a_run_is_not_gone_on_with_by_another_version_unless_told_to(
     assert "earlier_versions" not in whole.tree.attrs
 
 
-def test_two_processes_do_not_work_on_one_file(tmp_path: Path, path: Path) -> None:
-    holder = f"""
-from phase_ppl.world.files import locked
-with locked({str(path)!r}):
-    print("held", flush=True)
-    input()
-"""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", holder], env=environment, **pipes) as other:  # type: ignore[call-overload]
-        assert other.stdout.readline() == b"held\n"
-        with pytest.raises(OutputError, match=r"another process is at work in .*run\.ckpt"):
-            resume(path, iterations=3)
-        other.kill()
+def test_two_do_not_work_on_one_file_at_once(path: Path) -> None:
+    with locked(path), pytest.raises(OutputError, match=r"another process is at work in .*run\.c"):
+        resume(path, iterations=3)
     resume(path, iterations=3)
-    assert list(tmp_path.iterdir()) == [path]
+    assert list(path.parent.iterdir()) == [path]

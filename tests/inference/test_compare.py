@@ -30,6 +30,7 @@ from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import ALPHAS, RELATION_TABLE, RELATIONS, Hypothesis
 from phase_ppl.world.scene import Scene
+from tests.inference.runs import EVENT, MODEL, infer
 from tests.inference.toy import (
     ALPHA_CODES,
     ALPHA_MASS,
@@ -43,8 +44,6 @@ from tests.inference.toy import (
     walking_event,
 )
 
-EVENT = walking_event()
-MODEL = ppl.Model(simulator=walkers)
 KERNELS = {"early": "prior_mh", "whole": ("prior_mh", {"early_reject": False})}
 SETTINGS: dict[str, Any] = {
     "kernels": KERNELS,
@@ -59,9 +58,7 @@ SETTINGS: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def reference() -> ppl.Posterior:
-    return ppl.infer(
-        EVENT, MODEL, kernel="prior_mh", chains=4, iterations=5, workers=1, progress=False
-    )
+    return infer(iterations=5, seed=0)
 
 
 def compare(reference: Any, **options: Any) -> ppl.Comparison:
@@ -73,39 +70,38 @@ def found(reference: ppl.Posterior) -> ppl.Comparison:
     return compare(reference)
 
 
+def assert_same_runs(one: ppl.Comparison, other: ppl.Comparison) -> None:
+    for table in ("runs", "curve"):
+        untimed = [getattr(each, table).filter(regex="^(?!.*second)") for each in (one, other)]
+        pd.testing.assert_frame_equal(*untimed)
+
+
 def test_shards_make_the_comparison_of_one_process(
     found: ppl.Comparison, reference: ppl.Posterior, tmp_path: Path
 ) -> None:
-    def shard(name: str, **options: Any) -> Path:
-        (tmp_path / name).mkdir(exist_ok=True)
-        compare(reference, checkpoint=tmp_path / name / "comparison.json", **options)
-        return tmp_path / name
+    def shard(which: str, **options: Any) -> Path:
+        folder = tmp_path / which[0]
+        folder.mkdir(exist_ok=True)
+        compare(reference, checkpoint=folder / "comparison.json", shard=which, **options)
+        return folder
 
-    folders = [shard(f"{i}", shard=f"{i}/3") for i in (1, 2, 3)]
+    folders = [shard(f"{i}/3") for i in (1, 2, 3)]
     merged = ppl.merge(folders[::-1], tmp_path / "all")
     assert isinstance(merged, ppl.Comparison)
     assert merged.settings == found.settings
-    timed = [name for name in found.runs if "second" in name]
-    again = ppl.Comparison.load(tmp_path / "all" / "comparison.json")
-    for one in (merged, again):
-        pd.testing.assert_frame_equal(one.runs.drop(columns=timed), found.runs.drop(columns=timed))
-        curves = [each.curve.filter(regex="^(?!.*second)") for each in (one, found)]
-        pd.testing.assert_frame_equal(*curves)
+    for one in (merged, ppl.Comparison.load(tmp_path / "all" / "comparison.json")):
+        assert_same_runs(one, found)
     with pytest.raises(InvalidSettingError, match="the shard 2/3 is missing"):
         ppl.merge(folders[::2], tmp_path / "less")
-    with pytest.raises(InvalidSettingError, match="made with another shard: '1/3', not '2/3'"):
-        shard("1", shard="2/3")
     with pytest.raises(InvalidSettingError, match="made with another repeats: 2, not 3"):
-        shard("1", shard="1/3", repeats=3)
+        shard("1/3", repeats=3)
     kept = ppl.Comparison.load(folders[0] / "comparison.json")
-    cut = dataclasses.replace(kept, runs=kept.runs[:1])
-    cut.save(folders[0] / "comparison.json")
+    dataclasses.replace(kept, runs=kept.runs[:1]).save(folders[0] / "comparison.json")
     with pytest.raises(InvalidEventError, match="1 is not finished: 1 of 2 runs"):
         ppl.merge(folders, tmp_path / "less")
 
 
 def test_every_kernel_runs_every_repeat_within_the_budget(found: ppl.Comparison) -> None:
-    assert found.kernels == list(KERNELS)
     expected = list(itertools.product(KERNELS, range(2)))
     assert list(zip(found.runs["kernel"], found.runs["repeat"], strict=True)) == expected
     assert (found.runs["simulations"] == 24).all()
@@ -114,14 +110,11 @@ def test_every_kernel_runs_every_repeat_within_the_budget(found: ppl.Comparison)
     seeds = found.runs.pivot(index="repeat", columns="kernel", values="seed")
     assert (seeds["early"] == seeds["whole"]).all()
     assert seeds["early"].nunique() == 2
-    assert "early" in str(found)
-    assert "TV goals" in str(found)
+    assert all(words in str(found) for words in ("early", "TV goals", "equal are the simulations"))
     assert found.settings["budget"] == "24 simulations"
     assert found.settings["kernels"]["whole"]["options"] == {"early_reject": False}
     assert "given posterior" in found.settings["reference"]["description"]
-
-
-def test_kernels_that_make_the_same_draws_measure_the_same(found: ppl.Comparison) -> None:
+    # they make the same draws, and so measure the same
     same = found.runs.drop(columns=["kernel", "seconds", "frames"])
     one, other = (same[found.runs["kernel"] == name].reset_index(drop=True) for name in KERNELS)
     assert one.equals(other)
@@ -132,22 +125,15 @@ def test_kernels_that_make_the_same_draws_measure_the_same(found: ppl.Comparison
 
 def test_a_run_can_be_made_again_by_infer(found: ppl.Comparison, reference: ppl.Posterior) -> None:
     run = found.runs.iloc[1]
-    post = ppl.infer(
-        EVENT, MODEL, kernel="prior_mh", chains=4, budget=ppl.simulations(24),
-        seed=int(run["seed"]), workers=1, progress=False,
-    )  # fmt: skip
+    post = infer(iterations=None, budget=ppl.simulations(24), seed=int(run["seed"]))
     post = ppl.Posterior(post.tree, "count")
-    truth = EVENT.truth
-    assert truth is not None
-    assert run["p_relation"] == post.probability(relation=truth.relation)
+    assert EVENT.truth is not None
+    assert run["p_relation"] == post.probability(relation=EVENT.truth.relation)
     apart = [
         0.5 * np.abs(post.marginal(name).values - reference.marginal(name).values).sum()
         for name in ("goal_red", "goal_green")
     ]
     assert run["tv_goals"] == pytest.approx(np.mean(apart))
-
-
-def test_curve_ends_where_the_runs_do(found: ppl.Comparison) -> None:
     ends = found.curve.groupby(["kernel", "repeat"]).tail(1).reset_index(drop=True)
     for name in ("tv_goals", "p_goals", "map_relation", "simulations", "frames"):
         np.testing.assert_allclose(ends[name], found.runs[name])
@@ -162,22 +148,25 @@ def test_weights_and_an_event_without_truth_can_be_asked_for(
     few = {"reference": reference, "repeats": 1, "kernels": ["prior_mh"], "progress": True}
     other = ppl.compare(event, MODEL, **{**SETTINGS, **few}, weights="likelihood")
     assert other.settings["weights"] == "likelihood"
-    assert other.runs["tv_goals"][0] != found.runs["tv_goals"][0]
+    assert 0 <= other.runs["tv_goals"][0] != found.runs["tv_goals"][0]
     assert other.runs["p_goals"].isna().all()
-    assert other.runs["tv_goals"].notna().all()
     assert "P(goals)" not in str(other)
     written = capsys.readouterr()
     assert "2/2" in written.err, "it counts runs"
     assert written.out == ""
 
 
-def test_kernel_may_be_a_reference() -> None:
-    few: dict[str, Any] = {"repeats": 1, "kernels": ["prior_mh"]}
-    said = compare(("prior_mh", {"iterations": 7}), **few).settings["reference"]
+def test_a_kernel_may_be_the_reference_and_equal_budgets_are_equal_in_what_was_spent() -> None:
+    found = compare(("prior_mh", {"iterations": 7}), budget=ppl.frames(1000), repeats=1)
+    said = found.settings["reference"]
     assert "prior_mh, 7" in said["description"]
     assert said["simulations"] >= 4 * 8
     assert 0 < said["error"]["tv_goals"] <= 1
-    assert compare("prior_mh", **few).settings["reference"]["simulations"] == 240
+    assert (found.runs["frames"] >= 1000).all()
+    assert found.runs["simulations"][0] > found.runs["simulations"][1]
+    assert "equal are the frames" in str(found)
+    long = Reference.asked_for("prior_mh", EVENT, ppl.frames(30), 4, ppl.SimpleSettings(), "count")
+    assert long.record()["kernel"]["length"] == {"budget": "300 frames"}, "by default ten times"
 
 
 # --- checkpoint and Ctrl-C ---------------------------------------------------------------------
@@ -220,26 +209,24 @@ def test_interrupt_keeps_finished_runs_and_a_checkpoint_goes_on_from_them(
     for _ in range(2):
         again = compare(reference, checkpoint=path)
         assert len(calls) == 1
-    assert again.runs.drop(columns="seconds").equals(found.runs.drop(columns="seconds"))
-    assert again.curve.equals(found.curve)
+    assert_same_runs(again, found)
     assert ppl.Comparison.load(path).runs.equals(again.runs)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"seed": 6}, "another seed"),
-        ({"budget": ppl.simulations(28)}, "another budget"),
-        ({"kernels": {"early": ("prior_mh", {"early_reject": False})}}, "kernel 'early'"),
-        ({"reference": "prior_mh"}, "another reference"),
-    ],
-)
-def test_checkpoint_of_other_settings_or_damaged_is_refused(
-    change: dict[str, Any], message: str, tmp_path: Path, found: ppl.Comparison, reference: Any
+def test_a_checkpoint_of_other_settings_or_damaged_is_refused(
+    tmp_path: Path, found: ppl.Comparison, reference: ppl.Posterior
 ) -> None:
     path = found.save(tmp_path / "runs.json")
-    with pytest.raises(InvalidSettingError, match=message):
-        compare(**{"reference": reference, "checkpoint": path, **change})
+    changes: list[tuple[str, dict[str, Any]]] = [
+        ("another seed", {"seed": 6}),
+        ("another budget", {"budget": ppl.simulations(28)}),
+        ("kernel 'early'", {"kernels": {"early": KERNELS["whole"]}}),
+        ("another reference", {"reference": "prior_mh"}),
+        ("another shard: None, not '1/3'", {"shard": "1/3"}),
+    ]
+    for message, change in changes:
+        with pytest.raises(InvalidSettingError, match=message):
+            compare(**{"reference": reference, "checkpoint": path, **change})
     path.write_text('{"schema": "phase-ppl-comparison-1", "runs"')
     with pytest.raises(InvalidEventError, match="no comparison"):
         compare(reference, checkpoint=path)
@@ -271,8 +258,6 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"kernels": {"pairs": even_only}, "chains": 5}, REFUSED, "pairs: .*5 chains.*must be even"),
     ({"budget": ppl.simulations(7)}, REFUSED, "early: .*too small"),
     ({"budget": 24}, REFUSED, "budget=24"),
-    ({"repeats": 0}, REFUSED, "repeats=0"),
-    ({"seed": -1}, REFUSED, "seed=-1"),
     ({"weights": "counts"}, UNKNOWN, "count"),
     ({"kernels": {"a": ("prior_mh", {"seed": 3})}}, REFUSED, "same for all"),
     ({"kernels": [("prior_mh", 3)]}, REFUSED, "is no kernel"),
@@ -294,9 +279,7 @@ def test_what_cannot_run_is_refused_before_anything_is_simulated(
         ppl.compare(EVENT, model, **{**SETTINGS, "reference": "prior_mh", **wrong})
 
 
-def test_reference_of_another_event_is_refused_and_chains_may_be_ones_own(
-    reference: ppl.Posterior,
-) -> None:
+def test_chains_may_be_ones_own(reference: ppl.Posterior) -> None:
     with pytest.raises(InvalidEventError, match="another event"):
         ppl.compare(walking_event(9), MODEL, **{**SETTINGS, "reference": reference})
     (pairs,) = entries({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
@@ -330,11 +313,11 @@ def exact_pairs() -> np.ndarray:
 
 def test_affordable_enumeration_is_exact_and_the_default_reference() -> None:
     exact = exact_pairs()
-    for noise in ("fresh", "fixed"):
-        model = ppl.Model(prior=few_goals, simulator=straight, noise=noise)  # type: ignore[arg-type]
-        plan = plan_enumeration(model)
-        assert len(plan.pairs) == np.count_nonzero(exact)
-        found = enumerate_goals(EVENT, model, plan, workers=1)
+    model = ppl.Model(prior=few_goals, simulator=straight)
+    plan = plan_enumeration(model)
+    assert len(plan.pairs) == np.count_nonzero(exact)
+    for one in (model, dataclasses.replace(model, noise="fixed")):
+        found = enumerate_goals(EVENT, one, plan, workers=1)
         np.testing.assert_allclose(found.probability, exact, atol=1e-4)
         np.testing.assert_allclose(found.halves[:, 0], found.halves[:, 1], atol=1e-6)
         assert found.simulations == 4 * len(plan.pairs)
@@ -344,19 +327,16 @@ def test_affordable_enumeration_is_exact_and_the_default_reference() -> None:
     assert reference["description"].startswith("enumeration of")
     for name, expected in of_pairs(exact).items():
         np.testing.assert_allclose(reference["marginals"][name], expected, atol=1e-4)
+    more = Reference.asked_for(
+        ("enumeration", {"per_pair": 6}), EVENT, budget, 4, settings, "count"
+    )
+    by_chance = dataclasses.replace(model, simulator=walkers)
+    reference = reference_of(more, EVENT, by_chance, seed=0, workers=1)
+    assert "6 simulations each" in reference["description"]
+    assert reference["simulations"] == 6 * len(plan.pairs)
+    assert 0 < reference["error"]["tv_goals"] < 1
     friendly = exact[RELATIONS.index("friendly") == RELATION_TABLE].sum()
     assert of_pairs(exact)["relation"][RELATIONS.index("friendly")] == pytest.approx(friendly)
-
-
-def test_equal_budgets_are_equal_in_what_was_spent(found: ppl.Comparison) -> None:
-    assert (found.runs["frames"] <= 14 * found.runs["simulations"]).all()
-    assert "equal are the simulations" in str(found)
-    found = compare("prior_mh", budget=ppl.frames(1000), repeats=1)
-    assert (found.runs["frames"] >= 1000).all()
-    early, whole = found.runs["simulations"]
-    assert early > whole
-    assert "equal are the frames" in str(found)
-    assert found.settings["reference"]["simulations"] > 500
 
 
 def test_the_reference_of_a_table_is_its_sum() -> None:
@@ -375,36 +355,22 @@ def test_the_reference_of_a_table_is_its_sum() -> None:
     np.testing.assert_allclose(said["marginals"]["relation"], exact.marginal("relation"))
 
 
-def noisy_masses(rng: np.random.Generator, sd: float, repeats: int) -> tuple[Any, Any, Any]:
-    """Pairs, their log masses as simulations with so much noise have them, and the posterior."""
-    pairs = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
-    level = rng.normal(0, 4, (2, 36))
-    log_mass = level[0, pairs[:, 0]] + level[1, pairs[:, 1]] + rng.normal(0, 1, len(pairs))
-    exact = np.zeros((36, 36))
-    exact[tuple(pairs.T)] = np.exp(log_mass - log_mass.max())
-    return pairs, log_mass[:, None] + rng.normal(0, sd, (len(pairs), repeats)), exact / exact.sum()
-
-
-@pytest.mark.parametrize("sd", [0.3, 2.0, 5.8])
+@pytest.mark.parametrize("sd", [0.3, 5.8])
 def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
+    pairs = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
     rng = np.random.default_rng(4)
     true, stated = [], []
     for _ in range(40):
-        pairs, log_mass, exact = noisy_masses(rng, sd, 4)
-        found = of_masses(pairs, log_mass)
+        level = rng.normal(0, 4, (2, 36))
+        log_mass = level[0, pairs[:, 0]] + level[1, pairs[:, 1]] + rng.normal(0, 1, len(pairs))
+        exact = np.zeros((36, 36))
+        exact[tuple(pairs.T)] = np.exp(log_mass - log_mass.max())
+        exact /= exact.sum()
+        # as four simulations with so much noise have them
+        found = of_masses(pairs, log_mass[:, None] + rng.normal(0, sd, (len(pairs), 4)))
         error = error_of([(of_pairs(one), of_pairs(other)) for one, other in found.halves])
         assert error is not None
         true.append(distances(of_pairs(found.probability), of_pairs(exact))["tv_goals"])
         stated.append(error["tv_goals"])
     assert np.mean(np.less(true, stated)) >= 0.7
     assert np.mean(true) < np.mean(stated) < 2.5 * np.mean(true)
-
-
-def test_more_simulations_of_a_pair_can_be_asked_for() -> None:
-    model = ppl.Model(prior=few_goals, simulator=walkers)
-    asked = {"reference": ("enumeration", {"per_pair": 6}), "repeats": 1, "kernels": ["prior_mh"]}
-    found = ppl.compare(EVENT, model, **{**SETTINGS, **asked})
-    said = found.settings["reference"]
-    assert "6 simulations each" in said["description"]
-    assert said["simulations"] == 6 * len(plan_enumeration(model).pairs)
-    assert 0 < said["error"]["tv_goals"] < 1

@@ -46,49 +46,41 @@ def failed(post: ppl.Posterior) -> Any:
     return post.tree["simulations"]["failed"].values
 
 
-@pytest.fixture(scope="module")
-def rejecting() -> ppl.Posterior:
-    return infer()
+def words(post: ppl.Posterior) -> str:
+    return " ".join(str(post).split())
 
 
-@pytest.fixture(scope="module")
-def retrying() -> ppl.Posterior:
-    return infer(on_failure="retry", retries=2)
+def test_rejected_simulations_have_no_likelihood_and_are_counted() -> None:
+    post = infer()
+    n = int(failed(post).sum())
+    assert post.cost["failures"] == n > 0
+    assert post.cost["retries"] == 0
+    log_likelihood = post.tree["simulations"]["log_likelihood"].values
+    assert np.isneginf(log_likelihood[failed(post)]).all()
+    assert np.isfinite(post.tree["sample_stats"]["log_joint"]).all()
+    assert post.settings["on_failure"] == "reject"
+    assert f"{n} failed" in words(post)
 
 
-def test_rejected_simulations_have_no_likelihood_and_are_counted(rejecting: ppl.Posterior) -> None:
-    n = int(failed(rejecting).sum())
-    assert rejecting.cost["failures"] == n > 0
-    assert rejecting.cost["retries"] == 0
-    log_likelihood = rejecting.tree["simulations"]["log_likelihood"].values
-    assert np.isneginf(log_likelihood[failed(rejecting)]).all()
-    assert np.isfinite(rejecting.tree["sample_stats"]["log_joint"]).all()
-    assert rejecting.settings["on_failure"] == "reject"
-    assert f"{n} failed" in str(rejecting).replace("\n             ", " ")
-
-
-def test_retrying_is_counted_and_told_and_saves_what_only_slipped(retrying: ppl.Posterior) -> None:
-    cost, simulations = retrying.cost, retrying.tree["simulations"].dataset
+def test_retrying_saves_what_only_slipped_and_is_the_same_after_a_rest(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"on_failure": "retry", "retries": 2}
+    post = infer(**options)
+    cost, simulations = post.cost, post.tree["simulations"].dataset
     assert cost["retries"] > 0
     assert cost["simulations"] == len(simulations["seed"]) + cost["retries"]
-    weak = simulations["strength_red"].values < 220
-    assert failed(retrying)[weak].all()
-    assert cost["failures"] == cost["retries"] + failed(retrying).sum()
-    assert retrying.settings["retries"] == 2
-    words = str(retrying).replace("\n             ", " ")
-    assert f"{cost['failures']} failed, {cost['retries']} run again" in words
+    assert cost["failures"] == cost["retries"] + failed(post).sum()
+    assert f"{cost['failures']} failed, {cost['retries']} run again" in words(post)
+    assert post.settings["retries"] == 2
+    assert failed(post)[simulations["strength_red"].values < 220].all()
     weak = simulations["strength_green"].values < 350
     slips = [random_generator(seed).integers(2) == 1 for seed in simulations["seed"].values]
     assert (weak & slips & simulations["completed"].values).any()
-
-
-def test_retries_give_the_same_draws_after_a_rest(retrying: ppl.Posterior, tmp_path: Path) -> None:
     path = tmp_path / "run.ckpt"
-    infer(on_failure="retry", retries=2, iterations=1, checkpoint=path)
+    infer(**options, iterations=1, checkpoint=path)
     longer = ppl.resume(path, EVENT, MODEL, iterations=4, workers=1, progress=False)
-    assert_same_draws(retrying.tree, longer.tree)
-    assert longer.settings == retrying.settings
-    assert longer.cost["retries"] >= retrying.cost["retries"]  # of rivals of the first answer too
+    assert_same_draws(post.tree, longer.tree)
+    assert longer.settings == post.settings
+    assert longer.cost["retries"] >= cost["retries"]  # of rivals of the first answer too
     with pytest.raises(InvalidSettingError, match="has failed simulations"):
         ppl.resume(path, EVENT, MODEL, on_failure="reject")
 
@@ -143,9 +135,10 @@ def test_a_limit_of_seconds_makes_a_failure_of_what_hangs() -> None:
 
 
 def test_a_budget_of_seconds_holds_where_the_simulator_hangs() -> None:
+    infer(iterations=1)  # what is compiled takes none of the seconds
     options = {**OPTIONS, "iterations": None}
     model = ppl.Model(simulator=Disturbed(11, hangs))
-    post = ppl.infer(EVENT, model, budget=ppl.seconds(4), **options)
+    post = ppl.infer(EVENT, model, budget=ppl.seconds(1), **options)
     assert post.tree["posterior"].sizes["draw"] == 1  # 4 to begin with, 4 of an iteration
     assert not post.cost["interrupted"]
     hanging = Disturbed(1, hangs)

@@ -7,10 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
@@ -18,10 +15,10 @@ from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference import run, sampler
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference import runs
 from tests.inference.runs import EVENT, MODEL, Watched, assert_same_draws
-from tests.inference.toy import never_called, walkers
+from tests.inference.toy import characters, never_called, walkers
 
 CHAINS, ITERATIONS = 4, 2
 
@@ -53,16 +50,9 @@ def test_errors_are_the_distances_of_the_stored_trajectories(post: ppl.Posterior
     difference = predicted - EVENT.observation.positions
     errors = np.linalg.norm(difference.reshape(*difference.shape[:3], -1), axis=-1)
     stats = post.tree["sample_stats"]
+    assert post.tree["simulated"].attrs == {"beta": MODEL.likelihood.beta}  # type: ignore[attr-defined]
     np.testing.assert_allclose(stats["step_error"], errors, atol=1e-4)
     np.testing.assert_allclose(stats["total_error"], errors.sum(axis=-1), atol=1e-3)
-
-
-def test_arviz_gets_what_could_have_been_observed(post: ppl.Posterior) -> None:
-    assert post.tree["simulated"].attrs == {"beta": MODEL.likelihood.beta}  # type: ignore[attr-defined]
-    data = ppl.Posterior(post.tree, "count").arviz
-    noisy = data["posterior_predictive"]["trajectory"].values
-    assert noisy.shape == post.tree["simulated"]["trajectory"].shape
-    assert not np.allclose(noisy[..., :2], post.tree["simulated"]["trajectory"].values[..., :2])
 
 
 def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior) -> None:
@@ -93,23 +83,11 @@ def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:
 
 
 def test_cost_is_kept_apart_from_the_settings(post: ppl.Posterior) -> None:
-    assert {"seconds", "seconds_simulating", "seconds_overhead", "workers", "host"} <= set(
-        post.cost
-    )
+    measured = {"seconds", "seconds_simulating", "seconds_overhead", "workers", "host"}
+    assert measured <= set(post.cost)
+    assert not measured & set(json.dumps(post.settings).split('"'))
     assert post.settings["seed"] == 3
     assert post.settings["model"]["simulator"].endswith("walkers")
-    assert not {"workers", "host", "seconds"} & set(json.dumps(post.settings).split('"'))
-
-
-def test_one_and_two_workers_give_the_same_draws(post: ppl.Posterior) -> None:
-    other = infer(workers=2)
-    assert (other.cost["workers"], other.settings) == (2, post.settings)
-    assert_same_draws(post.tree, other.tree)
-
-
-def test_more_iterations_continue_the_same_chains(post: ppl.Posterior) -> None:
-    longer = infer(iterations=ITERATIONS + 1).tree["sample_stats"].isel(draw=slice(ITERATIONS))
-    np.testing.assert_array_equal(longer["sim_seed"], post.tree["sample_stats"]["sim_seed"])
 
 
 def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
@@ -175,28 +153,16 @@ def test_draws_find_their_simulations_though_their_numbers_are_rounded_in_two_wa
     assert np.isin(drawn, found.tree["simulations"]["strength_red"].values).all()
 
 
-def moody() -> None:
-    """A hierarchy, of one number above alpha, and sites on which nothing depends."""
-    numpyro.sample("mood", dist.Bernoulli(0.5))
-    numpyro.sample("traits", dist.Normal().expand([2]).to_event(1))
-    share = numpyro.sample("social", dist.Uniform(0.0, 1.0))
-    probs = jnp.stack([1 - share, *[share / 4] * 4])
-    numpyro.sample("alpha", dist.Categorical(probs=probs))
-    ppl.sites.goals()
-    ppl.sites.strengths()
-
-
 def test_sites_of_ones_own_are_inferred_and_stored() -> None:
-    model = ppl.Model(prior=moody, simulator=walkers, noise="fixed")
+    model = ppl.Model(prior=characters, simulator=walkers, noise="fixed")
     options = {**runs.OPTIONS, "iterations": ITERATIONS, "weights": "count"}
     found = ppl.infer(EVENT, model, **options)
     n = found.cost["simulations"]
     assert n == CHAINS * (1 + ITERATIONS)
-    assert found.tree["posterior"]["mood"].shape == (CHAINS, ITERATIONS)
-    assert found.tree["posterior"]["traits"].shape == (CHAINS, ITERATIONS, 2)
-    assert found.tree["simulations"]["traits"].shape == (n, 2)
-    assert sum(found.marginal("mood").values) == pytest.approx(1)
-    assert 0 < found.mean("social") < 1
+    assert found.tree["posterior"]["haste"].shape == (CHAINS, ITERATIONS)
+    assert found.tree["posterior"]["outgoing"].shape == (CHAINS, ITERATIONS, 2)
+    assert found.tree["simulations"]["outgoing"].shape == (n, 2)
+    assert 0 < found.mean("sociability") < 1
 
 
 # --- what goes wrong ---------------------------------------------------------------------------
@@ -282,12 +248,8 @@ def test_particle_whose_first_simulation_failed_starts_where_another_does(
 
 
 def test_exception_from_the_runner_keeps_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    def change(number: int, runner: Any, results: Results) -> None:
-        if number == 1:
-            raise ZeroDivisionError("out of luck")
-
-    disturb(monkeypatch, change)
-    with pytest.raises(ZeroDivisionError, match="out of luck"):
+    disturb(monkeypatch, lambda number, runner, results: 0 // (1 - number))
+    with pytest.raises(ZeroDivisionError, match="by zero"):
         infer()
 
 
@@ -297,8 +259,6 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"kernel": 3}, REFUSED, "kernel=3"),
     ({"chains": 0}, REFUSED, "chains=0"),
     ({"chains": 1.5}, REFUSED, "chains=1.5"),
-    ({"iterations": 0}, REFUSED, "iterations=0"),
-    ({"workers": 0}, REFUSED, "workers=0"),
     ({"seed": -1}, REFUSED, "seed=-1"),
     ({"speed": 3}, REFUSED, "speed"),
     ({"rule": "papr"}, UNKNOWN, "paper"),
@@ -318,11 +278,6 @@ def test_wrong_setting_is_refused_before_anything_is_simulated(
     model = ppl.Model(simulator=never_called)
     with pytest.raises(error, match=message):
         ppl.infer(EVENT, model, **{"workers": 1, "progress": False, **wrong})
-
-
-def test_what_is_no_event_is_refused() -> None:
-    with pytest.raises(InvalidEventError, match=r"load_event"):
-        ppl.infer("collaborate.json")  # type: ignore[arg-type]
 
 
 def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Posterior) -> None:

@@ -4,24 +4,26 @@ simulations and frames, which are spent by what is really simulated."""
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
 from phase_ppl.inference import run, sampler
 from phase_ppl.inference.checkpoint import Checkpoint
+from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.registry import KernelInfo, kernel_info
 from phase_ppl.inference.run import IDLE, Length, Pace
-from phase_ppl.inference.settings import Budget
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference.runs import EVENT, MODEL, OPTIONS, Watched, assert_same_draws, infer, stops_at
 from tests.inference.toy import few_goals, walkers
+
+
+def resume(path: Path, **options: Any) -> ppl.Posterior:
+    return ppl.resume(path, EVENT, MODEL, **{"workers": 1, "progress": False, **options})
 
 
 class Clock:
@@ -38,36 +40,31 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return fake
 
 
-def paced(clock: Clock, budget: Budget, sims_per_step: int = 1) -> Pace:
-    return Pace(Length(1, None, budget, 1, sims_per_step), clock())
+def test_what_an_iteration_takes_is_guessed_from_the_last_three(clock: Clock) -> None:
+    def take(seconds: float, done: int, *, initial: bool = False) -> None:
+        pace.begin()
+        clock.now += seconds
+        pace.end(initial=initial)
+        pace.done = done
+
+    pace = Pace(Length(1, None, ppl.seconds(113), 1, sims_per_step=2), clock())
+    take(10, 0, initial=True)  # so an iteration of two simulations is taken to need 20
+    assert pace.expected == 5
+    take(30, 1)  # the guess is forgotten
+    assert pace.expected == 1 + 2
+    for done, seconds in enumerate((2, 9, 10), 2):
+        take(seconds, done)
+    assert pace.expected == 4 + 7  # 52 s are left, 7 each
+    take(49, 5)
+    assert not pace.goes_on
 
 
-def take(pace: Pace, clock: Clock, seconds: float, *, initial: bool = False) -> None:
-    pace.begin()
-    clock.now += seconds
-    pace.end(initial=initial)
-
-
-def test_the_initial_particles_are_the_first_guess_and_then_forgotten(clock: Clock) -> None:
-    timed = paced(clock, ppl.seconds(50), sims_per_step=2)
-    take(timed, clock, 10, initial=True)  # so an iteration of two simulations takes 20
-    timed.done = 0
-    assert timed.expected == 2
-    take(timed, clock, 5)
-    timed.done = 1
-    assert timed.expected == 1 + 7
-
-
-def test_uneven_iterations_count_by_the_mean_of_the_last_three(clock: Clock) -> None:
-    timed = paced(clock, ppl.seconds(100))
-    take(timed, clock, 10, initial=True)
-    for seconds in (30, 2, 9, 10):
-        take(timed, clock, seconds)
-    timed.done = 4
-    assert timed.expected == 4 + 5  # 39 s are left, 7 each
-    take(timed, clock, 36)
-    timed.done = 5
-    assert not timed.goes_on
+def test_a_run_whose_hypotheses_are_all_known_ends() -> None:
+    pace = Pace(Length(1, None, ppl.simulations(200)), 0.0)
+    pace.count([], IDLE - 1)
+    assert pace.goes_on
+    pace.count([], IDLE)
+    assert not pace.goes_on
 
 
 # --- whole runs ------------------------------------------------------------------------------
@@ -83,54 +80,59 @@ def one_second_each(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     sampler._known_simulators.add(walkers)  # which is not checked by one more simulation
 
 
-@pytest.mark.parametrize(("seconds", "iterations"), [(0.5, 0), (7.9, 0), (8, 1), (17, 3)])
 @pytest.mark.usefixtures("one_second_each")
-def test_a_run_of_seconds_is_a_shorter_run(seconds: float, iterations: int) -> None:
-    post = infer(iterations=None, budget=ppl.seconds(seconds))
-    assert post.settings["iterations"] == iterations
-    assert post.tree["posterior"].sizes["draw"] == max(iterations, 1)
-    assert post.cost["seconds"] == post.cost["simulations"] == 4 * (1 + iterations)
-    assert not post.cost["interrupted"]
-
-
-@pytest.mark.usefixtures("one_second_each")
-def test_a_run_of_seconds_goes_on_with_what_is_left_of_them(tmp_path: Any) -> None:
+def test_a_run_of_seconds_is_a_shorter_run_and_goes_on_with_what_is_left(tmp_path: Path) -> None:
+    for seconds, iterations in ((0.5, 0), (7.9, 0), (8, 1), (17, 3)):
+        post = infer(iterations=None, budget=ppl.seconds(seconds))
+        assert post.settings["iterations"] == iterations
+        assert post.tree["posterior"].sizes["draw"] == max(iterations, 1)
+        assert post.cost["seconds"] == post.cost["simulations"] == 4 * (1 + iterations)
+        assert not post.cost["interrupted"]
     path = tmp_path / "run.ckpt"
     infer(iterations=None, budget=ppl.seconds(10), checkpoint=path)
-    same = {"event": EVENT, "model": MODEL, "workers": 1, "progress": False}
-    assert ppl.resume(path, **same).settings["iterations"] == 1
-    assert ppl.resume(path, budget=ppl.seconds(16), **same).settings["iterations"] == 3
+    assert resume(path).settings["iterations"] == 1
+    assert resume(path, budget=ppl.seconds(16)).settings["iterations"] == 3
     asked = Checkpoint(path).asked
     assert (asked["iterations"], asked["budget"]) == (None, ppl.seconds(16))
 
 
-# --- simulations and frames --------------------------------------------------------------------
+class Modest(PriorMH):
+    """Declares far more than it simulates."""
+
+    sims_per_step = 36
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("enumerated_gibbs", marks=pytest.mark.slow), "gibbs"]
-)
-def test_no_kernel_is_starved_by_what_it_declares(name: str) -> None:
-    # some proposals have no prior mass
-    model = ppl.Model(prior=few_goals, simulator=walkers)
-    options = {**OPTIONS, "kernel": name, "iterations": None, "budget": ppl.simulations(200)}
-    post = ppl.infer(EVENT, model, **options)
-    simulations = np.bincount(post.tree["simulations"]["iteration"].values)
-    spent, last = post.cost["simulations"], int(simulations[-1])
-    assert 200 <= spent < 200 + last
-    declared = 4 * kernel_info(name).sims_per_step
-    assert simulations[1:].max() <= declared
-    if name == "enumerated_gibbs":  # few goals have mass here
-        assert last < declared / 3
-    assert post.cost["budget"] == "200 simulations"
-    said = f"{spent} simulations, {post.cost['frames']} frames (of a budget of 200"
+def assert_spent_by_what_was_simulated(post: ppl.Posterior, amount: int) -> int:
+    """Return the simulations of the last iteration, the only one beyond the budget."""
+    last = int(np.bincount(post.tree["simulations"]["iteration"].values)[-1])
+    spent = post.cost["simulations"]
+    assert amount <= spent < amount + last
+    said = f"{spent} simulations, {post.cost['frames']} frames (of a budget of {amount}"
     assert said in " ".join(str(post).split())
+    return last
+
+
+def test_no_kernel_is_starved_by_what_it_declares() -> None:
+    post = infer(kernel=Modest, iterations=None, budget=ppl.simulations(150), weights="count")
+    assert_spent_by_what_was_simulated(post, 150)
+    assert post.settings["iterations"] > 30
+    assert post.cost["budget"] == "150 simulations"
+
+
+@pytest.mark.slow
+def test_goals_without_mass_are_not_enumerated_at_the_cost_of_a_budget() -> None:
+    model = ppl.Model(prior=few_goals, simulator=walkers)
+    options = {**OPTIONS, "kernel": "enumerated_gibbs", "iterations": None}
+    post = ppl.infer(EVENT, model, **options, budget=ppl.simulations(200))
+    last = assert_spent_by_what_was_simulated(post, 200)
+    assert last < 4 * kernel_info("enumerated_gibbs").sims_per_step / 3
 
 
 def test_equal_frames_are_more_simulations_where_they_are_stopped_early() -> None:
-    budget = ppl.frames(2000)
     options: tuple[dict[str, Any], ...] = ({}, {"early_reject": False})
-    early, whole = (infer(iterations=None, budget=budget, seed=1, **given) for given in options)
+    early, whole = (
+        infer(iterations=None, budget=ppl.frames(2000), seed=1, **given) for given in options
+    )
     for post in (early, whole):
         frames = post.tree["simulations"]["frames_simulated"].values
         last = post.tree["simulations"]["iteration"].values == post.settings["iterations"]
@@ -139,25 +141,9 @@ def test_equal_frames_are_more_simulations_where_they_are_stopped_early() -> Non
     assert "budget of 2000 frames" in " ".join(str(early).split())
 
 
-def test_a_run_whose_hypotheses_are_all_known_ends() -> None:
-    def fixed_strengths() -> None:
-        for name, codes in (("goal_red", (0, 5)), ("goal_green", (3, 9))):
-            probs = jnp.zeros(36).at[jnp.array(codes)].set(0.5)
-            numpyro.sample(name, dist.Categorical(probs=probs))
-        numpyro.sample("alpha", dist.Categorical(probs=jnp.array([1.0, 0, 0, 0, 0])))
-        for name in ("strength_red", "strength_green"):
-            numpyro.sample(name, ppl.sites.OneOf([400.0]))
-
-    model = ppl.Model(prior=fixed_strengths, simulator=walkers, noise="fixed")
-    options: dict[str, Any] = {**OPTIONS, "iterations": None, "budget": ppl.simulations(200)}
-    post = ppl.infer(EVENT, model, **options, early_reject=False)
-    assert post.cost["simulations"] <= 4
-    assert IDLE <= post.settings["iterations"] <= IDLE + 50
-
-
-@pytest.mark.parametrize(("budget", "workers"), [(ppl.simulations(60), 1), (ppl.frames(500), 2)])
-def test_a_budget_goes_on_bit_for_bit_with_any_number_of_workers(
-    budget: Any, workers: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("budget", [ppl.simulations(60), ppl.frames(500)])
+def test_a_budget_goes_on_bit_for_bit(
+    budget: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options: dict[str, Any] = {"iterations": None, "budget": budget}
     whole = infer(**options)
@@ -166,13 +152,13 @@ def test_a_budget_goes_on_bit_for_bit_with_any_number_of_workers(
         patched.setattr(sampler, "Runner", stops_at(3))
         with pytest.raises(ppl.Interrupted):
             infer(**options, checkpoint=path)
-    for number in (workers, 1):
-        again = ppl.resume(path, EVENT, MODEL, workers=number, progress=False)
+    for _ in range(2):  # the second time it is complete
+        again = resume(path)
         assert_same_draws(again.tree, whole.tree)
         assert again.settings == whole.settings
     less = dataclasses.replace(budget, amount=budget.amount // 2)
     with pytest.raises(InvalidSettingError, match=r"too small.*went on after"):
-        ppl.resume(path, EVENT, MODEL, budget=less, workers=1, progress=False)
+        resume(path, budget=less)
 
 
 # --- length ---------------------------------------------------------------------------------------
@@ -186,14 +172,11 @@ def length_of(kernel: Any, chains: int, iterations: Any = None, budget: Any = No
     return Length.of(kernel, INFO, chains, iterations, budget, n_frames=14)
 
 
-def test_a_kernel_knows_better_than_its_registration_what_it_costs() -> None:
+def test_a_kernel_knows_better_than_its_registration_what_it_costs_and_may_decide_it() -> None:
     length = length_of(COSTLY, 10, 4)
     assert length == Length(10, 4, None, 3, 5)
     assert length.at_most(4) == 10 * (3 + 4 * 5)
     assert length_of(SimpleNamespace(), 10) == Length(10, 6, None, 1, 2)
-
-
-def test_a_kernel_that_decides_its_own_length_does_so() -> None:
     budgets = (None, ppl.simulations(28), ppl.frames(28 * 14))
     assert {length_of(OWN, 4, budget=budget) for budget in budgets} == {Length(4, 3, None, 1, 2)}
     assert length_of(OWN, 4, 3).iterations == 3
