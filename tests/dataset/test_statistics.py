@@ -69,38 +69,32 @@ MANIFEST: dict[str, Any] = {
 
 def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -> None:
     found = statistics(events, name="two")
-    tables = found["tables"]
     assert (found["name"], found["events"], found["units"]) == ("two", 2, 2)
-    assert tables["relation"]["counts"] == {"friendly": 1, "neutral": 0, "adversarial": 1}
-    assert tables["relation"]["shares"] == {"friendly": 0.5, "neutral": 0.0, "adversarial": 0.5}
-    assert tables["scenario"]["counts"]["opposing"] == 1
-    assert tables["goal_type"]["counts"] == dict(zip(GOAL_TYPES, (2, 0, 0, 0, 1, 1), strict=True))
-    assert len(tables["goal"]["counts"]) == len(GOALS)
-    assert tables["goal"]["counts"]["Get blue item to red lm"] == 2
-    assert tables["strength"]["counts"] == {"150": 1, "300": 0, "450": 0, "600": 2}
-    assert found["without_strength"] == 1
-    # red 0.8, green 1.2; blue 1.01, pink 1.6
-    assert tables["agent_size"]["counts"] == {"0.8": 2, "1.01": 0, "1.2": 2, "1.6": 0}
-    assert tables["item_size"]["counts"] == {"0.8": 0, "1.01": 2, "1.2": 0, "1.6": 2}
-    assert "family" not in tables
-    assert found["draws"] is None
+    assert (found["without_strength"], found["draws"]) == (1, None)
     json.dumps(found, allow_nan=False)
-    value = {name: entry["value"] for name, entry in found["values"].items()}
-    assert (value["frames_min"], value["frames_median"], value["frames_max"]) == (3, 4, 5)
+    counts = {name: table["counts"] for name, table in found["tables"].items()}
+    assert counts["relation"] == {"friendly": 1, "neutral": 0, "adversarial": 1}
+    assert found["tables"]["relation"]["shares"]["friendly"] == 0.5
+    assert counts["scenario"]["opposing"] == 1
+    assert counts["goal_type"] == dict(zip(GOAL_TYPES, (2, 0, 0, 0, 1, 1), strict=True))
+    assert len(counts["goal"]) == len(GOALS)
+    assert counts["goal"]["Get blue item to red lm"] == 2
+    assert counts["strength"] == {"150": 1, "300": 0, "450": 0, "600": 2}
+    # red 0.8, green 1.2; blue 1.01, pink 1.6
+    assert counts["agent_size"] == {"0.8": 2, "1.01": 0, "1.2": 2, "1.6": 0}
+    assert counts["item_size"] == {"0.8": 0, "1.01": 2, "1.2": 0, "1.6": 2}
+    assert "family" not in counts
     # red of 150 N goes 0.1 per frame, four times; green of 600 N stands, and so does red in "two"
-    assert value["speed_mean_150"] == pytest.approx(1.2)
-    assert value["speed_mean_600"] == 0
-    assert value["speed_max"] == pytest.approx(6.0)
-    assert value["speed_mean"] == pytest.approx((4 * 1.2 + 2 * 6) / 12)
-    assert value["at_rest"] == pytest.approx(6 / 12)
-    assert (value["at_rest_150"], value["at_rest_600"]) == (0, 1)
-    assert value["step_max"] == pytest.approx(0.5)
-    assert value["items_move"] == pytest.approx(4 / 12)
-    assert value["untrimmed"] == 1
-    histograms = found["histograms"]
-    assert histograms["frames"]["counts"][0] == 2
-    assert histograms["speed"]["counts"][:4] == [10, 0, 0, 2]
-    assert sum(histograms["speed_600"]["counts"]) == 6
+    expected = {
+        "frames_min": 3, "frames_median": 4, "frames_max": 5, "speed_mean_150": 1.2,
+        "speed_mean_600": 0, "speed_max": 6.0, "speed_mean": (4 * 1.2 + 2 * 6) / 12,
+        "at_rest": 6 / 12, "at_rest_150": 0, "at_rest_600": 1, "step_max": 0.5,
+        "items_move": 4 / 12, "untrimmed": 1,
+    }  # fmt: skip
+    assert {name: found["values"][name]["value"] for name in expected} == pytest.approx(expected)
+    bins = {name: histogram["counts"] for name, histogram in found["histograms"].items()}
+    assert (bins["frames"][0], bins["speed"][:4]) == (2, [10, 0, 0, 2])
+    assert sum(bins["speed_600"]) == 6
 
 
 def test_what_is_none_of_the_original_strengths_and_sizes_is_other() -> None:

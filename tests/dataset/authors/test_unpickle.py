@@ -83,49 +83,30 @@ def _nothing_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
 # --- what is read ----------------------------------------------------------------------------
 
 
-def same(one: Any, other: Any) -> bool:
-    if isinstance(one, np.ndarray):
-        return isinstance(other, np.ndarray) and np.array_equal(one, other)
-    if isinstance(one, dict):
-        return list(one) == list(other) and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, (list, tuple)):
-        parts = zip(one, other, strict=True)
-        return type(one) is type(other) and all(same(*pair) for pair in parts)
-    return type(one) is type(other) and one == other
+def assert_read(content: bytes, value: Any) -> None:
+    assert repr(unpickled(content)) == repr(value)  # which tells lists from tuples, and 1 from True
 
 
 plain = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers(-(2**63), 2**64 - 1)
-    | st.floats(allow_nan=False)
-    | st.text(max_size=300)
-    | st.binary(max_size=300),
-    lambda inner: (
-        st.lists(inner, max_size=5)
-        | st.lists(inner, max_size=5).map(tuple)
-        | st.dictionaries(st.text(max_size=5) | st.integers(-9, 9), inner, max_size=5)
-    ),
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats(allow_nan=False)
+    | st.text(max_size=300) | st.binary(max_size=300),
+    lambda inner: st.lists(inner, max_size=5) | st.lists(inner, max_size=5).map(tuple)
+    | st.dictionaries(st.text(max_size=5) | st.integers(-9, 9), inner, max_size=5),
     max_leaves=20,
-)
+)  # fmt: skip
 
 
 @settings(max_examples=100)
 @given(value=plain, protocol=st.sampled_from(PROTOCOLS))
 def test_plain_data_are_read_as_they_were(value: Any, protocol: int) -> None:
-    assert same(unpickled(pickle.dumps(value, protocol)), value)
+    assert_read(pickle.dumps(value, protocol), value)
 
 
 ARRAYS = [
-    np.arange(3.0),
-    np.arange(6).reshape(2, 3).T,
+    *(np.arange(3.0), np.arange(6).reshape(2, 3).T, np.arange(12.0).reshape(3, 4)[:, ::2]),
     np.arange(24, dtype=np.float32).reshape(2, 3, 4).transpose(1, 0, 2),
-    np.arange(12.0).reshape(3, 4)[:, ::2],
-    np.array([True, False]),
-    np.arange(3, dtype=">f8"),
-    np.array([-1, 0, 1], np.int16),
-    np.zeros((0, 5)),
-    np.array(4.5),
+    *(np.array([True, False]), np.arange(3, dtype=">f8"), np.array([-1, 0, 1], np.int16)),
+    *(np.zeros((0, 5)), np.array(4.5)),
 ]
 
 
@@ -138,10 +119,10 @@ def test_arrays_and_numbers_are_read_as_they_were_and_what_is_shared_every_time(
         assert one.dtype == back.dtype
         assert not back.flags.writeable
     numbers = [np.float64(0.1), np.int32(-7), np.uint8(200), np.bool_(True), np.float32(0.5)]
-    assert same(unpickled(pickle.dumps(numbers, protocol)), [0.1, -7, 200, True, 0.5])
+    assert_read(pickle.dumps(numbers, protocol), [0.1, -7, 200, True, 0.5])
     goal, array = ["LMO", 0, 1, 1], np.arange(4.0)
     shared = {"one": [goal, array], "two": [goal, array], (0, "x"): (goal, goal)}
-    assert same(unpickled(pickle.dumps(shared, protocol)), shared)
+    assert_read(pickle.dumps(shared, protocol), shared)
 
 
 OLD = (
@@ -160,8 +141,8 @@ OLD_BINARY = (
 
 def test_pickles_of_python_2_are_read() -> None:
     value = {"name": "a\n'b\\", "long": 5, "yes": True, "track": np.array([1.0, 0.1])}
-    assert same(unpickled(OLD), value)
-    assert same(unpickled(OLD_BINARY), np.array([1.0, 0.1]))
+    assert_read(OLD, value)
+    assert_read(OLD_BINARY, np.array([1.0, 0.1]))
     # which wrote bytes as texts of 256 characters
     assert unpickled(b"S'\\xe9\xe9'\n.") == "éé"
     assert unpickled(b"U\x02\xe9\xff.") == "éÿ"
@@ -181,20 +162,14 @@ class OwnArray(np.ndarray):
 
 SET = f"__import__('os').environ.__setitem__({SPRUNG!r}, '1')"
 OBJECTS: dict[str, list[Any]] = {
-    "posix.system'": [Trap(os.system, f"mkdir {SPRUNG}")],
-    "posix.mkdir'": [Trap(os.mkdir, SPRUNG), [1, {"a": [Trap(os.mkdir, SPRUNG)]}]],
-    "eval', which is refused": [Trap(eval, SET)],
-    "exec', which is refused": [Trap(exec, SET)],
-    "getattr', which is refused": [Trap(getattr, "x", "upper")],
-    "__import__', which is refused": [Trap(__import__, "os")],
-    "asks for 'numpy.load'": [Trap(np.load, "x.npy")],
-    "loads', which is refused": [Trap(pickle.loads, b"N.")],
-    "memmap', which is refused": [Trap(np.memmap, "x")],
-    "Own', which is refused": [Own],
-    "mean', which is refused": [np.mean],
-    "refused": [Own(), 1j, range(3), {1, 2}, frozenset((1,)), [bytearray(b"ab"), Own()],
-                np.arange(3.0).view(OwnArray), np.ma.array([1.0], mask=[True]),
-                collections.OrderedDict(a=1)],
+    "asks for 'posix.mkdir'": [Trap(os.mkdir, SPRUNG), [1, {"a": [Trap(os.mkdir, SPRUNG)]}]],
+    "', which is refused": [
+        *(Trap(os.system, f"mkdir {SPRUNG}"), Trap(eval, SET), Trap(exec, SET), Own, np.mean),
+        *(Trap(getattr, "x", "upper"), Trap(__import__, "os"), Trap(pickle.loads, b"N.")),
+        *(Trap(np.load, "x.npy"), Trap(np.memmap, "x"), range(3), 1j, collections.OrderedDict(a=1)),
+    ],
+    "refused": [Own(), {1, 2}, frozenset((1,)), [bytearray(b"ab"), Own()],
+                np.arange(3.0).view(OwnArray), np.ma.array([1.0], mask=[True])],
     "something else than plain numbers": [
         np.array([Trap(os.mkdir, SPRUNG)], object), np.array([1, "a", None], object),
         np.array(["a", "b"]), *(np.zeros(2, kind) for kind in ([("a", "f8")], "M8[s]", complex)),
