@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,18 +76,16 @@ def test_thoughts_that_are_not_known_are_not_made_up(event: ppl.Event) -> None:
         ppl.explain(dataclasses.replace(event, observation=shorter))
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
+def test_bodies_that_overlap_are_refused_with_how_far() -> None:
+    wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"red": (8, 20, 0), "green": (8.5, 20, 0)}, "the red agent and the green agent .* 1.60"),
         ({"red": (16, 17, 0), "walls": [FULL_WALL_UP]}, "the red agent and an inner wall .* 1.20"),
         ({"blue": (25.6, 4)}, "the blue item and the arena's border overlap by 0.40"),
-    ],
-)
-def test_bodies_that_overlap_are_refused_with_how_far(changes: dict, words: str) -> None:  # type: ignore[type-arg]
-    with pytest.raises(InvalidEventError, match=words):
-        ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK)
-    ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK, overlapping=True)
+    )
+    for changes, words in wrong:
+        with pytest.raises(InvalidEventError, match=words):
+            ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK)
+        ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK, overlapping=True)
 
 
 def test_penetration_is_the_way_out() -> None:

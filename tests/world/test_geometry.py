@@ -73,9 +73,8 @@ def test_centre_of_mass_is_the_centroid_of_the_outline() -> None:
     assert centre_of_mass(np.array([1.0, 2.0]), 0.9, radius, BLUE_ITEM).tolist() == [1.0, 2.0]
 
 
-@pytest.mark.parametrize(
-    ("entity", "other", "radii", "place", "reach"),
-    [
+def test_two_touch_up_to_where_the_enlarged_one_reaches() -> None:
+    for entity, other, radii, place, reach in (
         # one enlarged reaches the other
         (BLUE_ITEM, PINK_ITEM, [1, 1, 0.8, 1.6], (1, 0, 0), 0.8 + TOUCH_ENLARGEMENT * 1.6),
         # the agent's front lies at R, the item enlarged reaches 1.2 r
@@ -84,34 +83,24 @@ def test_centre_of_mass_is_the_centroid_of_the_outline() -> None:
         (BLUE_ITEM, RED, [1, 1, 0.8, 0.8], (0, -1, 0), -1 / 6 + 1.2 * 7 / 6 + 0.8),
         # backs: own at -1; the other's, enlarged, 1/6 + 1.2 * 5/6 = 7/6 behind its centre
         (RED, GREEN, [1] * 4, (0, -1, math.pi), 1.0 + (-1 / 6 + 1.2 * 5 / 6 + 1 / 3)),
-    ],
-    ids=["items", "agent with item", "item with agent", "agents back to back"],
-)
-def test_two_touch_up_to_where_the_enlarged_one_reaches(
-    entity: int, other: int, radii: list[float], place: tuple[float, float, float], reach: float
-) -> None:
-    for distance, touching in ((reach - 1e-9, True), (reach + 1e-6, False)):
-        poses = np.array(FAR)
-        poses[entity] = 0.0
-        poses[other] = distance * place[0], distance * place[1], place[2]
-        assert touches(entity, other, poses, np.array(radii)) is touching
-
-
-def test_an_item_inside_an_agent_touches_it() -> None:
+    ):
+        for distance, touching in ((reach - 1e-9, True), (reach + 1e-6, False)):
+            poses = np.array(FAR)
+            poses[entity] = 0.0
+            poses[other] = distance * place[0], distance * place[1], place[2]
+            assert touches(entity, other, poses, np.array(radii)) is touching
     poses = np.array(FAR)
-    poses[RED], poses[BLUE_ITEM] = 0.0, (0.1, -0.2, 0.0)
+    poses[RED], poses[BLUE_ITEM] = 0.0, (0.1, -0.2, 0.0)  # an item inside an agent
     assert touches(RED, BLUE_ITEM, poses, np.array([1.6, 1.0, 0.1, 0.8]))
 
 
-@pytest.mark.parametrize("place", [(2.0, 0.0), (0.0, 2.0)])
-def test_two_that_just_touch_meet_and_are_not_inside_each_other(
-    place: tuple[float, float],
-) -> None:
-    poses = np.array(FAR)
-    poses[BLUE_ITEM], poses[PINK_ITEM] = 0.0, (*place, 0.0)
-    assert shapes_meet(BLUE_ITEM, PINK_ITEM, poses, np.ones(4))
-    assert overlaps(poses, np.ones(4), np.empty((0, 2, 2)))
-    assert penetration(poses[BLUE_ITEM, None, :2], poses[PINK_ITEM, None, :2], 2.0) == 0
+def test_two_that_just_touch_meet_and_are_not_inside_each_other() -> None:
+    for place in ((2.0, 0.0), (0.0, 2.0)):
+        poses = np.array(FAR)
+        poses[BLUE_ITEM], poses[PINK_ITEM] = 0.0, (*place, 0.0)
+        assert shapes_meet(BLUE_ITEM, PINK_ITEM, poses, np.ones(4))
+        assert overlaps(poses, np.ones(4), np.empty((0, 2, 2)))
+        assert penetration(poses[BLUE_ITEM, None, :2], poses[PINK_ITEM, None, :2], 2.0) == 0
     beside = np.array([[[-1.0, -3.0], [-1.0, 3.0]]])
     poses[PINK_ITEM] = FAR[PINK_ITEM]
     assert not overlaps(poses, np.ones(4), beside)  # a wall may be touched
