@@ -135,7 +135,7 @@ def test_people_are_told_by_fewer_answers_about_chosen_events(videos: Videos) ->
     rng = np.random.default_rng(7)
     shares = np.exp(found._log_shares)
     right = {"chosen": 0, "by chance": 0}
-    for person in range(900):  # each answers as one of the models does
+    for person in range(600):  # each answers as one of the models does
         model = person % len(models)
         by_chance = [found.events[i] for i in rng.permutation(len(events))[:n]]
         for how, asked in (("chosen", chosen), ("by chance", by_chance)):
@@ -145,13 +145,14 @@ def test_people_are_told_by_fewer_answers_about_chosen_events(videos: Videos) ->
                 answers[event] = dict(zip(RELATIONS, said.tolist(), strict=True))
             told = found.attributed(answers)
             right[how] += max(told, key=lambda name: told[name]) == models[model]
-    assert right["chosen"] > right["by chance"] + 40
-    assert found.best(n)["right"].iloc[-1] == pytest.approx(right["chosen"] / 900, abs=0.06)
+    assert right["chosen"] > right["by chance"] + 25
+    assert found.best(n)["right"].iloc[-1] == pytest.approx(right["chosen"] / 600, abs=0.06)
     random = found.at_random(n)
     assert (found.best(n)["information"].values >= random["information"].values).all()
-    assert random["right"].iloc[-1] == pytest.approx(right["by chance"] / 900, abs=0.06)
+    assert random["right"].iloc[-1] == pytest.approx(right["by chance"] / 600, abs=0.06)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_it_prints_draws_and_is_saved(videos: Videos, tmp_path: Path) -> None:
     events, read = videos
     given = {"all alike": "uniform", "by hand": {event.id: read[event.id] for event in events}}
@@ -162,32 +163,25 @@ def test_it_prints_draws_and_is_saved(videos: Videos, tmp_path: Path) -> None:
     assert str(again) == str(found)
     assert again.best(3).equals(found.best(3))
     ppl.plot.design(found, tmp_path / "design.png", n=4)
-    assert (tmp_path / "design.png").stat().st_size > 5000
+    assert (tmp_path / "design.png").exists()
     (tmp_path / "other.json").write_text("{}")
     with pytest.raises(InvalidEventError, match="schema"):
         ppl.Design.load(tmp_path / "other.json")
 
 
-def test_a_function_can_be_told_from_a_prior(videos: Videos) -> None:
+def test_a_function_or_people_can_be_told_from_a_prior(videos: Videos) -> None:
     events, read = videos
 
     def friendly(scene: Any, observation: Any, seed: int) -> dict[str, Any]:
         return {"relation": {"friendly": 0.8, "neutral": 0.1, "adversarial": 0.1}}
 
-    found = ppl.design(
-        events[:2], {"uniform": "uniform", "kind": friendly}, source=read, workers=1, progress=False
-    )
-    np.testing.assert_allclose(found.probabilities.values[1], [[0.8, 0.1, 0.1]] * 2)
-
-
-def test_people_can_be_told_from_an_ideal_observer(videos: Videos) -> None:
-    events, read = videos
     people = observer_of("people", "stepwise")
-    found = ppl.design(
-        events[:3], {"people": people, "ideal": "uniform"}, source=read, progress=False
-    )
+    models = {"kind": friendly, "people": people, "ideal": "uniform"}
+    found = ppl.design(events[:3], models, source=read, workers=1, progress=False)
+    kind, of_people, _ = found.probabilities.values
+    np.testing.assert_allclose(kind, [[0.8, 0.1, 0.1]] * 3)
     expected = people.predict(evidence_of(events[:3], read))["video 2"].probabilities["relation"]
-    np.testing.assert_allclose(found.probabilities.values[0, 2], expected)
+    np.testing.assert_allclose(of_people[2], expected)
     assert (found.information.values >= 0).all()
 
 
@@ -203,7 +197,7 @@ def test_errors_that_are_unknown_are_not_taken_for_none(tmp_path: Path) -> None:
     assert np.isnan(found.information["error"].values).all()
     assert math.isnan(silent["one"]["video"].estimate("relation", "friendly").error)
     assert " ? " in str(found).splitlines()[-1]
-    ppl.plot.design(found, tmp_path / "design.png")
+    assert ppl.plot.design(found) is not None
     found.save(tmp_path / "design.json")
     assert str(ppl.Design.load(tmp_path / "design.json")) == str(found)
     known = ppl.design([event], exact, progress=False)

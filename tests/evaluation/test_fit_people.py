@@ -19,39 +19,37 @@ import pytest
 from jax import Array
 from numpyro import handlers
 from people import chosen_inside
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 from scipy.stats import norm
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.observers.answers import Answers, expected, people
+from phase_ppl.evaluation.observers.answers import Answers, people
 from phase_ppl.evaluation.observers.fit import FittedObserver, PeopleFit, observer_of, sampled
 from phase_ppl.evaluation.prediction import QUESTIONS
-from phase_ppl.models.observers import CUES, Evidence, Program, observer_named
+from phase_ppl.models.observers import CUES, Evidence, Observer, Program, cues
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
 from tests.test_cli import told
 
-N = 25
 DISTANCE = 3.0
+OWN = Observer(cues(distance="neutral"))
 RELATION = list(QUESTIONS).index("relation")
 TIMELESS = np.zeros((0, 2), int), np.zeros(0)
 
 
-def world(seed: int = 0, n: int = N, raters: int = 30) -> tuple[Evidence, Answers]:
+def world(seed: int = 0, n: int = 12, raters: int = 30) -> tuple[Evidence, Answers]:
     """Return evidence on videos, and raters who take distance for independence."""
     rng = np.random.default_rng(seed)
-    logs = rng.normal(0.0, 2.0, (n, 3))
+    logs = rng.normal(0.0, 1.0, (n, 3))
     logs -= logs.max(axis=1, keepdims=True)
-    cues = {name: rng.normal(0.0, 0.7, n) for name in CUES}
-    masses = 3.0 * np.expm1(logs / 3.0)
-    masses[:, 1] += DISTANCE * cues["distance"]
-    p = np.exp(masses) / np.exp(masses).sum(axis=1, keepdims=True)
-    counts = rng.multinomial(raters, p)
+    seen = {name: rng.normal(0.0, 0.7, n) for name in CUES}
+    masses = logs + DISTANCE * seen["distance"][:, None] * [0, 1, 0]
+    counts = rng.multinomial(raters, softmax(masses, axis=1))
     evidence = Evidence(
         tuple(f"v{i}" for i in range(n)), np.tile(logs, (3, 1, 1, 1)), np.full((n, 3), -np.log(3)),
-        {"relation": np.arange(3)}, cues,
+        {"relation": np.arange(3)}, seen,
     )  # fmt: skip
     return evidence, Answers({"relation": counts}, np.zeros((0, 4), int), (), *TIMELESS)
 
@@ -66,43 +64,53 @@ def shares_of(observer: Program, draws: dict[str, FloatArray]) -> FloatArray:
     return found.shares(world(n=3)[0])["relation"]
 
 
-def fitted(name: str, evidence: Evidence, answers: Answers) -> PeopleFit:
-    return sampled(observer_named(name), name, evidence, answers, draws=120, warmup=80, chains=1)
+def fitted(observer: Observer, evidence: Evidence, answers: Answers) -> PeopleFit:
+    return sampled(observer, "", evidence, answers, draws=120, warmup=80, chains=1)
 
 
 @pytest.fixture(scope="module")
-def fits() -> dict[str, PeopleFit]:
-    return {name: fitted(name, *world()) for name in ("distance", "saturating")}
+def fit() -> PeopleFit:
+    return fitted(OWN, *world())
 
 
-def test_left_out_videos_are_predicted_as_by_a_fit_without_them(fits: dict[str, PeopleFit]) -> None:
-    fit = fits["distance"]
-    again = fit.without([3]).predict(fit.evidence)["v3"].probabilities["relation"]
-    assert fit.left_out["v3"].probabilities["relation"] == pytest.approx(again, abs=0.05)
-    with warnings.catch_warnings():  # of few draws ArviZ doubts more
-        warnings.simplefilter("ignore", UserWarning)
-        assert az.loo(fit.arviz).elpd_loo == pytest.approx(fit.elpd.sum(), abs=2.0)
-    assert "distance" in str(fit)
-
-
-def test_parameters_come_back_and_the_observer_that_made_the_answers_wins(
-    fits: dict[str, PeopleFit],
-) -> None:
-    draws = fits["distance"].draws["cue_distance"]
+def test_parameters_come_back_and_the_observer_that_made_the_answers_wins(fit: PeopleFit) -> None:
+    draws = fit.draws["cue_distance"]
     low, high = np.quantile(draws, [0.005, 0.995])
     assert low < DISTANCE < high
     assert draws.std() < 1.0
-    assert fits["distance"].elpd.sum() > fits["saturating"].elpd.sum() + 10
-    _, chosen = chosen_inside([fits["saturating"], fits["distance"]])
-    assert set(chosen.values()) == {1}
+    rival = fitted(Observer(), *world())
+    assert fit.elpd.sum() > rival.elpd.sum() + 10
+    assert set(chosen_inside([rival, fit])[1].values()) == {1}
 
 
-def test_a_stored_observer_answers_as_the_fit(fits: dict[str, PeopleFit], tmp_path: Path) -> None:
+def test_left_out_videos_are_predicted_as_by_a_fit_without_them(fit: PeopleFit) -> None:
+    again = fit.without([3])
+    shares = again.predict(fit.evidence)["v3"].probabilities["relation"]
+    assert fit.left_out["v3"].probabilities["relation"] == pytest.approx(shares, abs=0.02)
+    with warnings.catch_warnings():  # of few draws ArviZ doubts more
+        warnings.simplefilter("ignore", UserWarning)
+        assert az.loo(fit.arviz).elpd_loo == pytest.approx(fit.elpd.sum(), abs=0.1)
+    assert "12 videos, ELPD" in str(fit)
+    # where reweighting the draws is unreliable, the fit without the video takes their place
+    doubtful = dataclasses.replace(fit)
+    doubtful.__dict__.update(
+        _left_out_weights=(fit._left_out_weights[0], 0.9 * (np.arange(12) == 3)),
+        without=lambda places: again,
+    )  # fmt: skip
+    assert doubtful.left_out["v3"].probabilities["relation"] == pytest.approx(shares, abs=1e-5)
+    logs = again.log_likelihood[:, 3]
+    assert doubtful.elpd[3] == pytest.approx(np.log(np.exp(logs).mean()))
+    assert (doubtful.elpd == fit.elpd).sum() == 11
+
+
+def test_a_stored_observer_answers_as_the_fit(fit: PeopleFit, tmp_path: Path) -> None:
     file = tmp_path / "people.json"
-    fits["distance"].save(file)
-    read = observer_of(file, "anything")
-    one, other = (fit.predict(world()[0])["v1"].probabilities for fit in (read, fits["distance"]))
+    fit.save(file)
+    read = FittedObserver.load(file, OWN)
+    one, other = (each.predict(world()[0])["v1"].probabilities for each in (read, fit))
     assert one["relation"] == pytest.approx(other["relation"], abs=0.03)
+    with pytest.raises(InvalidSettingError, match="hand in its program"):
+        observer_of(file, "anything")
     record = json.loads(file.read_text())
     for broken, message in (
         ({**record, "schema": "other"}, "schema is 'other'"),
@@ -111,11 +119,10 @@ def test_a_stored_observer_answers_as_the_fit(fits: dict[str, PeopleFit], tmp_pa
     ):
         file.write_text(json.dumps(broken))
         with pytest.raises(InvalidEventError, match=message):
-            observer_of(file, "anything")
+            FittedObserver.load(file, OWN)
 
 
-@pytest.mark.parametrize("spread", [0.1, 0.67, 1.5])
-@pytest.mark.parametrize("sharp", [0.0, 0.5])
+@pytest.mark.parametrize(("spread", "sharp"), [(0.1, 0.5), (0.67, 0.0), (1.5, 0.5)])
 def test_what_people_share_is_summed_out(spread: float, sharp: float) -> None:
     """Against a fine grid of the two log odds that matter, whether or not people have names."""
     counts = np.array([[20, 0, 0], [0, 20, 0], [7, 7, 6], [0, 10, 10], [0, 0, 0]])
@@ -147,22 +154,25 @@ def test_what_people_share_is_summed_out(spread: float, sharp: float) -> None:
     np.testing.assert_allclose(found(rows, names), logsumexp(by_name, axis=1), atol=0.1)
 
 
-@pytest.mark.parametrize("diversity", [0.5, 1.0, 1.5])
-def test_shares_are_those_of_raters_who_differ_in_how_sharply_they_answer(diversity: float) -> None:
+def test_shares_are_those_of_raters_who_differ_in_how_sharply_they_answer() -> None:
     """Not of the median one, who is surer than they are together."""
     law = np.array([[0.9, 0.05, 0.05], [0.7, 0.2, 0.1], [0.98, 0.01, 0.01]])
-    observer, draws = sure(law.tolist()), {"spread": np.zeros(2)}
-    diverse = {**draws, "diversity": np.full(2, diversity)}
+    observer, alike = sure(law.tolist()), {"spread": np.zeros(2)}
     places, steps = np.linspace(-8, 8, 4001, retstep=True)
-    powers = (law / law.max(axis=1, keepdims=True)) ** np.exp(diversity * places)[:, None, None]
-    raters = powers / powers.sum(axis=-1, keepdims=True)
-    exact = np.einsum("r,rea->ea", norm.pdf(places) * steps, raters)
-    np.testing.assert_allclose(shares_of(observer, diverse), [exact, exact], atol=1e-3)
-    fit = FittedObserver(observer, "", diverse, ("relation",), None)
-    predicted = fit.predict(world(n=3)[0])["v0"].probabilities["relation"]
-    assert predicted[0] == pytest.approx({0.5: 0.869, 1.0: 0.827, 1.5: 0.795}[diversity], abs=1e-3)
+    exact = []
+    for diversity in (0.5, 1.5):
+        powers = (law / law.max(axis=1, keepdims=True)) ** np.exp(diversity * places)[:, None, None]
+        raters = powers / powers.sum(axis=-1, keepdims=True)
+        exact.append(np.einsum("r,rea->ea", norm.pdf(places) * steps, raters))
+    diverse = {**alike, "diversity": np.array([0.5, 1.5])}
+    np.testing.assert_allclose(shares_of(observer, diverse), exact, atol=1e-3)
+    # what raters share about a video makes them answer less sharply together too
+    (moved, _, _), _ = shares_of(observer, {"spread": np.array([1.0, 0.0])})
+    assert moved.argmax() == 0
+    assert moved[0] < 0.9
+    assert moved.sum() == pytest.approx(1, abs=1e-4)
     # of people without names it is not known
-    np.testing.assert_allclose(shares_of(observer, draws), [law, law], atol=1e-5)
+    np.testing.assert_allclose(shares_of(observer, alike), [law, law], atol=1e-5)
 
 
 def test_a_parameter_of_ones_own_is_not_taken_for_the_raters() -> None:
@@ -172,22 +182,6 @@ def test_a_parameter_of_ones_own_is_not_taken_for_the_raters() -> None:
 
     found = shares_of(own, {"spread": np.zeros(1), "diversity": np.ones(1)})
     np.testing.assert_allclose(found, [[[0.8, 0.1, 0.1]]], atol=1e-5)
-
-
-@pytest.mark.slow
-def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
-    evidence, answers = world()
-    agreed = dataclasses.replace(
-        answers,
-        counts={"relation": np.eye(3, dtype=int)[answers.counts["relation"].argmax(1)] * 15},
-    )
-    spread = fitted("distance", evidence, agreed).draws["spread"].mean()
-    assert spread > 3 * fitted("distance", evidence, answers).draws["spread"].mean()
-    logs = np.log(np.array([[0.8, 0.1, 0.1]]))
-    moved = np.asarray(expected({"relation": logs}, 1.0)["relation"])[0]
-    assert moved[0] < 0.8
-    assert moved.argmax() == 0
-    assert moved.sum() == pytest.approx(1.0, abs=1e-4)
 
 
 def study(path: Path, events: list[Event]) -> None:
@@ -257,7 +251,7 @@ def test_commands_fit_and_ask_an_observer(
     ]
     out, videos = tmp_path / "observer.json", tmp_path / "videos.json"
     ppl.save_events(events, videos)
-    brief = functools.partial(ppl.fit_people, draws=60, warmup=60, chains=1)
+    brief = functools.partial(ppl.fit_people, draws=30, warmup=40, chains=1)
     monkeypatch.setattr(ppl, "fit_people", brief)
     given = ["--source", "cues", "--observer", "lapsing", "--out", out]
     assert "ELPD" in told(capsys, "fit-people", videos, *given)

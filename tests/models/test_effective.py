@@ -11,7 +11,7 @@ import numpyro.distributions as dist
 import pytest
 
 from phase_ppl.models import priors, sites
-from phase_ppl.models.effective import log_prior_of_effective, nodes_of, prior_table
+from phase_ppl.models.effective import log_prior_of_effective, prior_table
 from phase_ppl.world.goals import goal_index
 
 LEVELS = (150.0, 300.0, 450.0, 600.0)
@@ -75,10 +75,14 @@ def test_levels_of_strength_have_the_mass_of_their_cells(law: dist.Distribution)
         numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
 
     table = np.exp(prior_table(prior, LEVELS)).sum(axis=(0, 1, 2))
-    low, high = float(law.support.lower_bound), float(law.support.upper_bound)
-    exact = np.diff(law.cdf(np.clip(ENDS, low, high)))
-    np.testing.assert_allclose(table.sum(axis=1), exact, atol=1e-5)
+    np.testing.assert_allclose(table.sum(axis=1), of_cells(law), atol=1e-5)
     np.testing.assert_allclose(table.sum(axis=0), [1 / 6, 1 / 3, 1 / 3, 1 / 6])
+
+
+def of_cells(law: Any) -> np.ndarray:
+    low, high = float(law.support.lower_bound), float(law.support.upper_bound)
+    masses: np.ndarray = np.diff(law.cdf(np.clip(ENDS, low, high)))
+    return masses
 
 
 def masses_of_levels(prior: Any) -> np.ndarray:
@@ -98,9 +102,9 @@ def test_the_mass_of_levels_is_right_where_alpha_depends_on_strengths() -> None:
         numpyro.sample("alpha", dist.Categorical(probs=probs))
         numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
 
-    exact = np.diff(law.cdf(ENDS))
-    np.testing.assert_allclose(masses_of_levels(prior).sum(axis=0), exact, atol=1e-4)
-    np.testing.assert_allclose(masses_of_levels(prior).sum(axis=1), [0.2] * 5, atol=1e-4)
+    found = masses_of_levels(prior)
+    np.testing.assert_allclose(found.sum(axis=0), of_cells(law), atol=1e-4)
+    np.testing.assert_allclose(found.sum(axis=1), [0.2] * 5, atol=1e-4)
 
 
 def test_strengths_with_a_support_that_depends_on_alpha_have_their_mass_in_all_of_it() -> None:
@@ -128,11 +132,3 @@ def test_a_strength_below_the_other_one_has_its_mass_at_all_levels() -> None:
     ends = np.array([225.0, 375.0, 525.0])
     below = ends - 200 + (ends - 150) * np.log(450 / (ends - 150))
     np.testing.assert_allclose(found, np.diff([0, *below / 400, 1]), atol=0.005)
-
-
-def test_few_strengths_stand_for_an_uneven_distribution() -> None:
-    law = dist.Normal(374.0, 8.0)
-    values, newtons = nodes_of(law, ENDS)
-    assert len(values) == 16  # a table has the square of that times 6480 entries
-    mass = (np.exp(np.asarray(law.log_prob(values), float)) * newtons).reshape(4, -1).sum(axis=1)
-    np.testing.assert_allclose(mass, np.diff(law.cdf(ENDS)), atol=1e-5)

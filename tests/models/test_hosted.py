@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import pickle
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,21 +27,39 @@ LENGTH = 6
 """Of the arrays of frames; the observation has fewer."""
 
 
-def kept_by_jax() -> Any:
+@pytest.fixture(scope="module", autouse=True)
+def _not_by_jax() -> Iterator[None]:
+    """What JAX keeps itself cannot be kept once more."""
     config: Any = jax.config
-    return config.jax_compilation_cache_dir
-
-
-@pytest.fixture(autouse=True)
-def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Has programs kept in a folder, and not by JAX, whose own files cannot be kept once more."""
-    monkeypatch.setattr(hosted, "folder", lambda: tmp_path)
-    before = kept_by_jax()
+    before = config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     compilation_cache.reset_cache()
     yield
     jax.config.update("jax_compilation_cache_dir", before)
     compilation_cache.reset_cache()
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hosted, "folder", lambda: tmp_path)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Return a folder in which a chain of simulations is kept, and what it computed."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hosted, "folder", lambda: folder)
+        found, runner = called(Hosted(chain, "a chain"), KEYS)
+    assert [len(batch) for batch in runner.batches] == [5, 5]
+    return folder, found
+
+
+@pytest.fixture
+def first(made: tuple[Path, Any], tmp_path: Path) -> Any:
+    """Return what the chain computed, which is kept in the test's folder."""
+    shutil.copytree(made[0], tmp_path, dirs_exist_ok=True)
+    return made[1]
 
 
 def simulated(handle: Any, seed: Any) -> jax.Array:
@@ -83,11 +103,10 @@ def _bits(leaf: jax.Array) -> Any:
 KEYS = random.split(random.key(3), 5)
 
 
-def test_cut_at_its_simulations_a_program_computes_what_it_does_as_a_whole(tmp_path: Path) -> None:
-    whole, _ = called(jax.jit(chain), KEYS)
-    cut, runner = called(Hosted(chain), KEYS)
-    assert cut == whole
-    assert [len(batch) for batch in runner.batches] == [5, 5]
+def test_cut_at_its_simulations_a_program_computes_what_it_does_as_a_whole(
+    first: Any, tmp_path: Path
+) -> None:
+    assert called(jax.jit(chain), KEYS)[0] == first
     assert list(tmp_path.glob(f"*{hosted.SUFFIX}"))
 
 
@@ -103,14 +122,10 @@ def test_simulations_in_a_loop_are_run_from_within(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(f"*{hosted.SUFFIX}"))
 
 
-def test_what_was_compiled_once_is_not_compiled_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    first, _ = called(Hosted(chain), KEYS)
+def test_what_is_kept_is_not_made_again(first: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jax.stages.Lowered, "compile", None)
     assert called(Hosted(chain), KEYS)[0] == first
-
-
-def test_what_is_identified_is_not_even_traced_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    first, _ = called(Hosted(chain, "a chain"), KEYS)
+    # what is identified is not even traced again
     monkeypatch.setattr(jax, "make_jaxpr", None)
     assert called(Hosted(chain, "a chain"), KEYS)[0] == first
     for other in (Hosted(chain, "another"), Hosted(chain)):
@@ -118,24 +133,18 @@ def test_what_is_identified_is_not_even_traced_again(monkeypatch: pytest.MonkeyP
             called(other, KEYS)
     with pytest.raises(TypeError):  # other arguments
         called(Hosted(chain, "a chain"), KEYS[:3])
-
-
-def test_code_of_another_version_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    called(Hosted(chain, "a chain"), KEYS)
     monkeypatch.setattr(hosted, "versions", lambda: {"source": "another"})
-    monkeypatch.setattr(jax, "make_jaxpr", None)
     with pytest.raises(TypeError):
         called(Hosted(chain, "a chain"), KEYS)
 
 
-@pytest.mark.parametrize("damage", [b"", b"x" * 100, None])
-def test_a_damaged_file_is_reported_and_made_anew(damage: bytes | None, tmp_path: Path) -> None:
-    first, _ = called(Hosted(chain, "a chain"), KEYS)
-    for file in tmp_path.glob(f"*{hosted.SUFFIX}"):
-        file.write_bytes(file.read_bytes()[:-1] if damage is None else damage)
-    with pytest.warns(RuntimeWarning, match="compiled anew"):
-        again, _ = called(Hosted(chain, "a chain"), KEYS)
-    assert again == first
+def test_a_damaged_file_is_reported_and_made_anew(first: Any, tmp_path: Path) -> None:
+    damages = itertools.cycle([lambda _: b"", lambda _: b"x" * 100, lambda content: content[:-1]])
+    for file, damaged in zip(tmp_path.glob(f"*{hosted.SUFFIX}"), damages, strict=False):
+        file.write_bytes(damaged(file.read_bytes()))
+    with pytest.warns(RuntimeWarning, match="compiled anew") as told:
+        assert called(Hosted(chain, "a chain"), KEYS)[0] == first
+    assert len(told) > 1
     assert called(Hosted(chain, "a chain"), KEYS)[0] == first  # without a warning
 
 
@@ -150,13 +159,14 @@ def test_the_files_not_used_for_longest_go(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_folder_that_cannot_be_written_changes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    first: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, _ = called(Hosted(chain), KEYS)
     (tmp_path / "file").write_text("in the way")
-    for place in (None, tmp_path / "file" / "folder"):
-        monkeypatch.setattr(hosted, "folder", functools.partial(lambda p: p, place))
-        assert called(Hosted(chain, "a chain"), KEYS)[0] == first
+    monkeypatch.setattr(hosted, "folder", lambda: tmp_path / "file" / "folder")
+    assert called(Hosted(chain, "a chain"), KEYS)[0] == first
+    monkeypatch.setattr(hosted, "folder", lambda: None)
+    assert hosted.read("a chain") is None
+    hosted.write("a chain", b"nowhere")
 
 
 def test_what_jax_keeps_itself_is_left_to_it(
@@ -165,7 +175,10 @@ def test_what_jax_keeps_itself_is_left_to_it(
     monkeypatch.undo()
     assert hosted.folder() == hosted.cache_folder()
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    assert hosted.folder() is None
+    try:
+        assert hosted.folder() is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", None)
 
 
 def test_code_that_was_changed_since_it_was_imported_is_not_remembered(

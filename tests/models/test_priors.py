@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import functools
 import itertools
-import math
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 import pytest
 from jax import random
 
@@ -34,7 +31,6 @@ CODES = np.array(list(itertools.product(range(N_GOALS), range(N_GOALS), range(le
 EFFECTIVE = np.array([effective_goals(r, g, ALPHAS[a]) for r, g, a in CODES])
 RELATION = RELATION_TABLE[EFFECTIVE[:, 0], EFFECTIVE[:, 1]].astype(int)
 LEVELS = np.array(list(itertools.product(STRENGTH_LEVELS, repeat=2)))
-ALL = pytest.mark.parametrize("name", priors.available())
 
 
 @functools.cache
@@ -55,14 +51,6 @@ def density(name: str, codes: Any, strengths: Any) -> np.ndarray:
     z |= {site: jnp.asarray(strengths[:, i], jnp.float32)
           for i, site in enumerate(sites.STRENGTH_SITES)}  # fmt: skip
     return np.exp(np.asarray(compiled_density(name)(z), float))[:n]
-
-
-@ALL
-def test_a_ready_made_prior_passes_the_checks_of_a_users_own(name: str) -> None:
-    prior = priors.named(name)
-    assert list(Model(prior=lambda: prior()).sites.items()) == list(
-        Model(prior=prior).sites.items()
-    )
 
 
 @functools.cache
@@ -90,48 +78,38 @@ def strength_mass(name: str) -> tuple[np.ndarray, np.ndarray]:
     return grid, density(name, REFERENCE, grid) * ((high - low) / n) ** 2
 
 
-@ALL
-def test_density_sums_to_one(name: str) -> None:
+@pytest.mark.parametrize("name", priors.available())
+def test_a_ready_made_prior_is_proper_and_its_draws_follow_it(name: str) -> None:
+    """And it passes the checks of a user's own."""
+    prior = priors.named(name)
+    assert Model(prior=lambda: prior()).sites == Model(prior=prior).sites
+    mass, reference = density(name, CODES, STRENGTHS), density(name, REFERENCE, STRENGTHS)
     # goals and alpha are independent of the strengths in all of them, so the sum factorises
     at = np.random.default_rng(0).choice(len(CODES), 50)
-    one, other = density(name, CODES[at], STRENGTHS), density(name, CODES[at], (600.0, 600.0))
-    ratio = density(name, REFERENCE, STRENGTHS) / density(name, REFERENCE, (600.0, 600.0))
-    np.testing.assert_allclose(one, other * ratio, rtol=1e-3)
-    over_codes = density(name, CODES, STRENGTHS).sum() / density(name, REFERENCE, STRENGTHS)[0]
-    assert over_codes * strength_mass(name)[1].sum() == pytest.approx(1, abs=0.01)
+    ratio = reference / density(name, REFERENCE, (600.0, 600.0))
+    elsewhere = density(name, CODES[at], (600.0, 600.0))
+    np.testing.assert_allclose(mass[at], elsewhere * ratio, rtol=1e-3)
+    points, weights = strength_mass(name)
+    assert mass.sum() / reference[0] * weights.sum() == pytest.approx(1, abs=0.01)
 
-
-@ALL
-def test_draws_follow_the_density(name: str) -> None:
     z = draws(name)
-    n = len(z["alpha"])
-    mass = density(name, CODES, STRENGTHS)
+    codes = [z[site] for site in (*sites.GOAL_SITES, "alpha")]
+    n, index = len(z["alpha"]), np.ravel_multi_index(codes, (N_GOALS, N_GOALS, len(ALPHAS)))
     mass /= mass.sum()
-    index = np.ravel_multi_index(
-        [z[site] for site in (*sites.GOAL_SITES, "alpha")], (N_GOALS, N_GOALS, len(ALPHAS))
-    )
     for group, kinds in ((CODES[:, 2], 5), (RELATION, 3), (CODES[:, 0], 36), (CODES[:, 1], 36)):
         expected = np.bincount(group, mass, kinds)
         found = np.bincount(group[index], minlength=kinds) / n
         np.testing.assert_allclose(found, expected, atol=5 * np.sqrt(0.25 / n))
-    points, weights = strength_mass(name)
+    assert (mass[index] > 0).all()
+    for holder, site in enumerate(sites.GOAL_SITES):
+        assert not sites.SELF_REFERRING[holder][z[site]].any()
     bins = [[0, 250, 350, 500, 1000]] * 2
     expected = np.histogram2d(*points.T, bins=bins, weights=weights / weights.sum())[0]
     found = np.histogram2d(z["strength_red"], z["strength_green"], bins=bins)[0] / n
     np.testing.assert_allclose(found, expected, atol=5 * np.sqrt(0.25 / n))
 
 
-@ALL
-def test_draws_have_mass_and_never_name_their_holder(name: str) -> None:
-    z = {site: values[:500] for site, values in draws(name).items()}
-    for holder, site in enumerate(sites.GOAL_SITES):
-        assert not sites.SELF_REFERRING[holder][z[site]].any()
-    codes = np.stack([z[site] for site in (*sites.GOAL_SITES, "alpha")], axis=1)
-    strengths = np.stack([z[site] for site in sites.STRENGTH_SITES], axis=1)
-    assert (density(name, codes, strengths) > 0).all()
-
-
-@ALL
+@pytest.mark.parametrize("name", ["uniform", "relation_first"])
 def test_prior_of_effective_goals_is_the_sum_over_what_leads_to_them(name: str) -> None:
     expected = np.zeros((N_GOALS, N_GOALS))
     np.add.at(expected, tuple(EFFECTIVE.T), density(name, CODES, STRENGTHS))
@@ -155,15 +133,6 @@ def test_density_is_zero_outside_the_support() -> None:
     assert (density("uniform", REFERENCE, strengths) == 0).all()
 
 
-def test_density_of_a_program_counts_every_site_given_those_before_it() -> None:
-    def program() -> None:
-        mood = numpyro.sample("mood", dist.Bernoulli(0.25))
-        numpyro.sample("x", dist.Normal(jnp.where(mood == 1, 5.0, 0.0), 1.0))
-
-    found = log_density(program, {"mood": jnp.array(1), "x": jnp.array(5.0)})
-    assert float(found) == pytest.approx(math.log(0.25) - 0.5 * math.log(2 * math.pi))
-
-
 def test_relation_first_is_the_papers_prior_given_relations_of_a_third_each() -> None:
     both = [density(name, CODES, STRENGTHS) for name in ("relation_first", "uniform")]
     total = np.bincount(RELATION, both[0], len(RELATIONS)) / both[0].sum()
@@ -185,20 +154,16 @@ def test_relations_can_have_other_probabilities() -> None:
     np.testing.assert_allclose(found, [expected[r] for r in RELATIONS], atol=0.04)
 
 
-@pytest.mark.parametrize("given", [(0.5, 0.5, 0.5), (1.5, -0.5, 0.0)])
-def test_relations_need_probabilities(given: tuple[float, float, float]) -> None:
-    with pytest.raises(InvalidSettingError, match="sum 1"):
-        Model(prior=lambda: priors.relation_first(*given))
+def test_relations_need_probabilities() -> None:
+    for given in ((0.5, 0.5, 0.5), (1.5, -0.5, 0.0)):
+        with pytest.raises(InvalidSettingError, match="sum 1"):
+            Model(prior=lambda given=given: priors.relation_first(*given))
 
 
-def test_social_goals_are_rare_under_sparse_social() -> None:
+def test_social_goals_are_rare_under_sparse_social_and_else_absent() -> None:
     assert (draws("sparse_social")["alpha"] != 0).mean() == pytest.approx(priors.SOCIAL, abs=0.01)
-
-
-def test_nobody_is_social_without_social_goals() -> None:
     mass = density("no_social_goals", CODES, STRENGTHS)
     assert mass[CODES[:, 2] != ALPHAS.index((0, 0))].sum() == 0
-    assert set(draws("no_social_goals")["alpha"].tolist()) == {ALPHAS.index((0, 0))}
 
 
 def test_correlated_strengths_are_correlated_and_each_uniform() -> None:
@@ -218,12 +183,6 @@ def test_strength_levels_allow_the_four_levels_only() -> None:
     assert (found == 0).all()
 
 
-def test_priors_are_known_by_name() -> None:
-    assert Model(prior="sparse_social").prior is priors.sparse_social
-    assert Model(prior="uniform") == Model()
-    assert set(priors.available()) >= {"uniform", "relation_first", "strength_levels"}
-
-
 def test_a_prior_of_ones_own_is_registered_and_checked_as_any(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -234,6 +193,7 @@ def test_a_prior_of_ones_own_is_registered_and_checked_as_any(
         sites.goals()
         sites.alpha()
 
+    assert Model(prior="sparse_social").prior is priors.sparse_social
     assert "without_strengths" in priors.available()
     with pytest.raises(InvalidSettingError, match="does not sample 'strength_red'"):
         Model(prior="without_strengths")
@@ -247,30 +207,22 @@ def test_a_prior_of_ones_own_is_registered_and_checked_as_any(
 VALUES, PROBS = [150.0, 300.0, 620.5], [0.2, 0.5, 0.3]
 
 
-def test_draws_are_the_values_in_their_proportions() -> None:
-    drawn = np.asarray(OneOf(VALUES, PROBS).sample(random.key(0), (20_000,)))
-    found = [(drawn == value).mean() for value in VALUES]
-    assert found == pytest.approx(PROBS, abs=0.02)
+def test_draws_are_the_values_in_their_proportions_and_nothing_else_has_mass() -> None:
+    one = OneOf(VALUES, PROBS)
+    drawn = np.asarray(one.sample(random.key(0), (20_000,)))
+    assert [(drawn == value).mean() for value in VALUES] == pytest.approx(PROBS, abs=0.02)
     assert np.isin(drawn, VALUES).all()
-
-
-def test_density_is_the_probability_of_a_value_and_zero_elsewhere() -> None:
-    found = np.exp(OneOf(VALUES, PROBS).log_prob(jnp.array([*VALUES, 151.0, -1.0])))
+    found = np.exp(one.log_prob(jnp.array([*VALUES, 151.0, -1.0])))
     np.testing.assert_allclose(found, [*PROBS, 0, 0], rtol=1e-5)
-
-
-@pytest.mark.parametrize("values", [[300.0], [1.0, 250.5, 1.0], [3.0, 1000.0, 2.0, 2.0]])
-def test_mass_of_the_distinct_values_is_one(values: list[float]) -> None:
-    logits = np.random.default_rng(0).normal(0, 3, len(values))
-    distribution = OneOf(values, logits=logits)
-    distinct = np.unique(np.array(values, np.float32))
-    assert float(np.exp(distribution.log_prob(distinct)).sum()) == pytest.approx(1, rel=1e-4)
-
-
-def test_value_of_probability_zero_is_outside_the_support() -> None:
     support = OneOf(VALUES, [0.5, 0.5, 0.0]).support
     np.testing.assert_array_equal(support(jnp.array([150.0, 620.5, 7.0])), [True, False, False])
     assert support.is_discrete
+
+
+def test_mass_of_the_distinct_values_is_one() -> None:
+    values = [3.0, 1000.0, 2.0, 2.0]
+    one = OneOf(values, logits=np.random.default_rng(0).normal(0, 3, 4))
+    assert float(np.exp(one.log_prob(np.unique(values))).sum()) == pytest.approx(1, rel=1e-4)
 
 
 def test_values_may_depend_on_other_sites_inside_compiled_code() -> None:
