@@ -14,7 +14,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import event_judgments
-from phase_ppl.evaluation.tables import kinds_of, parts_of, titles_of
+from phase_ppl.evaluation.tables import kinds_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -86,26 +86,6 @@ def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
     assert [one["n"] for one in sure.values()] == [6, 6, 4, 2]
     assert [one["accuracy"]["value"] for one in sure.values()] == [5 / 6, 5 / 6, 0.75, 1.0]
     assert sure["0.8"]["probability"] == pytest.approx(0.95)
-
-
-def test_an_evaluation_is_kept_read_again_and_gone_on_with(
-    tmp_path: Path, events: list[ppl.Event]
-) -> None:
-    calls = []
-
-    def counted(scene: ppl.Scene, observation: Observation, seed: int) -> dict[str, Any]:
-        calls.append(scene)
-        return always_home(scene, observation, seed)
-
-    given = {**ONE_PROCESS, "out": tmp_path / "out"}
-    ppl.evaluate(events[:1], counted, **given)
-    whole = ppl.evaluate(events, counted, **given, resume=True)
-    assert len(calls) == 2
-    again = ppl.Evaluation.load(tmp_path / "out")
-    assert again.metrics["by_pair"] == whole.metrics["by_pair"]
-    assert again.predictions["trio-2"].answers == whole.predictions["trio-2"].answers
-    assert again.events[0].truth == events[0].truth
-    assert [answers.label for answers in whole.measured] == ["counted"]
 
 
 def test_what_came_true_is_what_the_last_frame_says(events: list[ppl.Event]) -> None:
@@ -233,8 +213,15 @@ def test_people_are_scored_by_agent_and_pair_beside_a_model(
     of_pairs = [f"by_pair.red & {name}.relation_accuracy" for name in ("green", "purple")]
     # red and purple compete
     assert values(found, *of_agents, *of_pairs) == pytest.approx([0.5, 0.75, 1.0, 0.0])
+    # judgments are kept with their event
+    file, out = tmp_path / "events.json", tmp_path / "out"
+    ppl.save_events(ppl.with_judgments(events, study), file)
+    assert ppl.load_judgments(study_file, file).table.equals(study.table)
+    for event in ppl.load_events(file):
+        judged = event_judgments(event)
+        assert judged is not None
+        assert judged.responses == study.judgments[event.id].responses
 
-    out = tmp_path / "out"
     evaluation = ppl.evaluate(events, always_home, judgments=study, out=out, **ONE_PROCESS)
     for one in (evaluation, ppl.Evaluation.load(out)):
         people, human = one.metrics["people"], one.metrics["human"]
@@ -296,31 +283,6 @@ def test_people_who_judge_a_single_agent_have_no_relations_to_judge(tmp_path: Pa
     assert found.metrics["people"]["goal_accuracy"]["value"] == 0.5
     assert found.metrics["human"]["goal_log_score_people"]["value"] == pytest.approx(-np.log(2))
     assert found.metrics["human"]["relation_r"] is None
-
-
-def test_judgments_are_kept_with_their_event(
-    events: list[ppl.Event], study_file: Path, tmp_path: Path
-) -> None:
-    study = ppl.load_judgments(study_file, events)
-    file = tmp_path / "events.json"
-    ppl.save_events(ppl.with_judgments(events, study), file)
-    assert ppl.load_judgments(study_file, file).table.equals(study.table)
-    for event in ppl.load_events(file):
-        found, made = event_judgments(event), study.judgments[event.id]
-        assert found is not None
-        assert found.responses == made.responses
-        assert {q: n.tolist() for q, n in found.counts.items()} == {
-            q: n.tolist() for q, n in made.counts.items()
-        }
-
-
-def test_parts_of_the_metrics_are_those_of_their_questions() -> None:
-    names = [f"{colour} agent" for colour in ("red", "green", "purple", "orange")]
-    four = ppl.World(names, ["ball"], {"home": (8.0, 8.0)})
-    parts = [label for _, label in parts_of(four, "relation")]
-    questions = kinds_of(four)["relation"]
-    assert [f"relation_{label.replace(' & ', '_')}" for label in parts] == list(questions)
-    assert titles_of(four)[questions[-1]] == f"Relation of {parts[-1]}"
 
 
 def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:

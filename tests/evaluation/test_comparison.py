@@ -99,19 +99,15 @@ def row(rows: Sequence[Mapping[str, Any]], **wanted: Any) -> Mapping[str, Any]:
 # --- figures -----------------------------------------------------------------------------------
 
 
-def test_holm_is_the_step_down_procedure() -> None:
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert holm([0.5, 0.6]) == [1, 1]
-    assert holm([]) == []
-
-
 @pytest.fixture(scope="module")
 def three() -> ppl.ModelComparison:
     """Return a comparison of one that is right, with two that always say the same."""
     return compare(evaluation(), evaluation("friend", "friendly"), evaluation("foe", "adversarial"))
 
 
-def test_differences_are_of_every_pair_on_the_same_resamples(three: ppl.ModelComparison) -> None:
+def test_differences_are_of_every_pair_and_p_is_corrected_over_those_of_a_measure(
+    three: ppl.ModelComparison,
+) -> None:
     for one, other, scenario, value, n in (
         ("right", "friend", None, 1 / 3, 12),  # all competing ones
         ("friend", "foe", None, 1 / 3, 12),
@@ -121,14 +117,13 @@ def test_differences_are_of_every_pair_on_the_same_resamples(three: ppl.ModelCom
         found = row(three.differences, one=one, other=other, **place)
         assert (found["value"], found["n_events"]) == pytest.approx((value, n))
         assert found["ci_low"] <= found["value"] <= found["ci_high"]
-
-
-def test_p_is_corrected_over_the_pairs_of_a_measure(three: ppl.ModelComparison) -> None:
     relation = [r for r in three.differences if r["measure"] == "relation_accuracy"]
     for of_scenarios, n in ((False, 3), (True, 6)):
         family = [r for r in relation if (r["scenario"] is not None) == of_scenarios]
         assert len(family) == n
         assert [r["p_holm"] for r in family] == pytest.approx(holm([r["p"] for r in family]))
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert (holm([0.5, 0.6]), holm([])) == ([1, 1], [])
     alone = compare(*(evaluation(n) for n in ("a", "b")))
     equal = row(alone.differences, measure="relation_accuracy", scenario=None)
     assert (equal["value"], equal["p"], equal["p_holm"]) == (0, 1, 1)
@@ -440,12 +435,11 @@ def test_no_text_of_a_figure_leaves_the_page_or_covers_another(crowd: ppl.ModelC
     assert column.get_figheight() < drawn["differences"].get_figheight() - 0.5
 
 
-def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
+def test_everybody_has_a_column_on_a_page_and_a_colour_that_stays(
+    crowd: ppl.ModelComparison,
+) -> None:
     shown = event_page(crowd.events[0], crowd.answers)
     assert all(words in shown for words in ("people", "SIMPLE", "planning", "physics", "$y$"))
-
-
-def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:
     colours = {o.name: o.colour for o in crowd.answers}
     assert len(set(colours.values())) == len(colours) == len(NAMES) + 2
     few = {o.name: o.colour for o in compare(evaluation("vlm")).answers}

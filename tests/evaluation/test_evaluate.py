@@ -115,17 +115,10 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(tmp_path:
     with pytest.raises(InvalidSettingError, match=r"model 'fussy', event 'd': .*too small"):
         evaluate(model="fussy", out=tmp_path)
     evaluate(out=tmp_path)  # nothing was done, so nothing is in the way
-    # an odd answer is none of the settings
-    ppl.register_model("odd")(lambda: FailsAt(6, lambda: {"relation": "hostile"}))
-    assert list(evaluate(model="odd").failures) == ["d"]
-
-
-@pytest.mark.usefixtures("own_models")
-def test_options_that_are_no_plain_data_are_kept_as_text(tmp_path: Path) -> None:
-    ppl.register_model("any")(lambda **options: right)
-    options = {"a": np.nan, "b": raises, "c": (1, np.float32(2))}
-    evaluate(model="any", out=tmp_path, **options)
-    found = evaluate(model="any", out=tmp_path, resume=True, **options)
+    # an odd answer is none of the settings, whose text is kept where they are no plain data
+    ppl.register_model("odd")(lambda **options: FailsAt(6, lambda: {"relation": "hostile"}))
+    found = evaluate(model="odd", a=np.nan, b=raises, c=(1, np.float32(2)))
+    assert list(found.failures) == ["d"]
     text = "tests.evaluation.toys.raises"
     assert found.settings["options"] == {"a": None, "b": text, "c": [1, 2.0]}
 
@@ -277,8 +270,8 @@ def test_judgments_from_a_file_take_the_place_of_those_in_the_events(tmp_path: P
 # --- two models --------------------------------------------------------------------------------
 
 
-def test_differences_are_paired_over_common_events(tmp_path: Path) -> None:
-    one = evaluate(EVENTS[:3], right)
+def test_differences_are_paired_over_events_that_both_have_seen(tmp_path: Path) -> None:
+    one = evaluate([dataclasses.replace(e, predictions={"rival": WRONG}) for e in EVENTS[:3]])
     two = evaluate(EVENTS[1:], wrong, out=tmp_path)
     found = one.against(tmp_path)
     assert (found["one"], found["other"], found["n_events"]) == ("right", "wrong", 2)
@@ -286,14 +279,10 @@ def test_differences_are_paired_over_common_events(tmp_path: Path) -> None:
     assert values(found, "goal_accuracy", "relation_accuracy") == [1, 1]
     assert values(two.against(one), "relation_accuracy") == [-1]
     json.dumps(found, allow_nan=False)
-
-
-def test_opponents_are_models_that_have_seen_the_same() -> None:
-    one = evaluate([dataclasses.replace(e, predictions={"rival": WRONG}) for e in EVENTS[:2]])
     assert values(one.against("rival"), "relation_accuracy") == [1]
     others: list[tuple[Any, type[Exception], str]] = [
         ("rivla", InvalidEventError, r"rivla: no such folder.*\(rival\)"),
-        (evaluate(EVENTS[2:]), InvalidSettingError, "right predicts none of the 2 events"),
+        (evaluate(EVENTS[3:]), InvalidSettingError, "right predicts none of the 3 events"),
         (evaluate([still("a", shift=0.7)]), InvalidEventError, "'a' is not the same in both"),
         (3, InvalidSettingError, "3 is neither an evaluation"),
     ]

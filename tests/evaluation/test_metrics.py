@@ -71,7 +71,7 @@ def relations(n: int, right: int) -> dict[str, Prediction]:
     return by_id(*(answers(str(i), relation=one) for i, one in enumerate(said)))
 
 
-def test_accuracies_are_shares_of_goals_and_of_relations() -> None:
+def test_accuracies_are_shares_and_scenarios_are_those_of_the_goals_answered() -> None:
     metrics = evaluate_predictions(EVENTS, ANSWERS)
     assert metrics["n_events"] == 4
     assert values(metrics, "goal_accuracy", "relation_accuracy") == [(2 + 1 + 1 + 0) / 8, 3 / 4]
@@ -82,17 +82,18 @@ def test_accuracies_are_shares_of_goals_and_of_relations() -> None:
     assert values(by_scenario, *goals) == [3 / 4, 0, 1 / 2, None]
     assert values(by_scenario, "collaborative.relation_accuracy") == [1]
     assert {figure for name, figure in by_scenario["opposing"].items() if name != "n"} == {None}
-
-
-def test_confusion_counts_true_scenarios_against_those_of_the_goals_answered() -> None:
-    confusion = evaluate_predictions(EVENTS, ANSWERS)["confusion"]
     nothing = dict.fromkeys(SCENARIOS, 0)
-    assert confusion == {
+    assert metrics["confusion"] == {
         "collaborative": {**nothing, "collaborative": 1, "independent": 1},
         "independent": {**nothing, "independent": 1},
         "competing": {**nothing, "collaborative": 1},
         "opposing": nothing,
     }
+    # a single event has no interval, nor has a scenario that a single event has
+    assert by_scenario["competing"]["goal_accuracy"]["ci_low"] is None
+    assert by_scenario["collaborative"]["goal_accuracy"]["ci_low"] is not None
+    alone = evaluate_predictions(EVENTS[:1], ANSWERS)["goal_accuracy"]
+    assert alone == {"value": 1, "ci_low": None, "ci_high": None}
 
 
 def test_all_right_is_not_certain() -> None:
@@ -148,16 +149,6 @@ def test_goals_that_go_together_say_no_more_than_one() -> None:
     assert (apart["ci_low"], apart["ci_high"]) == pytest.approx((exact.low, exact.high))
 
 
-def test_one_event_has_no_interval() -> None:
-    metrics = evaluate_predictions(EVENTS[:1], ANSWERS)
-    assert metrics["n_events"] == 1
-    assert metrics["goal_accuracy"] == {"value": 1, "ci_low": None, "ci_high": None}
-    # nor has a scenario that a single event has
-    of_all = evaluate_predictions(EVENTS, ANSWERS)["by_scenario"]
-    assert of_all["competing"]["goal_accuracy"]["ci_low"] is None
-    assert of_all["collaborative"]["goal_accuracy"]["ci_low"] is not None
-
-
 def test_top3_needs_a_probability() -> None:
     events = [make_event("a", INDEPENDENT), make_event("b", INDEPENDENT)]
     third = {BLUE_TO_GREEN: 0.5, PINK_TO_BLUE: 0.3, BLUE_TO_RED: 0.2}
@@ -201,16 +192,14 @@ def test_log_score_of_the_truth_has_a_lapse_of_one_in_a_hundred() -> None:
     assert sure["0.8"]["accuracy"]["value"] == 0
 
 
-def test_only_events_with_a_prediction_count() -> None:
+def test_only_what_is_answered_counts() -> None:
     made = {name: ANSWERS[name] for name in ("b", "c")}
     metrics = evaluate_predictions(EVENTS, made)
     assert (metrics["n_events"], metrics["n"]["events"]) == (2, 4)
     assert metrics["goal_accuracy"]["value"] == 2 / 4
     assert metrics["by_scenario"]["independent"]["n"] == 0
     assert metrics == {**evaluate_predictions(EVENTS[1:3], ANSWERS), "n": metrics["n"]}
-
-
-def test_a_goal_that_is_not_given_is_not_wrong() -> None:
+    # a goal that is not given is not wrong
     made = by_id(answers("a", BLUE_TO_RED), answers("b", PINK_TO_BLUE, BLUE_TO_RED))
     metrics = evaluate_predictions(EVENTS, made)
     assert metrics["goal_accuracy"]["value"] == 2 / 3
@@ -308,13 +297,11 @@ def test_p_is_small_only_where_the_difference_is_clear() -> None:
     )
     assert clear["p"] < 0.01 < 0.2 < unclear["p"]
     assert unclear["ci_low"] < 0 < clear["ci_low"]
-
-
-@pytest.mark.parametrize(("n", "least"), [(2, 1 / 2), (3, 1 / 4), (5, 1 / 16)])
-def test_a_few_events_that_agree_are_no_more_than_their_signs(n: int, least: float) -> None:
-    for right in (0, n):
-        one, other = relations(n, right), relations(n, n - right)
-        assert paired_difference(alike(n), one, other)["relation_accuracy"]["p"] == least
+    # a few events that agree are no more than their signs
+    for n, least in ((2, 1 / 2), (3, 1 / 4), (5, 1 / 16)):
+        for right in (0, n):
+            one, other = relations(n, right), relations(n, n - right)
+            assert paired_difference(alike(n), one, other)["relation_accuracy"]["p"] == least
 
 
 def test_difference_is_over_what_both_answer() -> None:
@@ -461,14 +448,11 @@ def test_responses_tell_what_each_participant_got_right() -> None:
     assert found["confusion"]["competing"]["collaborative"] == 1
 
 
-def test_five_people_who_are_right_need_not_always_be() -> None:
+def test_five_people_who_are_right_need_not_always_be_and_nobody_has_no_accuracy() -> None:
     right = {f"p{i}": {"relation": "friendly"} for i in range(5)}
     found = participant_accuracy([make_event("a", judgments=responses(**right))])
     low, high = clopper_pearson(5, 5)
     assert found["relation_accuracy"] == {"value": 1, "ci_low": low, "ci_high": high}
-
-
-def test_nobody_has_no_accuracy() -> None:
     for events in ([], [make_event("a")], [make_event("a", None, [1, 0, 0])]):
         found = human_accuracy(events)
         assert found["n_events"] == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ def test_workers_answer_as_one_process_does_and_get_to_know_no_more(tmp_path: Pa
             found = of_events() if in_worker() else []
             if found:
                 raise AssertionError(f"found {found}")
-            process = str(os.getpid())
+            process = f"{os.getpid()} {in_worker()}"
             answer = {"relation": np.random.default_rng(seed).dirichlet(np.ones(3))}
             return ppl.Answer(answer, {"process.txt": lambda path: path.write_text(process)})
 
@@ -58,8 +59,9 @@ def test_workers_answer_as_one_process_does_and_get_to_know_no_more(tmp_path: Pa
         folder = tmp_path / f"{workers}"
         found = evaluate(events, Local(folder), workers=workers, out=folder / "out")
         assert (found.failures, found.cost["workers"]) == ({}, workers)
-        processes = {int(path.read_text()) for path in folder.glob("out/events/*/process.txt")}
-        assert (os.getpid() in processes) == (workers == 1)
+        processes = {path.read_text() for path in folder.glob("out/events/*/process.txt")}
+        assert (f"{os.getpid()} False" in processes) == (workers == 1)
+        assert all(one.endswith("True") for one in processes) == (workers == 2)
         answers = {
             (name, question): shares.tobytes()
             for name, given in found.predictions.items()
@@ -78,6 +80,10 @@ def test_an_event_that_kills_its_process_is_tried_twice_and_takes_nothing_with_i
     assert model.calls() == {3: 2}
 
 
+def _falls_apart() -> None:
+    raise ImportError("no module named elsewhere")
+
+
 def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending() -> None:
     lock = threading.Lock()
 
@@ -88,6 +94,22 @@ def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending
     with pytest.raises(InvalidSettingError, match=r"cannot be sent to worker.*workers=1"):
         evaluate(model=holds_a_lock, workers=2)
     assert len(evaluate(model=holds_a_lock).predictions) == 4
+
+    class CannotLoad:
+        def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
+            raise AssertionError
+
+        def __reduce__(self) -> Any:
+            return _falls_apart, ()
+
+    def asks(scene: Any, observation: Any, seed: int) -> Any:
+        return {"relation": "neutral" if in_worker() else "friendly"}
+
+    with ThreadPoolExecutor(1) as threads:
+        with pytest.raises(InvalidSettingError, match=r"cannot be loaded.*named elsewhere"):
+            evaluate(model=CannotLoad(), executor=threads)
+        found = evaluate(still(), asks, executor=threads)
+    assert found.predictions["still"].answers["relation"] == "friendly", "a thread is no worker"
 
 
 # --- -9 and Ctrl-C -----------------------------------------------------------------------------
