@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,31 +42,21 @@ def test_an_item_is_seen_up_to_the_edge_of_the_view(degrees: float, seen: bool) 
     assert look(scene(red=(16.0, 12.0, 0.0), blue=(x, y))).entities[2] == seen
 
 
-def test_a_wall_hides_what_is_behind_it() -> None:
-    facing_right = -math.pi / 2
-    there = {"red": (13.0, 18.0, facing_right), "blue": (20.0, 18.0)}
+def test_a_wall_and_a_big_body_hide_what_is_behind_them() -> None:
+    there: dict[str, Any] = {"red": (13.0, 18.0, -math.pi / 2), "blue": (20.0, 18.0)}
     assert look(scene(**there)).entities[2]
     assert not look(scene(**there, walls=[FULL_WALL_UP])).entities[2]
+    there = {"red": (16.0, 5.0, 0.0), "blue": (16.0, 14.0), "green": (24.0, 4.0, 0.0),
+             "radius": [0.8, 0.8, 0.8, 1.6]}  # fmt: skip
+    assert look(scene(**there, pink=(24.0, 20.0))).entities[2]
+    assert not look(scene(**there, pink=(16.0, 9.0))).entities[2]
 
 
-def test_a_big_body_hides_what_is_behind_it() -> None:
-    there = {"red": (16.0, 5.0, 0.0), "blue": (16.0, 14.0), "green": (24.0, 4.0, 0.0)}
-    radius = [0.8, 0.8, 0.8, 1.6]
-    assert look(scene(**there, pink=(24.0, 20.0), radius=radius)).entities[2]
-    assert not look(scene(**there, pink=(16.0, 9.0), radius=radius)).entities[2]
-
-
-def test_what_is_touched_from_behind_is_observed() -> None:
-    assert look(scene(red=(16.0, 12.0, 0.0), blue=(16.0, 10.3))).entities[2]
+def test_what_is_touched_and_who_holds_or_is_held_along_with_it_is_observed() -> None:
+    assert look(scene(red=(16.0, 12.0, 0.0), blue=(16.0, 10.3))).entities[2]  # from behind
     assert not look(scene(red=(16.0, 12.0, 0.0), blue=(16.0, 9.5))).entities[2]
-
-
-def test_the_other_holder_of_ones_item_is_observed() -> None:
     behind = scene(red=(16.0, 12.0, 0.0), blue=(16.0, 10.4), green=(16.0, 8.0, 0.0))
     assert look(behind, held=(2, 2)).entities[1]
-
-
-def test_what_an_observed_agent_holds_is_observed_along_the_chain() -> None:
     # green is in view; its item is behind a wall
     where = scene(
         red=(13.0, 16.0, -math.pi / 2 + 0.6),
