@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, ClassVar
+import itertools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,6 @@ from jax import random
 from numpy.typing import NDArray
 from numpyro.infer import MCMC
 
-from phase_ppl.inference.kernels.enumerated_gibbs import SIMS_PER_STEP, EnumeratedGibbs
 from phase_ppl.inference.kernels.generic_mh import MixtureMH, PriorMH, RandomWalkMH
 from phase_ppl.inference.kernels.local_mh import (
     EXACT_RULES,
@@ -27,14 +27,12 @@ from phase_ppl.inference.kernels.local_mh import (
 )
 from phase_ppl.inference.kernels.metropolis import log_ratio
 from phase_ppl.inference.run import Run
-from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import (
     SETTINGS,
     TableRunner,
-    run,
     table_errors,
     table_program,
     total_variation,
@@ -82,7 +80,7 @@ def test_windows_that_there_are_not_are_never_chosen() -> None:
     longer = log_window_choice(jnp.asarray(np.pad(errors, (0, 44))), 0.3, 4, len(exact))
     np.testing.assert_array_equal(longer[: len(exact)], exact)
     assert np.isneginf(longer[len(exact) :]).all()
-    for key in random.split(KEYS[0], 20):
+    for key in random.split(KEYS[0], 5):
         assert random.categorical(key, longer) == random.categorical(key, exact)
 
 
@@ -151,7 +149,7 @@ def _transitions(rule: Rule, errors: jax.Array, prior: jax.Array, proposal: jax.
     return matrix + jnp.diag(1 - matrix.sum(axis=1))
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_exact_rules_leave_the_posterior_invariant_and_the_printed_one_something_else(
     seed: int,
 ) -> None:
@@ -164,10 +162,9 @@ def test_exact_rules_leave_the_posterior_invariant_and_the_printed_one_something
     assert kept["exact"] < kept["window"]
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_no_simulation_adds_more_to_the_ratio_than_early_rejection_allows(rule: Rule) -> None:
+def test_no_simulation_adds_more_to_the_ratio_than_early_rejection_allows() -> None:
     rng = np.random.default_rng(0)
-    for _ in range(20):
+    for rule, _ in itertools.product(RULES, range(10)):
         log_q = jnp.asarray(rng.normal(0.0, 3.0, TIME - LENGTH))
         log_windows = log_window_choice(jnp.asarray(rng.gamma(1.0, 5.0, TIME)), ETA, LENGTH)
         for window in (0, TIME - LENGTH - 1):
@@ -198,59 +195,12 @@ def test_draws_are_the_same_under_numpyros_chain_methods() -> None:
         np.testing.assert_allclose(values, draws[1][name], 1e-5, err_msg=name)
 
 
-def test_enumeration_simulates_every_other_goal_once_and_one_hypothesis_more() -> None:
-    runner = TableRunner(ERRORS)
-    program, bridge = table_program(runner, priors.uniform)
-    states = run(EnumeratedGibbs(program), 3, KEYS)
-    assert SIMS_PER_STEP == 34
-    assert runner.batches == [2, *[2 * (SIMS_PER_STEP - 1), 2] * 3]
-    first = bridge.records[2 : 2 * SIMS_PER_STEP]
-    for chain in (0, 1):
-        own = [r.sites for r in first if r.chain == chain]
-        before = bridge.records[chain].sites
-        assert len(own) == SIMS_PER_STEP - 1
-        changed = [s for s in ("goal_red", "goal_green") if own[0][s] != before[s]]
-        assert len(changed) == 1
-        assert len({int(sites[changed[0]]) for sites in own} | {int(before[changed[0]])}) == 34
-        assert all(sites["strength_red"] == before["strength_red"] for sites in own)
-    assert set(np.unique(states.window)) == {-1}
-
-
-def test_the_bound_that_is_kept_says_where_a_simulation_is_stopped() -> None:
-    class Watched(TableRunner):
-        ceilings: ClassVar[list[float]] = []
-
-        def run(self, hypotheses: Any, seeds: Any, ceilings: Any) -> Any:
-            self.ceilings += ceilings
-            return super().run(hypotheses, seeds, ceilings)
-
-    program, bridge = table_program(Watched(ERRORS))
-    run(PriorMH(program), 1, random.split(random.key(1), 2000))
-    n, moves = ERRORS.shape[-1], slice(2000, None)
-    log_floor = n * program.likelihood.log_prob(np.array(Watched.ceilings[moves]) / n)
-    log_u = np.array([record.log_bound for record in bridge.records[moves]]) + log_floor
-    # even in (0, 1) up to rounding, as what it is compared with
-    assert -0.01 < log_u.max() < 1e-3
-    assert np.exp(log_u).mean() == pytest.approx(0.5, abs=3 * 0.0065)
-
-
-@pytest.mark.parametrize(
-    ("kernel", "name", "value", "error"),
-    [
-        (LocalMH, "rule", "papr", UnknownNameError),
-        (RandomWalkMH, "scale", 0, InvalidSettingError),
-        (RandomWalkMH, "scale", float("nan"), InvalidSettingError),
-        (MixtureMH, "local_share", 1.5, InvalidSettingError),
-        (MixtureMH, "local_share", "half", InvalidSettingError),
-    ],
-)
-def test_an_option_that_cannot_be_is_refused(
-    kernel: Any, name: str, value: Any, error: Any
-) -> None:
-    with pytest.raises(error, match=name):
-        kernel(**{name: value})
-
-
-def test_kernel_without_an_event_says_so() -> None:
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="rule"):
+        LocalMH(rule="papr")  # type: ignore[arg-type]
+    with pytest.raises(InvalidSettingError, match="scale"):
+        RandomWalkMH(scale=0)
+    with pytest.raises(InvalidSettingError, match="local_share"):
+        MixtureMH(local_share=1.5)
     with pytest.raises(InvalidSettingError, match="LocalMH has no program"):
         _ = LocalMH().program

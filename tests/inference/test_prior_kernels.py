@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -20,8 +19,8 @@ from phase_ppl.inference.tables import window_count
 from phase_ppl.models.density import compiled_quickly, log_density
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.simulator.contract import SimulationResult
-from phase_ppl.world.goals import N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS, RELATION_TABLE, STRENGTH_LEVELS
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from tests.inference.toy import (
     N_FRAMES,
     SETTINGS,
@@ -87,49 +86,21 @@ def test_discrete_strengths_reach_the_enumerated_posterior() -> None:
     assert total_variation(found, exact) < 0.05
 
 
-@pytest.mark.slow
-def test_relation_first_reaches_the_enumerated_posterior() -> None:
-    prior = ppl.priors.relation_first
-    program, _bridge = table_program(TableRunner(ERRORS), prior)
-    z = run(LocalMH(program, table_guide(prior), SETTINGS), STEPS, KEYS).z
-    codes = np.array(list(itertools.product(range(N_GOALS), range(N_GOALS), range(len(ALPHAS)))))
-    pairs = np.array([effective_goals(r, g, ALPHAS[a]) for r, g, a in codes])
-    names = ("goal_red", "goal_green", "alpha")
-    sites = {name: jnp.asarray(codes[:, i]) for i, name in enumerate(names)}
-    sites |= {f"strength_{c}": jnp.full(len(codes), 300.0) for c in ("red", "green")}
-    log_prior = compiled_quickly(jax.vmap(lambda z: log_density(prior, z)))(sites)
-    likelihood = np.exp(-RadialLikelihood().beta * ERRORS.sum(axis=-1)).mean(axis=-1)
-    mass = np.exp(np.asarray(log_prior, float)) * likelihood[tuple(pairs.T)]
-    relation = RELATION_TABLE[tuple(pairs.T)].astype(int)
-    drawn = np.ravel_multi_index([np.asarray(z[n]).ravel() for n in names], (36, 36, 5))
-    for group, kinds, limit in ((relation, 3, 0.05), (codes[:, 2], 5, 0.06)):
-        exact = np.bincount(group, mass, kinds) / mass.sum()
-        found = np.bincount(group[drawn], minlength=kinds) / drawn.size
-        assert total_variation(found, exact) < limit
-
-
-def guide_density(prior: Any, windows: Sequence[int], strengths: Any) -> np.ndarray:
-    """Return (window, pair of strengths) the density, at one choice of goals."""
-    n_windows = window_count(N_FRAMES, SETTINGS.window)
+def test_guide_proposes_just_the_values_that_the_prior_allows() -> None:
+    prior, n_windows = ppl.priors.strength_levels, window_count(N_FRAMES, SETTINGS.window)
     guide = guide_of_logits(prior, np.zeros((n_windows + 1, 2, N_GOALS)))
-    fixed = {"goal_red": jnp.array(0), "goal_green": jnp.array(0), "alpha": jnp.array(0)}
 
-    def density(window: jax.Array, pair: jax.Array) -> jax.Array:
-        z = fixed | {"strength_red": pair[0], "strength_green": pair[1]}
+    def density(window: jax.Array, forces: jax.Array) -> jax.Array:
+        goals = {name: jnp.array(0) for name in ("goal_red", "goal_green", "alpha")}
+        z = goals | {"strength_red": forces[0], "strength_green": forces[1]}
         return log_density(guide, z, window)
 
-    of_all = jax.vmap(jax.vmap(density, (None, 0)), (0, None))
-    found = compiled_quickly(of_all)(jnp.array(windows), jnp.asarray(strengths))
-    return np.exp(np.asarray(found, float))
-
-
-def test_guide_proposes_just_the_values_that_the_prior_allows() -> None:
-    grid = np.array(list(itertools.product((*STRENGTH_LEVELS, 310.0), repeat=2)), np.float32)
-    densities = guide_density(ppl.priors.strength_levels, (0, 1), grid).reshape(2, 5, 5)
-    for density in densities:
-        assert (density[:4, :4] > 0).all()
-        assert (density[4] == 0).all()
-        assert (density[:, 4] == 0).all()
+    of_all = compiled_quickly(jax.vmap(jax.vmap(density, (None, 0)), (0, None)))
+    pairs = jnp.array(list(itertools.product((*STRENGTH_LEVELS, 310.0), repeat=2)))
+    densities = np.exp(of_all(jnp.arange(2), pairs)).reshape(2, 5, 5)
+    assert (densities[:, :4, :4] > 0).all()
+    assert (densities[:, 4] == 0).all()
+    assert (densities[:, :, 4] == 0).all()
     # the estimates of window 1 are 300 N and 450 N
     assert np.unravel_index(densities[1].argmax(), (5, 5)) == (1, 2)
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from typing import Any
 
 import pytest
@@ -35,19 +34,14 @@ def test_a_kernel_says_what_it_is_and_is_made_by_name_with_its_options(
     assert kernel.validity == "approximate"
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
+def test_missing_needs_and_unknown_options_are_named(program: EventProgram) -> None:
+    for name, options, message in (
         ("local_mh", {}, "guide"),
         ("local_mh", {"guide": None, "settings": None, "speed": 3}, "speed"),
         ("prior_mh", {"guide": None}, "guide"),
-    ],
-)
-def test_missing_needs_and_unknown_options_are_named(
-    program: EventProgram, name: str, options: Any, message: str
-) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        kernel_info(name).make(program, **options)
+    ):
+        with pytest.raises(InvalidSettingError, match=message):
+            kernel_info(name).make(program, **options)
 
 
 def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
@@ -60,15 +54,11 @@ def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
         return PriorMH(program)
 
     assert isinstance(kernel_info("mine").make(program), PriorMH)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"validity": "perfect"}, {"sims_per_step": 0}, {"needs": ("luck",)}, {"keeps": "first"}],
-)
-def test_a_wrong_registration_is_refused(wrong: Any) -> None:
-    with pytest.raises(InvalidSettingError):
-        register_kernel("wrong", **{"validity": "exact", **wrong})
+    for given in (
+        *({"validity": "perfect"}, {"sims_per_step": 0}, {"needs": ("luck",)}, {"keeps": "first"}),
+    ):
+        with pytest.raises(InvalidSettingError):
+            register_kernel("wrong", **{"validity": "exact", **given})
 
 
 def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram) -> None:
@@ -90,7 +80,10 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
         described(7)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["smc", "enumerate", "importance", "aies", "sa", "gibbs"])
+CONSISTENT = ("enumerate", "importance", "sa", "smc")
+
+
+@pytest.mark.parametrize("name", [*CONSISTENT, "aies", "gibbs"])
 def test_what_is_made_of_a_kernel_counts_its_draws_as_it_does(name: str) -> None:
     info: Any = described(name)
     own = described(type("Own", (info.factory,), {}))
@@ -98,6 +91,7 @@ def test_what_is_made_of_a_kernel_counts_its_draws_as_it_does(name: str) -> None
         assert getattr(own, what) == getattr(info, what), what
     assert own.validity == "unknown"  # before it is made
     assert info.factory.validity == info.validity
+    assert info.validity == ("consistent" if name in CONSISTENT else "exact")
 
 
 def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
@@ -115,10 +109,7 @@ def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        *(("eta", -0.1), ("gamma", float("nan")), ("window", 0), ("window", 2.5)),
-        *(("prior_share", 0), ("prior_share", 1), ("sign", "both")),
-    ],
+    [("eta", -0.1), ("gamma", float("nan")), ("window", 2.5), ("prior_share", 1), ("sign", "both")],
 )
 def test_settings_are_the_papers_and_out_of_range_refused_by_name(name: str, value: Any) -> None:
     settings = SimpleSettings()
@@ -129,18 +120,15 @@ def test_settings_are_the_papers_and_out_of_range_refused_by_name(name: str, val
 
 @pytest.mark.parametrize(
     ("budget", "n"),
-    [
-        *itertools.product((simulations, frames), (0, -3, 2.5, "60", True)),
-        *itertools.product((seconds,), (0, -1, float("nan"), float("inf"), "60", True)),
-    ],
+    [(simulations, 0), (simulations, True), (frames, 2.5), (seconds, 0), (seconds, float("inf"))],
 )
 def test_budgets_that_are_none_are_refused(budget: Any, n: Any) -> None:
     with pytest.raises(InvalidSettingError, match=f"{budget.__name__}="):
         budget(n)
 
 
-@pytest.mark.parametrize("given", [{"gamma": 5.0}, {"sign": "printed"}])
-def test_settings_of_the_papers_proposal_are_refused_for_the_learned_one(given: Any) -> None:
-    with pytest.raises(InvalidSettingError, match="settings of proposal='paper'"):
-        SimpleSettings(**given)
-    assert SimpleSettings(proposal="paper", **given).proposal == "paper"
+def test_settings_of_the_papers_proposal_are_refused_for_the_learned_one() -> None:
+    for given in ({"gamma": 5.0}, {"sign": "printed"}):
+        with pytest.raises(InvalidSettingError, match="settings of proposal='paper'"):
+            SimpleSettings(**given)
+        assert SimpleSettings(proposal="paper", **given).proposal == "paper"

@@ -58,21 +58,13 @@ def test_window_sees_only_its_own_frames() -> None:
     assert estimate(trajectory, 6, 10)[0] == 300
 
 
-PUSH, COAST = (Action.UP, Action.STOP), (Action.NO_FORCE, Action.STOP)
-
-
-@pytest.mark.parametrize(
-    ("strength", "actions", "first"),
-    [
-        pytest.param(450.0, [PUSH, PUSH, *[COAST] * 6], 3, id="coasting"),
-        pytest.param(375.0, [(Action.UP, Action.UP)] * 5, 0, id="between the levels"),
-        pytest.param(300.0, [(Action.UP, Action.UP)], 0, id="two frames"),
-    ],
-)
-def test_no_strength_is_seen_where_none_shows(
-    strength: float, actions: list[tuple[Action, Action]], first: int
-) -> None:
-    assert np.isnan(estimate(driven((strength, strength), actions), first)).all()
+def test_no_strength_is_seen_where_none_shows() -> None:
+    push, coast, both = ((Action.UP, Action.STOP), (Action.NO_FORCE, Action.STOP), (Action.UP,) * 2)
+    coasting = driven((450.0, 450.0), [push, push, *[coast] * 6])
+    between_the_levels = driven((375.0, 375.0), [both] * 5)
+    two_frames = driven((300.0, 300.0), [both])
+    for trajectory, first in ((coasting, 3), (between_the_levels, 0), (two_frames, 0)):
+        assert np.isnan(estimate(trajectory, first)).all()
 
 
 def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:

@@ -88,12 +88,15 @@ class TableRunner:
     Args:
         errors: (effective goal of each agent, ..., seed modulo SEEDS, time), units.
         stops_early: whether it stops where it may.
+
+    Attributes:
+        batches: the error ceilings of each call.
     """
 
     def __init__(self, errors: FloatArray, stops_early: bool = True) -> None:
         self.errors = errors
         self.stops_early = stops_early
-        self.batches: list[int] = []
+        self.batches: list[list[float]] = []
 
     def run(
         self,
@@ -101,7 +104,7 @@ class TableRunner:
         seeds: Sequence[int],
         error_ceilings: Sequence[float],
     ) -> list[SimulationResult]:
-        self.batches.append(len(hypotheses))
+        self.batches.append(list(error_ceilings))
         rows = zip(hypotheses, seeds, error_ceilings, strict=True)
         return [self._simulate(*row) for row in rows]
 
@@ -148,14 +151,24 @@ def guide_of_logits(prior: Any, logits: FloatArray) -> Mixture:
 
 def exact_posterior(errors: FloatArray, alpha_mass: Sequence[float] = ALPHA_MASS) -> FloatArray:
     """Return (red, green, alpha) of the stated hypotheses of ``few_goals``, by enumeration."""
+    mass = _exact_masses(errors, alpha_mass)
+    return mass / mass.sum()
+
+
+def exact_log_evidence(errors: FloatArray) -> float:
+    """Return the log probability of the observation under ``few_goals``, by enumeration."""
+    return float(np.log(_exact_masses(errors, ALPHA_MASS).sum())) - N_FRAMES * 36
+
+
+def _exact_masses(errors: FloatArray, alpha_mass: Sequence[float]) -> FloatArray:
+    """Return (red, green, alpha) prior times likelihood, times exp(36) a frame."""
     likelihood = RadialLikelihood()
-    prior = np.einsum("r,g,a->rga", RED_MASS, GREEN_MASS, alpha_mass)
-    mass = np.zeros_like(prior)
-    for r, g, a in itertools.product(*map(range, prior.shape)):
+    mass = np.einsum("r,g,a->rga", RED_MASS, GREEN_MASS, alpha_mass)
+    for r, g, a in np.ndindex(mass.shape):
         h = Hypothesis(RED_GOALS[r], GREEN_GOALS[g], ALPHAS[ALPHA_CODES[a]])
         log_likelihood = likelihood.log_prob(errors[h.effective_goals]).sum(axis=-1)
-        mass[r, g, a] = prior[r, g, a] * np.exp(log_likelihood + N_FRAMES * 36).mean()
-    return mass / mass.sum()
+        mass[r, g, a] *= np.exp(log_likelihood + N_FRAMES * 36).mean()
+    return mass
 
 
 class Characters(NamedTuple):
