@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -26,9 +27,18 @@ from phase_ppl.models import priors, sites
 from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.world.event import Observation
-from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.scene import Scene
-from tests.inference.toy import SCENE, START, moving, never_called
+from tests.inference.toy import (
+    N_FRAMES,
+    SCENE,
+    SETTINGS,
+    START,
+    guide_of_logits,
+    moving,
+    never_called,
+)
 
 RED, GREEN = 0, 1
 TO_RED = "Get blue item to red lm"
@@ -173,3 +183,22 @@ def test_sites_of_the_users_own_come_from_the_prior_and_decide_about_helping() -
         expected = 0.9 * seen / seen.sum() + 0.1 * prior
         share = np.bincount(z["alpha"][z["mood"] == mood], minlength=5) / (z["mood"] == mood).sum()
         np.testing.assert_allclose(share, expected, atol=0.03)
+
+
+def test_guide_proposes_just_the_values_that_the_prior_allows() -> None:
+    prior, n_windows = priors.strength_levels, window_count(N_FRAMES, SETTINGS.window)
+    guide = guide_of_logits(prior, np.zeros((n_windows + 1, 2, N_GOALS)))
+
+    def density(window: jax.Array, forces: jax.Array) -> jax.Array:
+        goals = {name: jnp.array(0) for name in ("goal_red", "goal_green", "alpha")}
+        z = goals | {"strength_red": forces[0], "strength_green": forces[1]}
+        return log_density(guide, z, window)
+
+    of_all = compiled_quickly(jax.vmap(jax.vmap(density, (None, 0)), (0, None)))
+    pairs = jnp.array(list(itertools.product((*STRENGTH_LEVELS, 310.0), repeat=2)))
+    densities = np.exp(of_all(jnp.arange(2), pairs)).reshape(2, 5, 5)
+    assert (densities[:, :4, :4] > 0).all()
+    assert (densities[:, 4] == 0).all()
+    assert (densities[:, :, 4] == 0).all()
+    # the estimates of window 1 are 300 N and 450 N
+    assert np.unravel_index(densities[1].argmax(), (5, 5)) == (1, 2)

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
@@ -14,12 +15,17 @@ from jax import random
 
 import phase_ppl as ppl
 from phase_ppl.inference.kernels.smc import SMC
-from phase_ppl.inference.kernels.weighted import Enumeration, Importance, hypothesis_grid
+from phase_ppl.inference.kernels.weighted import (
+    Enumeration,
+    Importance,
+    WeightedState,
+    hypothesis_grid,
+)
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models.density import compiled_quickly
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, Hypothesis
 from tests.inference.toy import (
     ALPHA_CODES,
     GREEN_GOALS,
@@ -44,6 +50,7 @@ ERRORS = table_errors()
 EXACT = exact_posterior(ERRORS)
 EVENT = walking_event()
 PARTICLES, STEPS = 2500, 8
+STATED = ("goal_red", "goal_green", "alpha")
 
 
 def keys(n: int) -> jax.Array:
@@ -76,10 +83,13 @@ def test_numpyros_samplers_reach_the_enumerated_posterior(
 
 def test_importance_weights_lead_to_the_enumerated_posterior() -> None:
     program, bridge = table_program(TableRunner(ERRORS))
-    states = run(Importance(program, table_guide(), SETTINGS), 100, keys(100))
+    z = {name: jnp.zeros(100, int) for name in STATED}
+    z |= {name: jnp.zeros(100) for name in ("strength_red", "strength_green")}
+    start = jax.vmap(WeightedState.before)(keys(100), z)
+    states = run(Importance(program, table_guide(), SETTINGS), 100, keys(100), start)
     assert total_variation(visited_share(states.z, states.log_weight), EXACT) < 0.06
     assert total_variation(visited_share(states.z), EXACT) > 0.1
-    assert len(bridge.records) == 100 * 101
+    assert len(bridge.records) == 100 * 100
     assert all(record.result.completed for record in bridge.records)
 
 
@@ -126,9 +136,6 @@ def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
         for (r, g, a), share in np.ndenumerate(exact_posterior(runner.errors))
     )
     assert found == pytest.approx(exact, abs=1e-4)
-
-
-STATED = ("goal_red", "goal_green", "alpha")
 
 
 def narrow() -> None:
@@ -196,6 +203,27 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(
     assert post.tree.attrs["validity"] == info.validity
     if kernel == "enumerate":
         assert post.cost["simulations"] == np.isfinite(weight).sum() == 44
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        "relation_first",
+        "strength_levels",
+        "correlated_strengths",
+        "sparse_social",
+        "symmetric_alphas",
+    ],
+)
+def test_infer_runs_with_each_ready_made_prior(name: str) -> None:
+    kernel = "local_mh" if name in ("relation_first", "strength_levels") else "prior_mh"
+    options: dict[str, Any] = {"chains": 3, "iterations": 1, "workers": 1, "progress": False}
+    post = ppl.infer(EVENT, Model(prior=name, simulator=walkers), kernel=kernel, **options)
+    assert post.settings["model"]["prior"].endswith(name)
+    assert np.isfinite(post.tree["simulations"]["log_prior_effective"]).all()
+    if name == "strength_levels":
+        assert np.isin(post.tree["posterior"]["strength_red"], STRENGTH_LEVELS).all()
 
 
 # --- what is refused ---------------------------------------------------------------------------

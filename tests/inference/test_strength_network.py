@@ -22,8 +22,6 @@ from strength_training import (
     quality,
     simulate_events,
     train,
-    training_examples,
-    validation_examples,
 )
 
 from phase_ppl.dataset.load import bundled_events, load_event
@@ -41,11 +39,8 @@ from phase_ppl.inference.strength import (
     window_features,
 )
 from phase_ppl.inference.tables import bottom_up_tables
-from phase_ppl.physics.actions import Action
-from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
-from phase_ppl.world.scene import Scene
 
 EVENT = load_event("collaborate")
 TRAJECTORY = EVENT.observation.trajectory
@@ -138,20 +133,6 @@ def test_the_network_knows_little_of_agents_at_rest_and_jitter_makes_it_less_sur
         for seen in (TRAJECTORY, blurred(TRAJECTORY, 0.3, np.random.default_rng(0)))
     )
     assert (blur > 2 * clear).all()
-
-
-def test_stronger_agents_seem_stronger() -> None:
-    start = np.array([[7.0, 12, -np.pi / 2], [20, 4, 0], [8, 20, 0], [24, 20, 0]])
-    scene = Scene(start, np.full(4, 0.8))
-    means = []
-    for strength in (200.0, 350.0, 500.0):
-        world = PymunkWorld(scene, (strength, 300.0))
-        rows = [world.step((int(Action.UP), int(Action.STOP))) for _ in range(6)]
-        seen = Observation(np.array([start, *rows]))
-        estimates = estimated_strengths("network", scene, seen, np.array([[0, 6]]))
-        means.append(estimates.mean[0, 0])
-        assert estimates.mean[0, 0] == pytest.approx(strength, abs=100)
-    assert means == sorted(means)
 
 
 def test_every_estimator_takes_the_shortest_observations() -> None:
@@ -270,7 +251,6 @@ def driving(n: int = 20, frames: int = 16) -> Simulated:
 
 
 def test_simulated_events_are_the_same_for_the_same_seed_and_kept(tmp_path: Path) -> None:
-    # among them is one whose bodies overlap at the start
     kept = cached_events(tmp_path / "events.npz", 3, 6, seed=0)
     assert kept.trajectory.shape == (3, 6, 4, 3)
     fewer, read = simulate_events(2, 6, 0), cached_events(tmp_path / "events.npz", 3, 6, 0)
@@ -279,18 +259,6 @@ def test_simulated_events_are_the_same_for_the_same_seed_and_kept(tmp_path: Path
         np.testing.assert_array_equal(whole, copy)
     with pytest.raises(InvalidSettingError, match=r"'seed': 0.*not of.*'seed': 4"):
         cached_events(tmp_path / "events.npz", 3, 6, 4)
-
-
-def test_examples_cover_lengths_and_jitter() -> None:
-    examples = training_examples(driving(), rounds=3, seed=0)
-    assert examples.features.shape == (len(examples.strength), N_FEATURES)
-    assert np.isfinite(examples.features).all()
-    assert 0.15 < (examples.jitter == 0).mean() < 0.55
-    assert examples.length.min() == 1
-    assert examples.length.max() == 15
-    validation = validation_examples(driving(2), seed=0)
-    cells = set(zip(validation.jitter, validation.length, strict=True))
-    assert cells == {(j, n) for j in VALIDATION_JITTER for n in VALIDATION_LENGTHS}
 
 
 def test_settings_too_small_to_train_are_refused() -> None:

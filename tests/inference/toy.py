@@ -210,15 +210,16 @@ def visited_share(z: dict[str, NDArray[Any]], log_weight: Any = 0.0) -> FloatArr
     return share / share.sum()
 
 
-def run(kernel: MCMCKernel, n_steps: int, keys: jax.Array) -> Any:
-    """Return the states (step, chain, ...) of all chains together; (step, ...) for a single key."""
+def run(kernel: MCMCKernel, n_steps: int, keys: jax.Array, start: Any = None) -> Any:
+    """Return the states (step, chain, ...) of all chains together, from their own start or one."""
 
     def whole(keys: jax.Array) -> Any:
         def advance(state: Any, _: None) -> tuple[Any, Any]:
             state = kernel.sample(state, (), {})
             return state, state
 
-        return lax.scan(advance, kernel.init(keys, 0, None, (), {}), None, length=n_steps)[1]
+        state = kernel.init(keys, 0, None, (), {}) if start is None else start
+        return lax.scan(advance, state, None, length=n_steps)[1]
 
     return jax.block_until_ready(compiled_quickly(whole)(keys))
 
