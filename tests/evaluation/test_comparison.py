@@ -247,13 +247,14 @@ def test_figures_say_of_how_many_events_who_predicts_fewer() -> None:
 
 @pytest.mark.usefixtures("unpainted")
 def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> None:
-    silent = evaluation("silent", predictions={e.id: ppl.Prediction(e.id) for e in EVENTS})
-    nothing = evaluation("nothing", predictions={})
-    c = compare(evaluation(), silent, nothing, resamples=50)
+    of = EVENTS[:4]
+    silent = evaluation("silent", predictions={e.id: ppl.Prediction(e.id) for e in of}, of=of)
+    nothing = evaluation("nothing", predictions={}, of=of)
+    c = compare(evaluation(of=of), silent, nothing, resamples=50)
     c.save(tmp_path)
     text = ppl.report(tmp_path, progress=False).read_text("utf-8")
-    assert "right, silent, nothing on 12 events" in text
-    assert text.count("right in all they answered: right<") == 12
+    assert "right, silent, nothing on 4 events" in text
+    assert text.count("right in all they answered: right<") == 4
     assert c.metrics["nothing"]["relation_accuracy"] is None
     assert c.differences == []
 

@@ -25,7 +25,6 @@ from phase_ppl.world.errors import (
     PhasePPLError,
 )
 from tests.analysis.pages import texts_apart, texts_of
-from tests.evaluation.judged import BLUE_TO_RED
 
 from .small import events, make_folder
 
@@ -83,8 +82,14 @@ def test_what_the_results_do_not_allow_is_not_drawn_and_what_was_is_taken_away(
         figures.scatter_goals(tmp_path / "0")
 
 
-def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
-    shown = shown_in(figures.accuracy(folder.path))
+def test_accuracy_has_the_numbers_of_the_metrics_and_is_written(
+    folder: ResultsFolder, tmp_path: Path
+) -> None:
+    target = tmp_path / "a figure.pdf"
+    figure = ppl.figures.accuracy(folder.path, path=target)
+    texts_apart(figure)
+    shown = shown_in(figure)
+    assert target.read_bytes().startswith(b"%PDF")
     # SIMPLE: goals right, wrong | right, right; relation wrong | right
     assert shown.count("n = 2 to 4") == 1  # the other model answers red's goal only
     assert {"SIMPLE", "people", "<b>other</b>", "collaborative", "competing"} <= set(shown)
@@ -92,10 +97,15 @@ def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
     # people: of the only event with truth and judgments, 7 of 10 relations; goals 1 and 3/4
     assert "0.70" in shown
     assert "0.88" in shown
+    with pytest.raises(OutputError, match="expected a name in"):
+        ppl.figures.accuracy(folder.path, path=tmp_path / "figure.txt")
+    with pytest.raises(InvalidEventError, match="holds no evaluation"):
+        ppl.figures.accuracy(tmp_path)
 
 
 def test_confusion_counts_events(folder: ResultsFolder) -> None:
     figure = figures.confusion(folder.path)
+    texts_apart(figure)
     named = {axes.get_title("left"): axes for axes in figure.axes}
     # the other model does not answer green's goal
     assert set(named) == {"SIMPLE", "people, majority"}
@@ -106,29 +116,12 @@ def test_confusion_counts_events(folder: ResultsFolder) -> None:
 
 
 def test_scatter_has_a_column_per_scenario_and_one_for_the_unknown(folder: ResultsFolder) -> None:
-    shown = shown_in(figures.scatter_goals(folder.path))
+    figure = figures.scatter_goals(folder.path)
+    texts_apart(figure)
+    shown = shown_in(figure)
     assert "competing" in shown
     assert "scenario not known" in shown
     assert "collaborative" not in shown  # nobody judged it
-
-
-def test_figures_take_a_path_and_write_to_one(folder: ResultsFolder, tmp_path: Path) -> None:
-    target = tmp_path / "a figure.pdf"
-    ppl.figures.accuracy(folder.path, path=target)
-    assert target.read_bytes().startswith(b"%PDF")
-    with pytest.raises(OutputError, match="expected a name in"):
-        ppl.figures.accuracy(folder.path, path=tmp_path / "figure.txt")
-    with pytest.raises(InvalidEventError, match="holds no evaluation"):
-        ppl.figures.accuracy(tmp_path)
-
-
-def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
-    said = {"goals": {"red agent": BLUE_TO_RED}, "relation_probs": {"adversarial": 1.0}}
-    names = ["x", "a model with a name that is long", "another"]
-    folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, said)))
-    results = opened(folder.path)
-    for drawing in drawings_of(results).values():
-        texts_apart(drawing.draw(results))
 
 
 # --- what people said -----------------------------------------------------------------------------
