@@ -220,6 +220,7 @@ BAD_INPUT = [
     ("infer nowhere.json", "nowhere.json"),
     ("infer collaborate --video other", "'other'"),
     ("infer collaborate --kernel local_hm", "'local_mh'"),
+    ("infer collaborate --prior unifrom", "'uniform'"),
     ("infer collaborate --out file/out", "cannot write"),
     ("resume file", "no checkpoint"),
     ("render collaborate --out x.avi", "ending in .mp4 or .gif or .png"),
