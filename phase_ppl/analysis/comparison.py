@@ -22,7 +22,7 @@ from phase_ppl.world.event import Truth
 from phase_ppl.world.files import existing_file, write_json
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import RELATIONS, Roles
-from phase_ppl.world.picture import plain, preformatted
+from phase_ppl.world.picture import Printed, plain
 from phase_ppl.world.space import space_of
 
 SCHEMA: Final = "phase-ppl-comparison-1"
@@ -56,7 +56,7 @@ _PRINTED_COLUMNS: Final = 7
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Printed):
     """What several kernels made of one event under the same budget, over repeats.
 
     Attributes:
@@ -200,9 +200,6 @@ class Comparison:
             place = f"{best}" if best == worst else f"{best} to {worst}"
             parts.append(f"{place}: {', '.join(names)}")
         return "; ".join(parts)
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self.kernels)}: {len(self.runs)} runs>"

@@ -33,7 +33,7 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.files import write_json
-from phase_ppl.world.picture import plain, preformatted
+from phase_ppl.world.picture import Printed, plain
 
 SCHEMA: Final = "phase-ppl-design-1"
 
@@ -47,7 +47,7 @@ _RANDOM_SETS: Final = 100
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Design:
+class Design(Printed):
     """What answers about events can be expected to say about which of several models is right.
 
     :func:`phase_ppl.design` returns one. Printed it is a table, ``ppl.plot.design`` draws it.
@@ -324,9 +324,6 @@ class Design:
 
     def __repr__(self) -> str:
         return f"<Design: {self.question} of {len(self.events)} events, {len(self.models)} models>"
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
 
 def checked(

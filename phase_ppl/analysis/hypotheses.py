@@ -29,7 +29,7 @@ from phase_ppl.world.errors import (
     check_name,
     whole_number,
 )
-from phase_ppl.world.picture import LABEL, bars, preformatted
+from phase_ppl.world.picture import LABEL, Printed, bars
 from phase_ppl.world.space import HypothesisSpace
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ SURE: Final = 1.64
 """Errors by which the probability of an answer must exceed 1/2, for it to be decided."""
 
 
-class Hypotheses:
+class Hypotheses(Printed):
     """A weighted table of hypotheses, and what one can ask it.
 
     Every result carries its Monte-Carlo error as ``.error``: numbers are floats with an error,
@@ -86,9 +86,6 @@ class Hypotheses:
         self._rows = rows
         self._jackknives: dict[float, Jackknife | None] = {}
         self._own: dict[str, Definition] = {}  # of quantities that the user defined
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:

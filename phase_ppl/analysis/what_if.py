@@ -36,7 +36,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true
 from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, Roles, checked_strength
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
@@ -48,7 +48,7 @@ _FEWEST: Final = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class WhatIf:
+class WhatIf(Printed):
     """Simulations of hypotheses drawn from a posterior, in one world or in two.
 
     Errors are those of so many simulations; that of the posterior is not in them.
@@ -183,9 +183,6 @@ class WhatIf:
         names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
         role = "in its way" if change > 0 else "of help"
         return f"{words}: {names} was {role} ({change})"
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"

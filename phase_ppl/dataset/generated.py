@@ -34,7 +34,7 @@ from phase_ppl.dataset.events_netcdf import StoredEvents, checksum
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import differences
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Turning
 
 MANIFEST_SCHEMA: Final = "phase-ppl-manifest-1"
@@ -48,7 +48,7 @@ BLOCKS: Final = "blocks"
 ENTRIES: Final = "entries.json"
 
 
-class GeneratedEvents(StoredEvents):
+class GeneratedEvents(Printed, StoredEvents):
     """The events of a generated data set, with its manifest; each is read when it is asked for.
 
     Slices and splits are of the same kind, and read nothing; see :class:`StoredEvents`.
@@ -83,9 +83,6 @@ class GeneratedEvents(StoredEvents):
         splits = Counter(entry["split"] for entry in self.entries)
         told = ", ".join(f"{n} {name}" for name, n in splits.items())
         return f"<{len(self)} generated events of {self.path}: {told}>"
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
     @property
     def entries(self) -> Sequence[dict[str, Any]]:

@@ -43,7 +43,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import event_digest
-from phase_ppl.world.picture import plain, preformatted
+from phase_ppl.world.picture import Printed, plain
 from phase_ppl.world.scene import PHASE, World
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Entry:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ModelComparison:
+class ModelComparison(Printed):
     """Several models, and people, on the same events. ``print`` shows all tables.
 
     What a model or the events do not give is None, never a guess.
@@ -230,9 +230,6 @@ class ModelComparison:
 
     def __str__(self) -> str:
         return _text(self)
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
     def __repr__(self) -> str:
         return f"<ModelComparison of {', '.join(self.models)} on {len(self.events)} events>"

@@ -55,7 +55,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import refusing, writable_folder, write_json
 from phase_ppl.world.identity import differences, event_digest
-from phase_ppl.world.picture import plain, preformatted
+from phase_ppl.world.picture import Printed, plain
 from phase_ppl.world.scene import PHASE
 
 SCHEMA: Final = "phase-ppl-evaluation-1"  # value of ``schema`` in settings.json
@@ -77,7 +77,7 @@ _DETERMINE: Final = (
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Evaluation:
+class Evaluation(Printed):
     """What a model made of many events. ``print`` shows the table.
 
     Attributes:
@@ -209,9 +209,6 @@ class Evaluation:
             lines += table.lines()
         lines.append("")
         return "\n".join([*lines, *(line for text in told for line in wrapped(text))])
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
     def __repr__(self) -> str:
         return (

@@ -31,7 +31,7 @@ from phase_ppl.world.goals import (
     shared_literal,
 )
 from phase_ppl.world.names import AGENTS, GREEN, RED
-from phase_ppl.world.picture import preformatted
+from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import PHASE, World
 
 SCENARIOS: Final = ("collaborative", "independent", "competing", "opposing")
@@ -147,7 +147,7 @@ def checked_strength(name: str, value: object) -> float:
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Hypothesis:
+class Hypothesis(Printed):
     """What the two agents want, how they stand to each other, and how strong they are.
 
     Attributes:
@@ -242,9 +242,6 @@ class Hypothesis:
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value!r}" for name, value in self.to_dict().items())
         return f"Hypothesis({values})"
-
-    def _repr_html_(self) -> str:
-        return preformatted(self)
 
     def __str__(self) -> str:
         red, green = self.effective_goals

@@ -63,9 +63,11 @@ def trail_colour(colour: Colour) -> Colour:
     return _TRAILS.get(colour, (red, green, blue))
 
 
-def preformatted(what: Any) -> str:
-    """Return ``str(what)`` as HTML that keeps its lines."""
-    return f'<pre style="line-height:1.25">{html.escape(str(what))}</pre>'
+class Printed:
+    """What a notebook shows as it is printed, its lines kept."""
+
+    def _repr_html_(self) -> str:
+        return f'<pre style="line-height:1.25">{html.escape(str(self))}</pre>'
 
 
 def drawn(scene: Any, trajectory: FloatArray | None = None, caption: str = "") -> str:
