@@ -86,7 +86,7 @@ def test_by_its_layout_alone_a_film_gives_back_scene_and_tracks(
 
 def test_a_small_film_of_another_world_is_read_by_its_scene_or_its_world(tmp_path: Path) -> None:
     world = dataclasses.replace(SOLO, predicates=[ppl.Predicate("in", "ball", room="barn")])
-    event = moving(world.scene({"red agent": (5, 6, 3), "ball": (18, 6), "box": (20, 15)}))
+    event = moving(world.scene({"red agent": (5, 6, 3), "ball": (18, 8), "box": (19.8, 8.5)}))
     path = encoded(film(event, tmp_path / "large.mp4"), "small.mp4", "-vf", "scale=520:-2")
     reading = ppl.read_video(path, event.scene, progress=False)
     position, angle = off(reading, event)

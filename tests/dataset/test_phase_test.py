@@ -123,6 +123,7 @@ CHANGES: list[tuple[tuple[str | int, ...], Any, str]] = [
     (("observed", "entities", 0, "name"), "red item", "'red item'; did you mean"),
     (("observed", "entities", 1, "radius"), "big", "observed.entities holds 'big'"),
     (("observed", "landmarks", 2, "centre"), [0, 0], "scene.landmark_centres"),
+    (("observed", "entities", 0), 3, "observed.entities[0] is no JSON object"),
     (("observed",), None, "observed is None, expected an object"),
 ]
 
