@@ -36,7 +36,7 @@ def test_a_cluster_may_lose_a_worker(tmp_path: Path) -> None:
     model = ppl.Model(simulator=simulator)
     with local_cluster() as (_, client), the_third_killed(tmp_path):
         post = ppl.infer(event, model, executor=client.get_executor(), **OPTIONS)
-    assert len(processes(tmp_path)) == 3  # two, and the one that took the dead one's place
+    assert len(processes(tmp_path)) in (2, 3)  # perhaps also one that took the dead one's place
     simulator.seconds = 0.0
     alone = ppl.infer(event, model, workers=1, **OPTIONS)
     for group in ("posterior", "sample_stats", "simulated", "simulations"):
