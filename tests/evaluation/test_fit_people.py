@@ -169,7 +169,7 @@ def test_shares_are_those_of_raters_who_differ_in_how_sharply_they_answer() -> N
     # what raters share about a video makes them answer less sharply together too
     (moved, _, _), _ = shares_of(observer, {"spread": np.array([1.0, 0.0])})
     assert moved.argmax() == 0
-    assert moved[0] < 0.9
+    assert 0.8 < moved[0] < 0.88
     assert moved.sum() == pytest.approx(1, abs=1e-4)
     # of people without names it is not known
     np.testing.assert_allclose(shares_of(observer, alike), [law, law], atol=1e-5)

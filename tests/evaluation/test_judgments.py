@@ -108,12 +108,13 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
             f"{HEADER}\n{ROW}\np02,a,,Get blu item to red lm,,",
             "line 3: goal_green: unknown goal.*did you mean 'Get blue item to red lm'",
         ),
+        ("participant,video,response_time", "line 1: names none of the columns goal_red"),
         (f"{HEADER}\n{ROW}\n{ROW}", "line 3: has participant 'p01', video 'a' a second time"),
         (f"{HEADER}\n{ROW}\np02,a,,,friendly", "line 3: has 5 cells, expected 6"),
         (f"{HEADER}\np\x1b[2J,a,,,friendly,", "line 2: participant is 'p.*printable"),
         *(
             (f"{HEADER}\np01,a,,,friendly,{time}", f"line 2: response_time is '{time}', expected")
-            for time in ("-1", "nan", "1e999", "1_0")
+            for time in ("-1", "soon", "1e999", "1_0")
         ),
         (f'{HEADER}\n\n{ROW}\np02,a,,,"friendly,\n', "line 4: is no CSV: unexpected end of data"),
         (f"{HEADER}\n{'x' * 200_000},a,,,friendly,", "line 2: is no CSV: field larger than"),
@@ -253,6 +254,7 @@ ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
         ({"relation_counts": {"friendly": -1}}, "relation: 'friendly' has -1, expected a number"),
         ({"relation_counts": {"friendly": 10**12}}, "relation: 'friendly' has 1000000000000"),
         ({"relation_counts": {"freindly": 1}}, "unknown relation 'freindly'; did you mean"),
+        ({"relation_counts": {"friendly": 3}, "n_raters": 2}, "n_raters is 2, .* has 3 votes"),
         ({"relation_counts": {"friendly": 3}, "n_raters": 5}, "n_raters is 5, .* 3 votes in all"),
         ({"n_raters": 4}, "n_raters is 4, but there are 0 votes"),
         ({"goal_counts": {"blue agent": {}}}, "unknown agent in goal_counts 'blue agent'"),

@@ -97,7 +97,7 @@ AT: dict[str, tuple[str, Statement, str]] = {
     "a vector": ("alpha", sampled(dist.Uniform(1.0, 2.0).expand([3])), r"shape \(3,\)"),
     "no codes": ("goal_green", sampled(dist.Normal(300.0, 1.0)), "support"),
     "fixed": ("strength_red", sampled(dist.Delta(3.0)), "support"),
-    "unbounded counts": ("goal_green", sampled(dist.Poisson(2.0)), "support"),
+    "unbounded counts": ("strength_red", sampled(dist.Poisson(2.0)), "support"),
     "too low codes": ("alpha", sampled(dist.DiscreteUniform(-1, 4)), "support"),
     "too high codes": ("goal_red", sampled(dist.DiscreteUniform(0, 36)), "support"),
     "codes that are no integers": ("alpha", sampled(sites.OneOf([0.0, 1.0])), "type float32"),

@@ -25,6 +25,7 @@ WRONG: list[tuple[Callable[..., Any], str, tuple[Any, ...], str]] = [
     (Tracking, "strengths", ((100.0,),), "expected newtons in [150, 600]"),
     (Tracking, "strengths", ((300, 300),), "a strength is named twice"),
     (Tracking, "states", (0,), WHOLE),
+    (Tracking, "noise", (-1.0,), NOT_NEGATIVE),
     (Thresholds, "on_agent", (0,), POSITIVE),
     (Thresholds, "lasting", (0, 1.5), WHOLE),
     (Rationality, "rationality", (-1, "high", False, 10**400), NOT_NEGATIVE),

@@ -95,6 +95,10 @@ REFUSED: dict[str, tuple[str, str]] = {
     "NaN": (text().replace("0.4", "NaN", 1), "holds NaN"),
     "infinity": (text().replace("0.4", "1e999", 1), "holds 1e999"),
     "a goal twice": (text().replace(GOALS[1], GOALS[0], 1), f"gives '{GOALS[0]}' twice"),
+    "a goal twice in other letters": (
+        text(goal_red=renamed(GOALS[1].upper())),
+        f"goal_red gives '{GOALS[1]}' twice",
+    ),
     "a question twice": (text(Goal_red=goals()), "gives goal_red twice"),
     "no relation": (text(relation=None), "lacks relation; it has 'goal_red', 'goal_green'"),
     "nothing in it": ("{}", "lacks goal_red, goal_green, relation; it has nothing"),
