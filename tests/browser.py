@@ -15,13 +15,8 @@ REQUIRED = os.environ.get("PHASE_PPL_BROWSER") == "required"
 """Whether tests that need a browser fail where there is none, instead of being skipped."""
 
 
-def find_browser() -> str | None:
-    """Return the program: $CHROMIUM, or one of those that are usual."""
-    named = os.environ.get("CHROMIUM")
-    return shutil.which(named) if named else next(filter(None, map(shutil.which, NAMES)), None)
-
-
-BROWSER = find_browser()
+_named = os.environ.get("CHROMIUM")
+BROWSER = shutil.which(_named) if _named else next(filter(None, map(shutil.which, NAMES)), None)
 
 WHY = f"there is no browser here ($CHROMIUM, or {', '.join(NAMES)})"
 

@@ -21,6 +21,7 @@ STEPS = {
     "    ppl.cli.main(['query', name, 'P(relation=friendly)', 'hdi strength_red'])": (
         "arviz jax matplotlib numba numpyro pymunk scipy.stats torch"
     ),
+    "import phase_ppl.analysis.figures": "jax numpyro arviz matplotlib",
     "import phase_ppl.study, phase_ppl.cli.commands, phase_ppl.evaluation.experiments": (
         "starlette uvicorn websockets markdown_it"
     ),

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -160,20 +159,24 @@ def posterior_of(
 
 
 def _simulation_table(simulations: Sequence[Simulation]) -> xr.Dataset:
-    rows = []
-    for one in simulations:
-        h = one.hypothesis
-        stated = {"stated_goal_red": h.goal_red, "stated_goal_green": h.goal_green}
-        strengths = {"strength_red": h.strength_red, "strength_green": h.strength_green}
-        goals = dict(zip(SPACE.goal_sites, h.effective_goals, strict=True))
-        rows.append({**goals, **stated, "alpha": ALPHAS.index(h.alpha), **strengths, **vars(one)})
-    table = pd.DataFrame(rows).drop(columns="hypothesis").rename(columns={"frames": FRAMES})
-    table["log_prior_effective"] = table["log_prior"]
-    table["total_error"] = -20 * table["log_likelihood"]
-    kinds = {name: np.int16 for name in (*SPACE.stated_sites, *SPACE.goal_sites)}
-    reals = (*SPACE.strength_sites, *(name for name in table if name.startswith(("log", "total"))))
-    table = table.astype({**kinds, "alpha": np.int8, **dict.fromkeys(reals, float)})
-    return table.rename_axis("simulation").to_xarray().drop_vars("simulation").copy(deep=True)
+    hypotheses = [one.hypothesis for one in simulations]
+    columns: dict[str, Any] = {
+        name: [getattr(one, name) for one in simulations]
+        for name in (field.name for field in dataclasses.fields(Simulation)[1:])
+    }
+    columns[FRAMES] = columns.pop("frames")
+    strengths = [(h.strength_red, h.strength_green) for h in hypotheses]
+    columns |= zip(SPACE.strength_sites, np.array(strengths).T, strict=True)
+    columns["alpha"] = np.array([ALPHAS.index(h.alpha) for h in hypotheses], np.int8)
+    stated = [(h.goal_red, h.goal_green) for h in hypotheses]
+    for names, goals in (
+        (SPACE.stated_sites, stated),
+        (SPACE.goal_sites, [h.effective_goals for h in hypotheses]),
+    ):
+        columns |= zip(names, np.array(goals, np.int16).T, strict=True)
+    columns["log_prior_effective"] = columns["log_prior"]
+    columns["total_error"] = -20 * np.array(columns["log_likelihood"])
+    return xr.Dataset({name: ("simulation", np.array(column)) for name, column in columns.items()})
 
 
 def with_variables(tree: xr.DataTree, group: str, **variables: Any) -> xr.DataTree:

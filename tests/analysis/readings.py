@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_table import STRENGTHS, PairTable
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
@@ -84,3 +88,36 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
             **changes,
         },
     )
+
+
+# --- of another world -----------------------------------------------------------------------------
+
+CAST = ppl.World(
+    ["red agent", "green agent", "purple agent"],
+    ["blue ball"],
+    {"home": (4.0, 4.0), "field": (30.0, 12.0)},
+    arena=(0.0, 36.0, 0.0, 24.0),
+    touchable=["green agent"],
+    name="three",
+)
+"""Three agents with a score of goals, of which all hypotheses are soon summed over."""
+
+QUICK = PlannerConfig(simulations=4, particles=6)
+
+
+@functools.cache
+def of_three() -> StepwisePosterior:
+    """Return what is read of eight frames in which purple hinders red."""
+    poses = {"red agent": (4, 8), "green agent": (30, 18), "purple agent": (9, 3)}
+    event = ppl.simulate(
+        CAST.scene({**poses, "blue ball": (6, 5)}),
+        goals={"red agent": "blue ball to home", "green agent": "blue ball to field"},
+        relation={("purple agent", "red agent"): "hinder"},
+        frames=8,
+        planner=QUICK,
+        seed=2,
+    )
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=2), planner=QUICK)
+    found = ppl.infer(event, model, workers=1, progress=False)
+    assert isinstance(found, StepwisePosterior)
+    return found

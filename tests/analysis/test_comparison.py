@@ -62,7 +62,6 @@ def test_efficiency_is_per_simulation() -> None:
     found = efficiency(post)
     assert found["simulations"] == 6 * 41
     assert 0 < found["ess_per_simulation"] < 40 / 41 + 0.2
-    assert found["seconds"] == 12.5
     assert 0 < found["moves"] <= found["acceptance"] < 1
     assert np.isnan(efficiency(Posterior(random_tree(1, n_draws=3), "count"))["ess_per_simulation"])
 
@@ -155,24 +154,22 @@ def test_file_keeps_everything(tmp_path: Path) -> None:
         c.save(tmp_path / "c.nc")
 
 
-BAD: dict[str, Any] = {
-    "other schema": lambda d: d.update(schema="x"),
-    "no runs": lambda d: d.pop("runs"),
-    "a column less": lambda d: d["runs"].pop("tv_goals"),
-    "text": lambda d: d["runs"].update(tv_goals=["a"] * 12),
-    "unequal": lambda d: d["curve"].update(tv_goals=[0.1]),
-    "unnamed kernel": lambda d: d["settings"].update(kernels={}),
-}
-
-
-@pytest.mark.parametrize("spoil", BAD.values(), ids=BAD)
-def test_damaged_file_is_refused(spoil: Any, tmp_path: Path) -> None:
+def test_damaged_file_is_refused(tmp_path: Path) -> None:
     path = made_up(FOUR).save(tmp_path / "c.json")
-    record = json.loads(path.read_text())
-    spoil(record)
-    path.write_text(json.dumps(record))
-    with pytest.raises(InvalidEventError, match="no comparison"):
-        Comparison.load(path)
+    content = path.read_text()
+    spoils: dict[str, Any] = {
+        "other schema": lambda d: d.update(schema="x"),
+        "no runs": lambda d: d.pop("runs"),
+        "a column less": lambda d: d["runs"].pop("tv_goals"),
+        "text": lambda d: d["runs"].update(tv_goals=["a"] * 12),
+        "unequal": lambda d: d["curve"].update(tv_goals=[0.1]),
+        "unnamed kernel": lambda d: d["settings"].update(kernels={}),
+    }
+    for spoil in spoils.values():
+        spoil(record := json.loads(content))
+        path.write_text(json.dumps(record))
+        with pytest.raises(InvalidEventError, match="no comparison"):
+            Comparison.load(path)
 
 
 # --- ranks ---------------------------------------------------------------------------------------
@@ -219,9 +216,16 @@ def test_figure_labels_every_line_and_no_text_covers_another() -> None:
         assert labels == {*FOUR, "last population", *extra}
 
 
-def test_the_references_own_error_is_shaded_and_frames_are_an_axis() -> None:
+def test_lines_are_means_the_references_error_is_shaded_and_frames_are_an_axis(
+    tmp_path: Path,
+) -> None:
     c = made_up(FOUR, error=0.15)
-    figure = plots.comparison(c)
+    figure = plots.comparison(c, tmp_path / "c.png")
+    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
+    line = figure.axes[0].lines[0]
+    ends = c.curve[(c.curve["simulations"] == 500) & (c.curve["kernel"] == "one")]["tv_goals"]
+    assert line.get_ydata()[-1] == pytest.approx(ends.mean())  # type: ignore[index]
+    assert line.get_xdata()[-1] == 500  # type: ignore[index]
     (shade,) = (patch for patch in figure.axes[0].patches if patch.get_height() == 0.15)  # type: ignore[attr-defined]
     assert shade.get_y() == 0  # type: ignore[attr-defined]
     assert not figure.axes[1].patches
@@ -230,14 +234,5 @@ def test_the_references_own_error_is_shaded_and_frames_are_an_axis() -> None:
     axes = plots.comparison(frames).axes[0]
     assert axes.get_xlabel() == "simulated frames"
     assert max(axes.lines[0].get_xdata()) == 6000  # type: ignore[arg-type]
-
-
-def test_line_is_the_mean_over_repeats(tmp_path: Path) -> None:
-    c = made_up({"one": 0.2})
-    line = plots.comparison(c, tmp_path / "c.png", measures=("tv_goals",)).axes[0].lines[0]
-    ends = c.curve[c.curve["simulations"] == 500]["tv_goals"]
-    assert line.get_ydata()[-1] == pytest.approx(ends.mean())  # type: ignore[index]
-    assert line.get_xdata()[-1] == 500  # type: ignore[index]
-    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(UnknownNameError, match="tv_goals"):
         plots.comparison(c, measures=("tv_goal",))

@@ -65,14 +65,6 @@ def test_two_chains_worked_out_by_hand() -> None:
     assert "1 of 6 simulations failed" in found["verdict"]
 
 
-def test_best_error_per_frame_is_that_of_the_best_draw() -> None:
-    observed = np.tile([10.0, 10.0, 0.0], (4, 4, 1))
-    predicted = np.stack([observed + np.array(shift) for shift in ((3, 4, 9), (0, 1, 9))])
-    post = posterior_of([A, B], [[0, 1]], observed=observed, predicted=predicted)
-    # one unit per entity, four entities
-    assert post.diagnostics()["best_error_per_frame"] == pytest.approx(2)
-
-
 def test_weighted_draws_are_judged_by_their_weights() -> None:
     tree = posterior_of((A, B), [[0] * 5, [1] * 5, [1] * 5, [0] * 5]).tree
     log_weight = np.repeat(np.log([[3.0], [1.0], [1.0], [1.0]]), 5, axis=1)
@@ -108,6 +100,10 @@ def test_verdict_says_on_whose_goal_the_particles_agree() -> None:
 
 
 def test_verdict_discloses_guesses_approximate_kernels_and_weights() -> None:
+    single = posterior_of([A], [[0]]).diagnostics()
+    assert single["between_chain_tv"] == {"goal_red": None, "goal_green": None}
+    assert single["move_rate"] is None
+    assert "use more" in single["verdict"]
     simulations = [Simulation(A, 0), proposed(A, 1)]
     assert "No proposal was accepted" in verdict([[0, 0], [0, 0]], simulations)
     assert "Only 2% of the proposals" in verdict([[0] * 24 + [1], [0] * 25], simulations)
@@ -116,23 +112,18 @@ def test_verdict_discloses_guesses_approximate_kernels_and_weights() -> None:
     assert "too extreme" in verdict([[1]], simulations, "likelihood")
 
 
-def test_verdict_begins_with_bodies_that_lie_on_each_other() -> None:
+def test_fit_is_of_positions_and_bodies_that_lie_on_each_other_come_first() -> None:
     apart = np.zeros((3, 4, 3))
     apart[..., 0] = [2.0, 8.0, 14.0, 18.0]
     apart[..., 1] = 5.0
     meeting = apart.copy()
     meeting[1, 1] = meeting[1, 0]
     for seen, frames in ((apart, []), (meeting, [1])):
-        found = posterior_of([A, A], [[0], [1]], observed=seen).diagnostics()
+        predicted = np.stack([seen + np.array(shift) for shift in ((3, 4, 9), (0, 1, 9))])
+        found = posterior_of([A, A], [[0], [1]], observed=seen, predicted=predicted).diagnostics()
+        assert found["best_error_per_frame"] == pytest.approx(2)  # one unit each of four entities
         assert found["overlapping_frames"] == frames
         assert found["verdict"].startswith("Bodies lie on each other or in a wall") == bool(frames)
-
-
-def test_verdict_of_a_single_particle_asks_for_more() -> None:
-    found = posterior_of([A], [[0]]).diagnostics()
-    assert found["between_chain_tv"] == {"goal_red": None, "goal_green": None}
-    assert found["move_rate"] is None
-    assert "use more" in found["verdict"]
 
 
 # --- scalars, categories, windows ------------------------------------------------------------
@@ -150,14 +141,6 @@ def test_scalars_have_their_convergence_but_not_with_fewer_than_four_draws() -> 
     assert set(few["scalars"]["log_joint"].values()) == {None}
     assert "need 4 draws per particle; there are 3" in few["verdict"]
     assert "need 4 draws" not in found["verdict"]
-
-
-def test_a_users_real_site_is_a_scalar_and_its_categories_are_not() -> None:
-    tree = posterior_of([A] * 4, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2]).tree
-    assert "mood" not in Posterior(tree).diagnostics()["scalars"]
-    for group in ("posterior", "simulations"):
-        tree[group]["mood"] = tree[group]["mood"].astype(float)
-    assert "mood" in Posterior(tree).diagnostics()["scalars"]
 
 
 def test_categories_worked_out_by_hand() -> None:
@@ -195,12 +178,6 @@ def test_categories_are_those_of_the_weighting_and_of_the_draws() -> None:
     assert f"another goal of red first, '{PINK_TO_BLUE}'" in found["verdict"]
 
 
-def test_categories_follow_a_users_scenario() -> None:
-    found = Posterior(random_tree(4), scenario=lambda red, green: "competing").diagnostics()
-    assert list(found["categories"]["scenario"]) == ["competing"]
-    assert list(found["categories"]["relation"]) == ["adversarial"]
-
-
 def test_windows_are_counted_and_those_without_are_not_windows() -> None:
     tree = posterior_of([A], [[0] * 3] * 2, window=[[2, 0, 2], [-1, 2, -1]]).tree
     numbers = {"proposals": 4, "without": 2, "frames": None, "starts": [0, 2], "counts": [1, 3]}
@@ -221,16 +198,17 @@ def test_verdict_of_draws_that_count_says_whether_the_log_joint_has_mixed() -> N
         assert "R-hat" not in verdict(mixed, levels, weights)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (2, 3), (15, 6), (4, 40)])
-@pytest.mark.parametrize("weights", ["count", "likelihood"])
-def test_diagnostics_are_plain_data_and_rates_are_shares(
-    shape: tuple[int, int], weights: str
-) -> None:
-    found = Posterior(random_tree(5, *shape), weights).diagnostics()
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
-    for name in ("acceptance_rate", "move_rate", "frames_saved_share"):
-        assert found[name] is None or 0 <= found[name] <= 1
-    assert len(found["acceptance_by_iteration"]) == found["iterations"]
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (15, 6)])
+def test_diagnostics_are_plain_data_and_rates_are_shares(shape: tuple[int, int]) -> None:
+    for weights in ("count", "likelihood"):
+        post = Posterior(random_tree(5, *shape), weights, scenario=lambda red, green: "competing")
+        found = post.diagnostics()
+        assert json.loads(json.dumps(found, allow_nan=False)) == found
+        for name in ("acceptance_rate", "move_rate", "frames_saved_share"):
+            assert found[name] is None or 0 <= found[name] <= 1
+        assert len(found["acceptance_by_iteration"]) == found["iterations"]
+        assert list(found["categories"]["scenario"]) == ["competing"]
+        assert list(found["categories"]["relation"]) == ["adversarial"]
 
 
 def rivals_of(h: Hypothesis) -> list[Hypothesis]:
@@ -277,10 +255,8 @@ def test_leaders_say_by_how_much_they_lead() -> None:
     assert (found["label"], found["next"]) == (GOALS[A.goal_red], GOALS[B.goal_red])
     assert (found["probability"], found["next_probability"]) == pytest.approx((0.9, 0.1))
     assert found["sure"]
-    split = posterior_of([A] * 6 + [B] * 4, each)
-    assert not split.leaders()["goal_red"]["sure"], "0.6 of ten draws is not yet a majority"
-    alone = posterior_of([A], [[0]])
-    assert not alone.leaders()["goal_red"]["sure"], "one draw knows no error"
+    for unsure in (posterior_of([A] * 6 + [B] * 4, each), posterior_of([A], [[0]])):
+        assert not unsure.leaders()["goal_red"]["sure"], "0.6 of ten draws, or one draw"
 
 
 # --- R-hat and effective sizes --------------------------------------------------------------------
@@ -324,8 +300,8 @@ def test_short_chains_that_never_move_are_worth_as_many_draws_as_there_are_chain
 
 def test_short_independent_draws_are_worth_about_all_of_them() -> None:
     rng = np.random.default_rng(1)
-    sizes = [ess(rng.normal(size=(15, 6)), "mean") for _ in range(200)]
-    assert np.median(sizes) == pytest.approx(90, rel=0.15)
+    sizes = [ess(rng.normal(size=(15, 6)), "mean") for _ in range(100)]
+    assert np.median(sizes) == pytest.approx(90, rel=0.2)
     assert max(sizes) <= 90 * np.log10(90) + 1e-9
 
 

@@ -44,20 +44,14 @@ NUMBERS = {
     "P(relation=friendly)": 1 / 2,
     "P(relation=friendly | goal_red=Get blue item to red lm)": 2 / 3,
     "  p [ relation = FRIENDLY|goal_red=get  BLUE item to red lm ] ": 2 / 3,
-    "P relation=friendly": 1 / 2,
     "P(relation != friendly)": 1 / 2,
-    "P(relation in {friendly, neutral})": 1.0,
-    "P(relation=friendly, alpha=(1, 0))": 1 / 4,
     "P(alpha in {(1,0), (0, 1)})": 1 / 4,
-    "P(strength_red > 250)": 1 / 2,
     "P(strength_red >= 250)": 3 / 4,
-    "P(strength_red < 250)": 1 / 4,
     "P(strength_red <= 2.5e2)": 1 / 2,
     "P(strength_red in [250, 400])": 1 / 2,
     "P(strength_red > 200, strength_red < 600)": 1 / 2,
     "P(strength_red in [-1, .5])": 0.0,
     "P(same_goal = true | relation = friendly)": 1.0,
-    "P(same_goal > 0)": 1 / 2,
     "P(mood = 'keen, or not')": 1 / 2,
     'P("mood" = "it\'s = {fine}")': 1 / 2,
     "E[strength_red]": 362.5,
@@ -72,7 +66,6 @@ NUMBERS = {
     "P(relation=friendly or strength_red > 500)": 3 / 4,
     "P(relation=friendly and strength_red > 200 or strength_red > 500)": 1 / 2,
     "P(relation=friendly and (strength_red > 200 or strength_red > 500))": 1 / 4,
-    "P((relation=friendly))": 1 / 2,
     "P not relation=friendly": 1 / 2,
     "P(NOT (relation=friendly OR strength_red in [600, 700]))": 1 / 4,
     "P(not not relation=friendly, strength_red < 250)": 1 / 4,
@@ -82,9 +75,9 @@ NUMBERS = {
 }
 
 
-@pytest.mark.parametrize("question", NUMBERS)
-def test_numbers(small: Posterior, question: str) -> None:
-    assert small.query(question) == pytest.approx(NUMBERS[question])
+def test_numbers(small: Posterior) -> None:
+    for question, number in NUMBERS.items():
+        assert small.query(question) == pytest.approx(number), question
 
 
 def test_tables_labels_and_intervals(small: Posterior) -> None:
@@ -102,86 +95,62 @@ def test_tables_labels_and_intervals(small: Posterior) -> None:
 
 WRONG = {
     "": (0, "expected one of P, E, sd"),
-    "   ": (3, "expected one of P, E, sd"),
     "relation=friendly": (0, "expected one of P"),
     "P": (1, "the name of a quantity"),
-    "P()": (2, "the name of a quantity"),
     "P(relation=)": (11, "a value of 'relation'"),
     "P(relation=friendly": (19, "',' or '|' or ')'"),
     "P(relation=friendly]": (19, "')'"),
-    "P[relation=friendly)": (19, "']'"),
-    "P(relation=friendly))": (20, "the end"),
     "P(relation=friendly) x": (21, "the end"),
-    "P relation=friendly)": (19, "',' or '|' or the end"),
     "P(relation=freindly)": (11, "did you mean 'friendly'"),
     "P(relatoin=friendly)": (2, "did you mean 'relation'"),
     "P(relation~friendly)": (10, "',' or '|' or ')'"),
-    "P(relation=friendly goal_red=x)": (28, "',' or '|' or ')'"),
     "P(relation=friendly, goal_red)": (29, "=, !=, <"),
     "P(goal_red, relation=friendly)": (20, "names only or conditions only"),
     "P(goal_red, goal_red)": (12, "named twice"),
-    "P(relation=friendly | )": (22, "the name of a quantity"),
-    "P(relation=friendly | goal_red)": (30, "=, !=, <"),
     "P(relation=friendly | alpha=(1,0) | x)": (34, "',' or ')'"),
     "P(relation in friendly)": (14, "{ and labels"),
-    "P(relation in {friendly)": (23, "',' or '}'"),
     "P(relation in {})": (15, "a value of 'relation'"),
     "P(relation < 3)": (11, "has categories"),
     "P(relation=friendly, relation=neutral)": (21, "no value of relation"),
     "P(alpha=(1, 0)": (14, "')'"),
-    "P(alpha=(1, 0": (13, "')'"),
     "P(strength_red=300)": (14, "is a real number"),
-    "P(strength_red in {300})": (15, "is a real number"),
     "P(strength_red)": (2, "without categories"),
     "P(strength_red < )": (17, "a number"),
     "P(strength_red < 1e999)": (17, "a finite number"),
     "P(strength_red in [400, 300])": (19, "lower end comes first"),
-    "P(strength_red in [400])": (22, "','"),
     "P(strength_red > 400, strength_red < 300)": (22, "no value of strength_red"),
     "P(mood='keen)": (13, "a closing '"),
     "P(relation=friendly | goal_red=Get pink item to red lm)": (22, "probability 0"),
     "E(goal_red)": (2, "has categories"),
     "E[strength_red, strength_green]": (14, "'|' or ']'"),
     "hdi 94 strength_red": (4, "a share in (0, 1]"),
-    "hdi 0% strength_red": (4, "a share in (0, 1]"),
     "hdi(goal_red)": (4, "has categories"),
     "top 0 goal_red": (4, "a whole number from 1"),
-    "top 2.5 goal_red": (4, "a whole number from 1"),
     "top (strength_red)": (5, "without categories"),
     "mode 3 goal_red": (5, "the name of a quantity"),
-    "((((((((((": (0, "expected one of P"),
     "P(strength_red > strong)": (17, "unknown quantity 'strong'"),
     "P(strength_red > relation)": (15, "relation has categories"),
-    "P(strength_red = strength_green)": (15, "is a real number"),
     "P(sign_red=to or strength_red = strength_green)": (30, "is a real number"),
     "H(same_goal, strength_red)": (13, "is a real number"),
     "P(relation = goal_red)": (11, "no value in common"),
     "P(relation=friendly or neutral)": (30, "one of several values: in {a, neutral}"),
-    "P(relation=friendly or)": (22, "the name of a quantity"),
     "P(same_goal=1 or (strength_red > 3))": (12, "unknown same_goal '1'"),
     "P(not (strength_red > 3)": (24, "',' or '|' or ')'"),
-    "P(not (strength_red > 3": (23, "',' or ')'"),
-    "P(relation=friendly and relation=neutral)": (24, "no value of relation"),
     "P(not)": (5, "the name of a quantity"),
-    "P(not goal_red)": (14, "=, !=, <"),
     "P(relation=friendly | strength_red > strength_green, strength_red < 250)": (22, "alone"),
-    "P((relation=friendly)": (21, "',' or '|' or ')'"),
     "P(goal_red,goal_green,stated_goal_red,stated_goal_green,alpha,relation)": (2, "at most"),
 }
 
 
-@pytest.mark.parametrize("question", WRONG)
-def test_a_wrong_question_points_at_the_place_and_says_what_is_expected(
-    small: Posterior, question: str
-) -> None:
-    place, said = WRONG[question]
-    with pytest.raises(QueryError) as caught:
-        small.query(question)
-    assert said in caught.value.reason
-    assert caught.value.position == place
-    lines = [caught.value.reason, "  " + question, " " * (2 + place) + "^"]
-    assert str(caught.value).split("\n") == lines
-    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+def test_a_wrong_question_points_at_the_place_and_says_what_is_expected(small: Posterior) -> None:
+    for question, (place, said) in WRONG.items():
+        with pytest.raises(QueryError) as caught:
+            small.query(question)
+        assert said in caught.value.reason
+        assert caught.value.position == place, question
+        lines = [caught.value.reason, "  " + question, " " * (2 + place) + "^"]
+        assert str(caught.value).split("\n") == lines
+        assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
 def test_words_and_a_mapping_say_the_same_of_what_is_given(small: Posterior) -> None:
@@ -240,29 +209,28 @@ def test_definitions_in_words_are_saved_and_read_from_a_text_file(tmp_path: Path
             Posterior(post.tree).define_from(file)
 
 
-@pytest.mark.parametrize(
-    "question",
-    [
-        "P(" * 50_000,
-        "P(relation in {" + "friendly, " * 800 + "freindly})",
-        "P(relation=\x00\x1b[31m\n\r\tfriendly)",
-        "P(relation=" + "a" * 9_000 + ")",
-        "top " + "9" * 9_000 + " goal_red",
-        "P(\u202erelation)",
-        "P(relation='" + "\n" * 500,
-        "\ud800",
-        "P(" + "(" * 9_000,
-        "P(" + "not " * 2_000 + "relation=friendly)",
-    ],
-    ids=range(10),
-)
-def test_hostile_questions_get_one_short_clear_error(small: Posterior, question: str) -> None:
-    with pytest.raises(QueryError) as caught:
-        small.query(question)
-    lines = str(caught.value).split("\n")
-    assert len(lines) == 3
-    assert all(len(line) < 250 for line in lines)
-    assert all(character.isprintable() for line in lines for character in line)
+HOSTILE = [
+    "P(" * 50_000,
+    "P(relation in {" + "friendly, " * 800 + "freindly})",
+    "P(relation=\x00\x1b[31m\n\r\tfriendly)",
+    "P(relation=" + "a" * 9_000 + ")",
+    "top " + "9" * 9_000 + " goal_red",
+    "P(\u202erelation)",
+    "P(relation='" + "\n" * 500,
+    "\ud800",
+    "P(" + "(" * 9_000,
+    "P(" + "not " * 2_000 + "relation=friendly)",
+]
+
+
+def test_hostile_questions_get_one_short_clear_error(small: Posterior) -> None:
+    for question in HOSTILE:
+        with pytest.raises(QueryError) as caught:
+            small.query(question)
+        lines = str(caught.value).split("\n")
+        assert len(lines) == 3
+        assert all(len(line) < 250 for line in lines)
+        assert all(character.isprintable() for line in lines for character in line)
     with pytest.raises(QueryError, match="a question is text, not 3"):
         small.query(3)  # type: ignore[arg-type]
 
@@ -324,7 +292,7 @@ def outcome(ask: Any) -> Any:
     return found, "unknown" if math.isnan(found.error) else found.error
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.data(), conditions(), st.none() | conditions())
 def test_any_valid_question_is_answered_as_by_its_method(
     data: st.DataObject, event: tuple[str, dict[str, Any]], condition: Any
@@ -356,7 +324,7 @@ PIECES = st.sampled_from(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.text(max_size=60) | st.lists(PIECES, max_size=14).map("".join))
 def test_whatever_is_asked_only_a_question_error_is_raised(text: str) -> None:
     for question in (text, "P(" + text, "P(goal_red|" + text + ")"):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import json
+import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,178 +17,187 @@ import pytest
 from matplotlib import rc_context
 
 import phase_ppl as ppl
-from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis import stepwise_table
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.models.roles import masses
 from phase_ppl.render.frames import PANEL
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError, QueryError
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, possible_goals
 from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, Roles, all_ways, relation
-from tests.analysis.readings import BLUE_NOT_TO_RED, BLUE_TO_RED, LEVELS, reading
+from tests.analysis.readings import (
+    BLUE_NOT_TO_RED,
+    BLUE_TO_RED,
+    CAST,
+    LEVELS,
+    QUICK,
+    of_three,
+    reading,
+)
 from tests.render.test_video import read
 
 FOUND = reading()
 
 
+@pytest.fixture(scope="module")
+def post() -> StepwisePosterior:
+    return StepwisePosterior(FOUND)
+
+
+@pytest.fixture(scope="module")
+def single() -> StepwisePosterior:
+    """What one set of searches tells."""
+    return StepwisePosterior(reading(planner_seeds=1))
+
+
 @functools.cache
-def by_hand(frame: int) -> dict[tuple[int, int, int, int, int], float]:
+def pairs() -> np.ndarray:
+    """Return (agent, stated red, stated green, alpha) effective goals."""
+    found = [effective_goals(r, g, ALPHAS[a]) for r, g, a in np.ndindex(N_GOALS, N_GOALS, 5)]
+    return np.array(found).T.reshape(2, N_GOALS, N_GOALS, 5)
+
+
+def mass_of_each(frame: int, weight: float = 0.5) -> FloatArray:
     """Return the mass of every hypothesis: stated goals, alpha, strengths."""
-    likelihood = FOUND["log_likelihood"].values[: frame + 1].sum(axis=0)
-    log_prior, strengths = FOUND["log_prior"].values, FOUND["strengths"].values[frame]
-    masses = {}
-    for red, green, alpha, fr, fg in itertools.product(
-        range(N_GOALS), range(N_GOALS), range(len(ALPHAS)), range(2), range(2)
-    ):
-        pair = effective_goals(red, green, ALPHAS[alpha])
-        mass = np.exp(log_prior[red, green, alpha, fr, fg] + 0.5 * likelihood[pair])
-        masses[red, green, alpha, fr, fg] = float(mass * strengths[fr, fg])
-    total = sum(masses.values())
-    return {hypothesis: mass / total for hypothesis, mass in masses.items()}
+    likelihood = FOUND["log_likelihood"].values[: frame + 1].sum(axis=0)[tuple(pairs())]
+    of_goals = np.exp(weight * likelihood)[..., None, None]
+    return np.exp(FOUND["log_prior"].values) * of_goals * FOUND["strengths"].values[frame] * 4
 
 
-@pytest.mark.parametrize("frame", [0, 2, 3])
+@pytest.mark.parametrize("frame", [0, 3])
 def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
-    post, masses = StepwisePosterior(FOUND, frame), by_hand(frame)
-    goals: dict[str, float] = dict.fromkeys(GOALS, 0.0)
-    friendly = strong = 0.0
-    for (red, green, alpha, fr, _), mass in masses.items():
-        pair = effective_goals(red, green, ALPHAS[alpha])
-        goals[GOALS[pair[0]]] += mass
-        friendly += mass * (relation(*pair) == "friendly")
-        strong += mass * (LEVELS[fr] == 600.0)
-    marginal = post.marginal("goal_red")
-    np.testing.assert_allclose(marginal.values, list(goals.values()), atol=1e-9)
+    post, mass = StepwisePosterior(FOUND, frame), mass_of_each(frame)
+    mass /= mass.sum()
+    joint = np.zeros((N_GOALS, N_GOALS))
+    np.add.at(joint, tuple(pairs()), mass.sum(axis=(3, 4)))
+    np.testing.assert_allclose(post.joint("goal_red", "goal_green"), joint, atol=1e-9)
+    np.testing.assert_allclose(post.marginal("goal_red"), joint.sum(axis=1), atol=1e-9)
+    friendly = sum(p for pair, p in np.ndenumerate(joint) if relation(*pair) == "friendly")
     assert post.probability(relation="friendly") == pytest.approx(friendly, abs=1e-9)
-    assert post.probability(strength_red=(500, 600)) == pytest.approx(strong, abs=1e-9)
     assert post.query("P(relation=friendly)") == pytest.approx(friendly, abs=1e-9)
+    strong = mass[:, :, :, 1].sum()
+    assert post.probability(strength_red=(500, 600)) == pytest.approx(strong, abs=1e-9)
+    assert post.query("median strength_red") == LEVELS[int(strong > 0.5 + 1e-9)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(joint / (joint.sum(axis=1, keepdims=True) * joint.sum(axis=0)))
+    found = post.query("I(goal_red; goal_green)")
+    assert found == pytest.approx(np.nansum(joint * logs), abs=1e-6)
+    assert found == pytest.approx(post.mutual_information("goal_green", "goal_red"))
+    given = "goal_red=get to green agent"
+    assert post.query(f"I(goal_red; relation | {given})") == pytest.approx(0)
 
 
-def without_each() -> list[StepwisePosterior]:
-    """Return what is read without each set of searches."""
-    found = FOUND["log_likelihood_without"].values.astype(float)
-    return [StepwisePosterior(reading(1, columns={"log_likelihood": one})) for one in found]
+def test_errors_are_the_jackknife_over_sets_of_searches(
+    post: StepwisePosterior, single: StepwisePosterior
+) -> None:
+    each = [
+        StepwisePosterior(reading(1, columns={"log_likelihood": one}))
+        for one in FOUND["log_likelihood_without"].values.astype(float)
+    ]
 
+    def of(answers: list[Any]) -> Any:
+        return np.sqrt(2 * np.var(answers, axis=0))  # (3 - 1) / 3 times the sum of squares
 
-def test_errors_are_the_jackknife_over_sets_of_searches() -> None:
-    post = StepwisePosterior(FOUND)
-    shares = [alone.probability(relation="friendly") for alone in without_each()]
-    expected = np.sqrt((3 - 1) * np.var(shares))
-    assert expected > 0.001
     found = post.probability(relation="friendly")
+    expected = of([alone.probability(relation="friendly") for alone in each])
+    assert expected > 0.001
     assert found.error == pytest.approx(expected, rel=1e-4)
-    assert post.at(0).probability(relation="friendly").error == 0  # nothing was searched yet
     assert post.query("P(relation=friendly)").error == found.error
+    why = post.why("relation=friendly")
+    expected = of([alone.why("relation=friendly")["log_odds"].values for alone in each])
+    np.testing.assert_allclose(why["error"], expected, rtol=1e-6, atol=1e-9)
+    assert (why["error"].values[1:] > 0).all()
+    assert post.query("I(goal_red; goal_green)").error > 0
+    assert post.at(0).probability(relation="friendly").error == 0  # nothing was searched yet
     for of_strengths in ("hdi strength_red", "E[strength_red]", "P(strength_red > 300)",
                          "P(relation=friendly and strength_red > strength_green)"):  # fmt: skip
         assert np.isnan(post.query(of_strengths).error).all(), "one filter follows strengths"
-    one = StepwisePosterior(reading(planner_seeds=1))
-    assert np.isnan(one.probability(relation="friendly").error)
-    assert "With one set of searches nothing tells" in str(one)
-    assert "± ?" in str(one)
+    assert np.isnan(single.probability(relation="friendly").error)
+    for nothing in (single.why("relation=friendly")["error"], single.over_time()["relation_error"]):
+        assert np.isnan(nothing).all()
+    assert "With one set of searches nothing tells" in str(single)
+    assert "± ?" in str(single)
 
 
-def expected_errors(post: StepwisePosterior) -> list[float]:
-    return [post.probability(relation=label).error for label in RELATIONS]
-
-
-def test_over_time_is_the_posterior_at_each_frame() -> None:
-    post = StepwisePosterior(FOUND)
-    found = post.over_time()
+def test_over_time_and_why_follow_the_posterior_at_each_frame(post: StepwisePosterior) -> None:
+    found, names = post.over_time(), ("to red lm", "away from red lm")
+    why = post.why(*(f"goal_red=Get blue item {name}" for name in names))
+    alone = post.why("relation=friendly")["log_odds"].values
     for frame in range(4):
+        at = post.at(frame)
         for name in ("goal_red", "goal_green", "relation", "scenario"):
-            expected = post.at(frame).marginal(name)
-            np.testing.assert_allclose(found[name].values[frame], expected, atol=1e-9)
-        errors = found["relation_error"].values[frame]
-        np.testing.assert_allclose(errors, expected_errors(post.at(frame)), rtol=1e-6, atol=1e-9)
-    assert (found["relation_error"].values[-1] > 0.001).any()
+            np.testing.assert_allclose(found[name][frame], at.marginal(name), atol=1e-9)
+        errors = [at.probability(relation=label).error for label in RELATIONS]
+        np.testing.assert_allclose(found["relation_error"][frame], errors, rtol=1e-6, atol=1e-9)
+        goals, friendly = at.marginal("goal_red").values, at.probability(relation="friendly")
+        odds = np.log(goals[BLUE_TO_RED] / goals[BLUE_NOT_TO_RED])
+        assert why["log_odds"].values[frame] == pytest.approx(odds)
+        assert alone[frame] == pytest.approx(np.log(friendly / (1 - friendly)))
+    np.testing.assert_allclose(np.diff(why["log_odds"]), why["change"].values[1:])
+    assert why["change"].values[0] == 0
     assert "filtering" in found.attrs
     assert len(post.at(1).over_time()["time"]) == 2
-    one = StepwisePosterior(reading(planner_seeds=1)).over_time()
-    assert np.isnan(one["relation_error"].values).all()
 
 
-def test_the_best_hypothesis_leads_and_the_evidence_grows() -> None:
-    post = StepwisePosterior(FOUND)
+def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterior) -> None:
     assert post.map().effective_goals == (BLUE_TO_RED, BLUE_TO_RED)
     assert post.map_record()["goal_red"] == GOALS[BLUE_TO_RED]
-    evidence = [post.at(frame).log_evidence for frame in range(4)]
-    assert evidence[0] == pytest.approx(0, abs=1e-9)
-    assert evidence[3] > evidence[0]
+    start, evidence = post.at(0).log_evidence, post.log_evidence
+    assert evidence > start == pytest.approx(0, abs=1e-9)
     # frames count in full, although the posterior tempers them
-    prior = by_hand(0)
-    likelihood = FOUND["log_likelihood"].values.sum(axis=0)
-    strengths = FOUND["strengths"].values[-1] * 4
-    total = sum(
-        mass * np.exp(likelihood[effective_goals(red, green, ALPHAS[alpha])]) * strengths[fr, fg]
-        for (red, green, alpha, fr, fg), mass in prior.items()
-    )
-    assert evidence[3] == pytest.approx(np.log(total))
+    assert evidence == pytest.approx(np.log(mass_of_each(3, weight=1.0).sum()))
     tempered = StepwisePosterior(reading(weight=0.1))
-    assert tempered.log_evidence == pytest.approx(evidence[3])
+    assert tempered.log_evidence == pytest.approx(evidence)
     assert "tempered: a frame counts 0.1 for goals" in str(tempered)
-    assert "tempered" not in str(StepwisePosterior(reading(weight=1.0)))
-
-
-def test_what_is_tempered_is_said_of_goals_and_strengths() -> None:
     found = reading(weight=1.0)
+    assert "tempered" not in str(StepwisePosterior(found))
     found.attrs["settings"] = json.dumps({"likelihood": {"tracking": {"strength_weight": 0.05}}})
-    post = StepwisePosterior(found)
+    of_strengths = StepwisePosterior(found)
     tempering = "tempered: a frame counts 0.05 for strengths"
-    assert post.tempering == tempering
-    assert tempering in str(post)
-    assert "nats, every frame counted in full, for strengths 0.05" in str(post)
-    assert post.why("relation=friendly").attrs["tempering"] == tempering
-    assert post.over_time().attrs["tempering"] == tempering
+    assert tempering in str(of_strengths)
+    assert "nats, every frame counted in full, for strengths 0.05" in str(of_strengths)
+    for told in (of_strengths.why("relation=friendly"), of_strengths.over_time()):
+        assert told.attrs["tempering"] == tempering
 
 
-def test_why_gives_the_log_odds_and_who_changed_them() -> None:
-    post, names = StepwisePosterior(FOUND), ("to red lm", "away from red lm")
-    found = post.why(*(f"goal_red=Get blue item {name}" for name in names))
-    for frame in range(4):
-        at = post.at(frame).marginal("goal_red").values
-        odds = np.log(at[BLUE_TO_RED] / at[BLUE_NOT_TO_RED])
-        assert found["log_odds"].values[frame] == pytest.approx(odds)
-    np.testing.assert_allclose(np.diff(found["log_odds"]), found["change"].values[1:])
-    assert found["change"].values[0] == 0
-    alone = post.why("relation=friendly")
-    share = post.probability(relation="friendly")
-    assert alone["log_odds"].values[-1] == pytest.approx(np.log(share / (1 - share)))
+def test_what_cannot_be_asked_is_refused(post: StepwisePosterior) -> None:
+    def frame(number: Any) -> Callable[[], object]:
+        return lambda: post.at(number)
+
+    for ask, error, said in (
+        (lambda: post.why("relation"), QueryError, "expected =, !="),
+        (lambda: post.why("relation=cordial"), QueryError, "cordial"),
+        (lambda: post.why("relation=friendly | alpha=(1, 0)"), QueryError, "'or' or the end"),
+        (lambda: post.why("goal_red=get to red agent"), InvalidSettingError, "under the prior"),
+        (lambda: post.why("strength_red > 0"), InvalidSettingError, "^not strength_red > 0 is imp"),
+        (lambda: post.query("I(goal_red)"), QueryError, "';' and another"),
+        (lambda: post.query("median(goal_red)"), QueryError, "categories, not numbers"),
+        (lambda: post.query("P(relation)", weights="count"), InvalidSettingError, "no draws to be"),
+        *((frame(number), InvalidSettingError, "frame=") for number in (1.5, "2", True, -1, 4)),
+    ):
+        with pytest.raises(error, match=said):
+            ask()
 
 
-def test_log_odds_have_the_jackknifes_error_over_the_sets_of_searches() -> None:
-    found = StepwisePosterior(FOUND).why("relation=friendly")
-    odds = np.array([post.why("relation=friendly")["log_odds"].values for post in without_each()])
-    expected = np.sqrt((len(odds) - 1) / len(odds) * ((odds - odds.mean(axis=0)) ** 2).sum(axis=0))
-    np.testing.assert_allclose(found["error"].values, expected, rtol=1e-6, atol=1e-9)
-    assert (found["error"].values[1:] > 0).all()
-    single = StepwisePosterior(reading(planner_seeds=1)).why("relation=friendly")
-    assert np.isnan(single["error"].values).all()
-
-
-@pytest.mark.parametrize(
-    ("event", "error", "message"),
-    [
-        ("relation", QueryError, "expected =, !="),
-        ("relation=cordial", QueryError, "cordial"),
-        ("relation=friendly | alpha=(1, 0)", QueryError, "'or' or the end"),
-        ("goal_red=get to red agent", InvalidSettingError, "impossible under the prior"),
-        ("strength_red > 0", InvalidSettingError, "^not strength_red > 0 is impossible"),
-    ],
-)
-def test_what_has_no_odds_is_refused(event: str, error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
-        StepwisePosterior(FOUND).why(event)
-
-
-def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
+def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> None:
     post = StepwisePosterior(FOUND)
+    post.define("red_leads", "strength_red > strength_green")
+    post.define("same", lambda h: h.goal_red == h.goal_green)
+    last, before = post.query("P(red_leads=True)"), post.at(0).query("P(red_leads=True)")
+    assert last == pytest.approx(0.3, abs=1e-3)  # the filter's, as the prior of both is flat
+    assert before == pytest.approx(0.25)
+    assert np.isnan(last.error)  # one filter follows strengths
+    odds = post.why("same=True", over="not goal_red = goal_green")["log_odds"].values
+    assert odds[-1] == pytest.approx(post.why("same=True")["log_odds"].values[-1])
+    share = post.query("P(goal_red = goal_green)")
+    assert odds[-1] == pytest.approx(np.log(share / (1 - share)), abs=1e-6)
+
     file = post.save(tmp_path / "found.nc")
     for again in (StepwisePosterior.load(file), ppl.load_posterior(file)):
-        assert isinstance(again, StepwisePosterior)
-        np.testing.assert_array_equal(
-            again.joint("goal_red", "relation"), post.joint("goal_red", "relation")
-        )
+        assert list(again.definitions) == ["red_leads"]
+        assert again.query("P(red_leads=True)") == last
+        for asked in (("goal_red", "relation"), ("alpha",)):
+            np.testing.assert_array_equal(again.joint(*asked), post.joint(*asked))
         assert str(again) == str(post)
     with pytest.raises(InvalidEventError, match="read step by step: load_posterior"):
         ppl.Posterior.load(file)
@@ -200,11 +210,11 @@ def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
         StepwisePosterior.load(file)
 
 
-def test_the_verdict_leads_with_the_worst_sign() -> None:
+def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
     def diagnosed(**columns: Any) -> dict[str, Any]:
         return StepwisePosterior(reading(columns=columns)).diagnostics()
 
-    fine = diagnosed()
+    fine = post.diagnostics()
     assert fine["unexplained_frames"] == fine["overlapping_frames"] == []
     assert fine["verdict"].startswith("Actions explain every frame")
     poses = FOUND["trajectory"].values.copy()
@@ -225,23 +235,14 @@ def test_the_verdict_leads_with_the_worst_sign() -> None:
     assert "sets of searches disagree" in split["verdict"]
     for found in (lying, torn, odd, split):
         assert "Actions explain every frame" not in found["verdict"]
-    text = str(StepwisePosterior(FOUND))
+    text = str(post)
     assert text.index("verdict") < text.index(fine["verdict"][-20:]) < text.index("relation  ")
+    one = StepwisePosterior(FOUND.isel(time=slice(0, 1)))
+    assert one.surprise().tolist() == [0.0]
+    assert "Nothing was seen but the start" in one.diagnostics()["verdict"]
 
 
-def test_what_is_no_reading_is_refused() -> None:
-    nan = FOUND["log_likelihood"].values * np.nan
-    for found, said in (
-        (FOUND.drop_vars("held"), "lacks held"),
-        (reading(schema="other"), "schema is 'other'"),
-        (reading(columns={"log_likelihood": nan}), "no log densities"),
-    ):
-        with pytest.raises(InvalidEventError, match=said):
-            StepwisePosterior(found)
-
-
-def test_figures_and_film(tmp_path: Path) -> None:
-    post = StepwisePosterior(FOUND)
+def test_figures_and_film(tmp_path: Path, post: StepwisePosterior) -> None:
     figure = ppl.plot.why(post, "relation=friendly", "relation=adversarial", tmp_path / "why.png")
     assert len(figure.axes) >= 3
     ppl.plot.over_time(post, tmp_path / "over_time.png")
@@ -250,97 +251,16 @@ def test_figures_and_film(tmp_path: Path) -> None:
         film = ppl.watch_film(post, tmp_path / "watch.mp4")
     _, frames = read(film.path)
     assert frames.shape[2] < 2.1 * PANEL
-    assert all(file.stat().st_size > 1000 for file in tmp_path.iterdir())
-    assert len(list(tmp_path.iterdir())) == 4
-
-
-def test_medians_and_mutual_information() -> None:
-    post, masses = StepwisePosterior(FOUND), by_hand(3)
-    joint = np.zeros((N_GOALS, N_GOALS))
-    for (red, green, alpha, _, _), mass in masses.items():
-        joint[effective_goals(red, green, ALPHAS[alpha])] += mass
-    apart = joint.sum(axis=1, keepdims=True) * joint.sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        expected = np.nansum(joint * np.log(joint / apart))
-    found = post.query("I(goal_red; goal_green)")
-    assert found == pytest.approx(expected, abs=1e-6)
-    assert found == pytest.approx(post.mutual_information("goal_green", "goal_red"))
-    assert found.error > 0
-    assert post.query("I(goal_red; relation | goal_red=get to green agent)") == pytest.approx(0)
-    strong = sum(mass for (*_, fr, _), mass in masses.items() if fr == 1)
-    assert post.query("median strength_red") == LEVELS[int(strong > 0.5)]
-    with pytest.raises(QueryError, match="';' and another"):
-        post.query("I(goal_red)")
-    with pytest.raises(QueryError, match="categories, not numbers"):
-        post.query("median(goal_red)")
-
-
-def test_comparisons_and_definitions_hold_at_every_frame_in_why_and_in_files(
-    tmp_path: Path,
-) -> None:
-    post = StepwisePosterior(FOUND)
-    post.define("red_leads", "strength_red > strength_green")
-    post.define("same", lambda h: h.goal_red == h.goal_green)
-    last, before = post.query("P(red_leads=True)"), post.at(0).query("P(red_leads=True)")
-    assert last == pytest.approx(0.3, abs=1e-3)  # the filter's, as the prior of both is flat
-    assert before == pytest.approx(0.25)
-    assert np.isnan(last.error)  # one filter follows strengths
-    odds = post.why("same=True", over="not goal_red = goal_green")["log_odds"].values
-    assert odds[-1] == pytest.approx(post.why("same=True")["log_odds"].values[-1])
-    share = post.query("P(goal_red = goal_green)")
-    assert odds[-1] == pytest.approx(np.log(share / (1 - share)), abs=1e-6)
-    again = StepwisePosterior.load(post.save(tmp_path / "x.nc"))
-    assert list(again.definitions) == ["red_leads"]
-    assert again.query("P(red_leads=True)") == last
-    with pytest.raises(InvalidSettingError, match="no draws to be weighted"):
-        post.query("P(relation)", weights="count")
-
-
-def test_a_video_of_one_frame_says_what_was_believed_before_it() -> None:
-    one = FOUND.isel(time=slice(0, 1))
-    post = StepwisePosterior(one)
-    assert post.surprise().tolist() == [0.0]
-    assert "Nothing was seen but the start" in post.diagnostics()["verdict"]
-
-
-@pytest.mark.parametrize("frame", [1.5, "2", True, -1, 4])
-def test_frames_that_there_are_not_are_refused(frame: Any) -> None:
-    with pytest.raises(InvalidSettingError, match="frame="):
-        StepwisePosterior(FOUND).at(frame)
+    sizes = [file.stat().st_size for file in tmp_path.iterdir()]
+    assert len(sizes) == 4
+    assert min(sizes) > 1000
 
 
 # --- other worlds ---------------------------------------------------------------------------------
 
-TRIO = ppl.worlds.TRIO
-MODEL = ppl.Model(
-    likelihood=ppl.StepwiseLikelihood(planner_seeds=2),
-    planner=PlannerConfig(simulations=4, particles=6),
-)
-
-
-@functools.cache
-def posterior() -> StepwisePosterior:
-    scene = TRIO.scene(
-        {
-            "red agent": (4, 8), "green agent": (30, 18), "purple agent": (9, 3),
-            "blue ball": (6, 5), "pink ball": (32, 16),
-        }
-    )  # fmt: skip
-    event = ppl.simulate(
-        scene,
-        goals={"red agent": "blue ball to home", "green agent": "touch pink ball"},
-        relation={("purple agent", "red agent"): "hinder"},
-        frames=8,
-        planner=MODEL.planner,
-        seed=2,
-    )
-    found = ppl.infer(event, MODEL, workers=1, progress=False)
-    assert isinstance(found, StepwisePosterior)
-    return found
-
 
 def test_it_answers_in_the_names_of_its_world() -> None:
-    post = posterior()
+    post = of_three()
     assert post.marginal("goal_purple").sum() == pytest.approx(1)
     assert post.query("P(relation_red_purple=adversarial)").error > 0
     assert -1 <= post.query("E[alpha_purple_red]") <= 1
@@ -349,95 +269,102 @@ def test_it_answers_in_the_names_of_its_world() -> None:
         assert words in str(post)
     roles = post.map()
     assert isinstance(roles, Roles)
-    assert set(roles.goals) == set(post.summary()["goals"]) == set(TRIO.agents)
+    assert set(roles.goals) == set(post.summary()["goals"]) == set(CAST.agents)
     found = post.over_time()["goal_red"]
     np.testing.assert_allclose(found[-1], post.marginal("goal_red"), atol=1e-6)
     np.testing.assert_allclose(found[4], post.at(4).marginal("goal_red"), atol=1e-3)
-    assert found[0].max() < 0.03  # nothing was seen yet
+    assert found[0].max() < 0.07  # nothing was seen yet
+    assert post.at(0).log_evidence == pytest.approx(0, abs=1e-9)  # what cannot be has no mass
+
+    asked = StepwisePosterior(post.dataset).define("weak", "strength_red < 300")
+    asked.define("at_odds", "relation_red_purple = adversarial")
+    odds = asked.why("at_odds=True")["log_odds"].values[-1]
+    share = asked.query("P(relation_red_purple=adversarial)")
+    assert odds == pytest.approx(np.log(share / (1 - share)), abs=1e-4)
+    alone = post.with_prior("no_social_goals")  # without reading again
+    assert alone.probability(alpha_purple_red="0") == 1
+    assert alone.query("P(alpha_red_green=1)") == 0
 
 
-def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
-    post = posterior()
-    file = post.save(tmp_path / "trio.nc")
+def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    post, table = of_three(), of_three()._table
+    (mass,), combinations = table.prior_of_strengths, table.combinations
+    for agent in range(3):
+        found = [mass[combinations[:, agent] == level].sum() for level in (150, 300, 450, 600)]
+        np.testing.assert_allclose(found, [1 / 6, 1 / 3, 1 / 3, 1 / 6], atol=1e-6)
+    assert [len(all_ways(n)) for n in (1, 2, 3, 4)] == [1, 5, 25, 153]
+    n = [len(possible_goals(agent, CAST)) for agent in range(3)]
+    owners = ([own for own, one in zip(n, way, strict=True) if one is None] for way in all_ways(3))
+    assert table.n_hypotheses == sum(map(math.prod, owners))
+    monkeypatch.setattr(stepwise_table, "MOST_HYPOTHESES", table.n_hypotheses // 2)
+    monkeypatch.setattr(type(table), "most_rows", table.n_hypotheses)  # strengths are drawn too
+    drawn = StepwisePosterior(post.dataset)
+    assert drawn._table.sampled
+    assert "were drawn" in str(drawn)
+    for name in ("goal_red", "goal_purple", "relation_red_purple", "alpha_purple_red"):
+        exact = post.marginal(name).values
+        np.testing.assert_allclose(drawn.marginal(name).values, exact, atol=0.03)
+    assert drawn.mean("strength_green") == pytest.approx(post.mean("strength_green"), abs=2)
+    assert drawn.map().effective_goals == post.map().effective_goals  # whatever q was
+    with pytest.raises(QueryError, match="strength_red"):
+        drawn.why("strength_red > 300")
+
+
+def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
+    post = of_three()
+    file = post.save(tmp_path / "three.nc")
     again = StepwisePosterior.load(file)
-    with pytest.raises(InvalidEventError, match="read step by step: load_posterior"):
-        ppl.Posterior.load(file)
-    with pytest.raises(InvalidSettingError, match="'trio' has relations only"):
-        ppl.load_posterior(file, scenario=lambda red, green: "competing")
-    assert again.scene.world == TRIO
+    assert again.scene.world == CAST
     np.testing.assert_array_equal(again.scene.half_widths, post.scene.half_widths)
     for name in ("goal_red", "relation_green_purple", "alpha_red_purple"):
         np.testing.assert_array_equal(again.marginal(name), post.marginal(name))
-    for damaged, words in (
-        (post.dataset.drop_vars("density"), "it lacks density"),
-        (reading(world=post.dataset.attrs["world"]), "is not that of 'trio'"),
-        (reading(world="{"), "its world"),
+    with pytest.raises(InvalidEventError, match="read step by step: load_posterior"):
+        ppl.Posterior.load(file)
+    with pytest.raises(InvalidSettingError, match="'three' has relations only"):
+        ppl.load_posterior(file, scenario=lambda red, green: "competing")
+    nan = FOUND["log_likelihood"].values * np.nan
+    for damaged, said in (
+        (FOUND.drop_vars("held"), "lacks held"),
+        (reading(schema="other"), "schema is 'other'"),
+        (reading(columns={"log_likelihood": nan}), "no log densities"),
         (reading().isel(planner_seed=[0]), "planner_seed has 1 entry"),
+        (post.dataset.drop_vars("density"), "it lacks density"),
+        (reading(world=post.dataset.attrs["world"]), "is not that of 'three'"),
+        (reading(world="{"), "its world"),
     ):
-        with pytest.raises(InvalidEventError, match=words):
+        with pytest.raises(InvalidEventError, match=said):
             StepwisePosterior(damaged)
 
 
 @pytest.mark.usefixtures("unpainted")
 def test_figures_and_the_page_of_a_run_speak_of_its_world(tmp_path: Path) -> None:
-    post = posterior()
+    post = of_three()
     figure = ppl.plot.posteriors({"read": post, "alone": post.with_prior("no_social_goals")})
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles[2:4] == ["Goal of the purple agent", "Relation of red & green"]
     with pytest.raises(InvalidSettingError, match="must be of one world"):
-        ppl.plot.posteriors({"read": post, "of PHASE": StepwisePosterior(reading())})
+        ppl.plot.posteriors({"read": post, "of PHASE": StepwisePosterior(FOUND)})
     post.save(tmp_path / "posterior.nc")
     page = ppl.report(tmp_path).read_text("utf-8")
     for words in ("Goal of the purple agent", "Relation of red &amp; purple", "What decided"):
         assert words in page
 
 
-def test_another_prior_changes_what_is_asked_without_reading_again() -> None:
-    post = posterior().with_prior("no_social_goals")
-    assert post.probability(alpha_purple_red="0") == 1
-    assert post.query("P(alpha_red_green=1)") == 0
-
-
-def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stepwise_table, "MOST_HYPOTHESES", 150_000)
-    drawn = StepwisePosterior(posterior().dataset)
-    assert drawn._table.sampled
-    assert "were drawn" in str(drawn)
-    for name in ("goal_red", "goal_purple", "relation_red_purple", "alpha_purple_red"):
-        exact = posterior().marginal(name).values
-        np.testing.assert_allclose(drawn.marginal(name).values, exact, atol=0.02)
-    assert drawn.map().effective_goals == posterior().map().effective_goals  # whatever q was
-
-
-def test_who_helps_with_what_two_agents_do_is_friendly() -> None:
-    """Somebody who helps one of them to get to the other wants what both do."""
-    goals = {"red agent": "get to green agent", "green agent": "get to red agent"}
-    roles = Roles.of(TRIO, goals, {("purple agent", "red agent"): "help"})
-    assert roles.goals["purple agent"] == "Get green agent to red agent"
-    agents = TRIO.agents
-    assert all(roles.relation_between(a, b) == "friendly" for a in agents for b in agents if a < b)
-    goals = {"red agent": "get to pink ball", "green agent": "get to blue ball"}
-    roles = Roles.of(TRIO, goals, {("purple agent", "red agent"): "hinder"})
-    assert roles.relation_between("red agent", "purple agent") == "adversarial"
-    assert roles.relation_between("green agent", "purple agent") == "neutral"
-
-
-SMALL = {"landmarks": {"home": (4, 4), "field": (30, 12)}, "arena": (0, 36, 0, 24)}
+PLACE = {"landmarks": {"home": (4, 4), "field": (30, 12)}, "arena": (0, 36, 0, 24)}
 
 
 @pytest.mark.parametrize(
     ("agents", "more"),
     [
         (["big red agent", "green agent"], {"items": ["ball"]}),
-        (["red agent", "green agent", "purple agent"], {"touchable": ["green agent"]}),
         (["a", "b", "c", "d"], {"touchable": []}),
     ],
 )
 def test_casts_of_all_kinds_are_read(agents: list[str], more: dict[str, list[str]]) -> None:
-    world = ppl.World(agents=agents, name="small", **{**SMALL, "items": [], **more})
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=MODEL.planner)
+    world = ppl.World(agents=agents, name="small", **{**PLACE, "items": [], **more})
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=QUICK)
     scene, roles = world.random_scene(2), ppl.roles.draw(world, 3)
-    event = ppl.simulate(scene, roles, frames=4, planner=MODEL.planner, seed=1)
+    event = ppl.simulate(scene, roles, frames=3, planner=QUICK, seed=1)
     post = ppl.infer(event, model, workers=1, progress=False)
     n = len(agents)
     assert len(post.relations_of) == n * (n - 1) / 2
@@ -447,39 +374,22 @@ def test_casts_of_all_kinds_are_read(agents: list[str], more: dict[str, list[str
     assert str(post.map().world) == str(world)
 
 
-def test_why_speaks_of_goals_and_relations() -> None:
-    post = StepwisePosterior(posterior().dataset).define("weak", "strength_red < 300")
-    post.define("at_odds", "relation_red_purple = adversarial")
-    found = post.why("at_odds=True")["log_odds"].values
-    share = post.query("P(relation_red_purple=adversarial)")
-    assert found[-1] == pytest.approx(np.log(share / (1 - share)), abs=1e-4)
-    with pytest.raises(QueryError, match="strength_red"):
-        post.why("strength_red > 300")
-
-
-def test_nobody_helps_with_what_is_no_goal() -> None:
-    """Where only green is a goal of touching, nobody has green's part of it."""
-    world = ppl.World(
-        agents=["red agent", "green agent"], items=[], touchable=["green agent"], **SMALL
-    )
+def test_helpers_take_their_part_of_what_is_wanted() -> None:
+    """Somebody who helps one of two agents to get to the other wants what both do."""
+    trio = ppl.worlds.TRIO
+    goals = {"red agent": "get to green agent", "green agent": "get to red agent"}
+    roles = Roles.of(trio, goals, {("purple agent", "red agent"): "help"})
+    assert roles.goals["purple agent"] == "Get green agent to red agent"
+    agents = trio.agents
+    assert all(roles.relation_between(a, b) == "friendly" for a in agents for b in agents if a < b)
+    goals = {"red agent": "get to pink ball", "green agent": "get to blue ball"}
+    roles = Roles.of(trio, goals, {("purple agent", "red agent"): "hinder"})
+    assert roles.relation_between("red agent", "purple agent") == "adversarial"
+    assert roles.relation_between("green agent", "purple agent") == "neutral"
+    # where only green is a goal of touching, nobody has green's part of it
     with pytest.raises(PhasePPLError, match="the green agent cannot help the red agent with 'get"):
-        Roles.of(world, {"red agent": "get to green agent"}, {("green agent", "red agent"): "help"})
-    assert all(ppl.roles.draw(world, seed).is_possible for seed in range(20))
-    scene = world.random_scene(0)
-    with ppl.watch(scene, MODEL, threads=1) as watching:
-        before = watching.update(scene.start)
-    assert before.log_evidence == pytest.approx(0, abs=1e-9)  # what cannot be has no mass
-
-
-def test_hypotheses_are_counted_and_strengths_have_the_priors_margins() -> None:
-    table = posterior()._table
-    (mass,), combinations = table.prior_of_strengths, table.combinations
-    for agent in range(3):
-        found = [mass[combinations[:, agent] == level].sum() for level in (150, 300, 450, 600)]
-        np.testing.assert_allclose(found, [1 / 6, 1 / 3, 1 / 3, 1 / 6], atol=1e-6)
-    assert [len(all_ways(n)) for n in (1, 2, 3, 4)] == [1, 5, 25, 153]
-    n = len(possible_goals(0, TRIO))
-    assert table.n_hypotheses == n**3 + 12 * n**2 + 12 * n
+        Roles.of(CAST, {"red agent": "get to green agent"}, {("green agent", "red agent"): "help"})
+    assert all(ppl.roles.draw(CAST, seed).is_possible for seed in range(20))
 
 
 def wide_goal(world: ppl.World) -> None:
@@ -504,19 +414,16 @@ def leaning(world: ppl.World) -> None:
         numpyro.sample(f"strength_{key}", dist.Uniform(150.0 + 100 * strong, 600.0))
 
 
-@pytest.mark.parametrize(
-    ("prior", "message"),
-    [
-        ("relation_first", "is of PHASE only, not of 'trio': expected uniform, sparse_social"),
-        (wide_goal, "gives mass to goal_red=68: expected 0..67"),
-        (lambda world: ppl.roles.goals(world), "does not sample 'company'; in 'trio' it takes"),
+def test_priors_that_cannot_be_are_refused_in_one_line() -> None:
+    last = len(CAST.goals) - 1
+    for prior, message in (
+        (ppl.priors.relation_first, "is of PHASE only, not of 'three': expected uniform, sparse_s"),
+        (wide_goal, f"gives mass to goal_red={last + 1}: expected 0..{last}"),
+        (lambda world: ppl.roles.goals(world), "does not sample 'company'; in 'three' it takes"),
         (lambda world: world.nothing, "cannot be run: AttributeError"),
         (leaning, "makes 'strength_red' depend on strong"),
-    ],
-)
-def test_priors_that_cannot_be_are_refused_in_one_line(prior: object, message: str) -> None:
-    given = getattr(ppl.priors, prior) if isinstance(prior, str) else prior
-    with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
-        masses(given, TRIO)
-    assert "\n" not in str(raised.value)
-    assert masses(dependent, TRIO).company.shape == (25,)
+    ):
+        with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
+            masses(prior, CAST)
+        assert "\n" not in str(raised.value)
+    assert masses(dependent, CAST).company.shape == (25,)

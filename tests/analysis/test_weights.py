@@ -107,12 +107,11 @@ def test_weights_default_to_what_the_run_recorded_and_unknown_ones_name_the_clos
     assert Posterior(tree).weights == "stratified"
 
 
-@pytest.mark.parametrize("bad", [[-math.inf], [math.nan, 0.0], []])
-def test_weights_that_cannot_be_normalised_are_refused(bad: list[float]) -> None:
-    with pytest.raises(InvalidSettingError, match="cannot be weighted"):
-        normalised(np.array(bad))
+def test_weights_that_cannot_be_normalised_are_refused() -> None:
+    for bad in ([-math.inf], [math.nan, 0.0], []):
+        with pytest.raises(InvalidSettingError, match="cannot be weighted"):
+            normalised(np.array(bad))
     assert log_sum_exp(np.array([])) == log_sum_exp(np.array([-math.inf] * 2)) == -math.inf
-    assert log_sum_exp(np.array([1000.0, 1000.0])) == pytest.approx(1000 + LOG(2))
 
 
 EVEN = [(A, 0.5), (B, 0.5)]
@@ -291,9 +290,8 @@ def test_prefixes_worked_out_by_hand() -> None:
 
 
 @pytest.mark.parametrize(("densities", "prior"), [(False, False), (True, False), (True, True)])
-@pytest.mark.parametrize("seed", range(2))
-def test_at_the_last_frame_it_is_the_posterior(seed: int, densities: bool, prior: bool) -> None:
-    tree, rng = tree_by_frame(seed), np.random.default_rng(seed)
+def test_at_the_last_frame_it_is_the_posterior(densities: bool, prior: bool) -> None:
+    tree, rng = tree_by_frame(), np.random.default_rng(0)
     if densities:
         simulations = tree["simulations"].to_dataset()
         n = simulations.sizes["simulation"]
@@ -314,9 +312,7 @@ def test_later_frames_change_nothing_before_them() -> None:
     tree = with_densities(tree_by_frame(), -10.0)
     tree = with_prior(tree, np.random.default_rng(0).random((36, 36)))
     before = Posterior(tree).over_time()
-    later = tree["simulations"]["step_log_likelihood"].copy()
-    later[:, 5:] += np.random.default_rng(1).normal(size=later[:, 5:].shape)
-    tree["simulations"]["step_log_likelihood"] = later
+    array(tree, "simulations", "step_log_likelihood")[:, 5:] *= 2
     after = Posterior(tree).over_time()
     for name in FOLLOWED:
         np.testing.assert_array_equal(before[name][:5], after[name][:5])
@@ -324,28 +320,20 @@ def test_later_frames_change_nothing_before_them() -> None:
 
 
 def test_a_failed_simulation_counts_for_nothing() -> None:
-    simulations = [
-        Simulation(hypothesis(BLUE_TO_RED), 0),
-        Simulation(hypothesis(PINK_TO_BLUE), 1, 0.0, -np.inf, False, True, 2),
-    ]
+    failed = Simulation(B, 1, log_likelihood=-np.inf, completed=False, failed=True, frames=2)
     by_frame = np.zeros((2, 5))
     by_frame[1, 2:] = np.nan
-    found = Posterior(make_tree(simulations, [[0]], by_frame=by_frame)).over_time()
+    found = Posterior(make_tree([Simulation(A), failed], [[0]], by_frame=by_frame)).over_time()
     np.testing.assert_array_equal(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), 1)
 
 
-def test_a_users_scenario_is_followed() -> None:
-    found = Posterior(tree_by_frame(), scenario=lambda red, green: "opposing").over_time()
-    np.testing.assert_allclose(found["relation"].sel(relation_is="adversarial"), 1)
-
-
-def test_it_says_that_it_is_hindsight_and_survives_the_file(tmp_path: Path) -> None:
-    post = Posterior(tree_by_frame())
+def test_it_says_that_it_is_hindsight_and_follows_a_users_scenario() -> None:
+    post = Posterior(tree_by_frame(), scenario=lambda red, green: "opposing")
     found = post.over_time()
+    np.testing.assert_allclose(found["relation"].sel(relation_is="adversarial"), 1)
     assert "proposed from the whole video" in found.attrs["hindsight"]
     assert found["time"].attrs["units"] == "s"
     np.testing.assert_array_equal(found["time"], post.tree["observed_data"]["time"])
-    xr.testing.assert_equal(Posterior.load(post.save(tmp_path / "a b.nc")).over_time(), found)
 
 
 def test_likelihoods_of_another_shape_or_none_are_named() -> None:

@@ -57,13 +57,10 @@ def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:
     assert found[RED, GREEN] == pytest.approx(by_hand(all_sets, relative, [0, 1, 2]))
     for place, rest in enumerate(([1, 2], [0, 2], [0, 1])):
         assert without[place, RED, GREEN] == pytest.approx(by_hand(all_sets, relative, rest))
-
-
-def test_one_set_of_searches_has_nothing_to_be_left_out() -> None:
     one, relative = drawn(1)
     found, without = frame_log_likelihood(one, EVERYTHING, relative, FLAT, CONDUCT)
     assert found[RED, GREEN] == pytest.approx(by_hand(one, relative, [0]))
-    assert without.shape == (0, N_GOALS, N_GOALS)
+    assert without.shape == (0, N_GOALS, N_GOALS)  # nothing is to be left out
 
 
 def test_goals_with_one_set_of_searches_are_moved_with_the_others() -> None:

@@ -30,7 +30,7 @@ def test_phase_under_another_name_is_read_as_phase(planner_seeds: int) -> None:
     scene, known = event.scene, {f.name for f in dataclasses.fields(ppl.Scene)} - {"world"}
     renamed = dataclasses.replace(ppl.worlds.PHASE, name="another")
     other = ppl.Scene(**{name: getattr(scene, name) for name in known}, world=renamed)
-    seen = ppl.Observation(event.observation.trajectory[:10])
+    seen = ppl.Observation(event.observation.trajectory[:7])
     phase, own = (
         ppl.infer(ppl.Event(one, seen), model(planner_seeds), workers=1, progress=False)
         for one in (scene, other)
