@@ -69,7 +69,7 @@ def make_tree(
     scene: Scene | None = None,
     observed: NDArray[np.float64] | None = None,
     predicted: NDArray[np.float64] | None = None,
-    own_site: Sequence[int] | None = None,
+    own_site: Sequence[float] | None = None,
     window: Sequence[Sequence[int]] | None = None,
     by_frame: NDArray[np.float64] | None = None,
 ) -> xr.DataTree:

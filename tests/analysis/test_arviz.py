@@ -152,9 +152,9 @@ def test_replicates_have_the_noise_of_the_likelihood_and_angles_have_none(beta: 
 
 def test_the_noise_follows_from_the_runs_seed_and_from_our_likelihoods_alone() -> None:
     def noisy(seed: int) -> xr.DataArray:
-        post = of_model(0, 0.05, n_draws=4)
-        post.tree.attrs["settings"] = json.dumps({"seed": seed})
-        return post.arviz["posterior_predictive"]["trajectory"]
+        tree = of_model(0, 0.05, n_draws=4).tree
+        tree.attrs["settings"] = json.dumps({"seed": seed})
+        return Posterior(tree).arviz["posterior_predictive"]["trajectory"]
 
     np.testing.assert_array_equal(noisy(1), noisy(1))
     assert not np.array_equal(noisy(1), noisy(2))

@@ -29,15 +29,22 @@ def moody() -> None:
 
 
 def friendly() -> None:
-    """Sites above alpha, beside everything, and of what is seen of a strength."""
-    red, _ = ppl.sites.strengths()
-    numpyro.sample("effort", dist.Normal(red, 30.0))
+    """Sites above alpha and beside everything."""
     spared = numpyro.sample("spared ones", dist.DiscreteUniform(1, 4))
     numpyro.sample("hits", dist.Binomial(5 - spared, 0.5))  # has other values each time
     friendliness = numpyro.sample("friendliness", dist.Beta(2.0, 2.0))
     shares = [jnp.array(0.25), *[0.375 * friendliness] * 2, *[0.375 * (1 - friendliness)] * 2]
     numpyro.sample("alpha", dist.Categorical(probs=jnp.stack(shares)))
     ppl.sites.goals()
+    ppl.sites.strengths()
+
+
+def tired() -> None:
+    """Strengths come first, and what is seen of them afterwards is a further site."""
+    red, _ = ppl.sites.strengths()
+    numpyro.sample("effort", dist.Normal(red, 30.0))
+    ppl.sites.goals()
+    ppl.sites.alpha()
 
 
 def of_alpha(post: StepwisePosterior, prior: np.ndarray) -> np.ndarray:
@@ -108,20 +115,20 @@ def test_what_depends_on_strengths_has_no_error_beside_sites_either(
 
 
 def test_sites_that_depend_on_another_or_on_strengths_are_drawn(drawn: StepwisePosterior) -> None:
-    start = drawn.at(0)
-    for question, exact, most in (
-        ("E[hits]", 1.25, 0.02),
-        ("P('spared ones'=4)", 0.25, 0.02),
-        ("P(hits=4)", 1 / 64, 0.02),
-        ("E[effort]", 375, 5),  # evenly between 150 and 600 N
+    start, post = drawn.at(0), StepwisePosterior(FOUND).with_prior(tired)
+    for at, question, exact, most in (
+        (start, "E[hits]", 1.25, 0.02),
+        (start, "P('spared ones'=4)", 0.25, 0.02),
+        (start, "P(hits=4)", 1 / 64, 0.02),
+        (post.at(0), "E[effort]", 375, 5),  # evenly between 150 and 600 N
     ):
-        found = start.query(question)
+        found = at.query(question)
         assert 0 < found.error < most
         assert abs(found - exact) < 4 * found.error
     assert start.mean("spared ones") == start.query("E['spared ones']")
     # within the cells of strengths
-    assert abs(drawn.query("E[effort | strength_red > 500]") - 525) < 4
-    seen, share = drawn.query("E[effort]"), drawn.probability(strength_red=(500, 600))
+    assert abs(post.query("E[effort | strength_red > 500]") - 525) < 4
+    seen, share = post.query("E[effort]"), post.probability(strength_red=(500, 600))
     assert abs(seen - (525 * share + 300 * (1 - share))) < 4 * seen.error
     assert seen.error < 5
 

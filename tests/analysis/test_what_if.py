@@ -31,7 +31,13 @@ from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import PHASE
 from phase_ppl.world.space import space_of
 from tests.agents.scenes import scene
-from tests.analysis.factory import Simulation, make_tree
+from tests.analysis.factory import (
+    Simulation,
+    hypothesis,
+    make_tree,
+    with_log_weight,
+    with_prior,
+)
 from tests.analysis.readings import CAST, LEVELS, QUICK, of_three, reading
 from tests.inference import runs
 
@@ -304,42 +310,51 @@ def test_a_table_under_another_prior_is_that_of_a_run_with_it() -> None:
 
 
 def test_draws_under_another_prior_are_weighted_by_it(tmp_path: Path) -> None:
-    enumerated = runs.infer(kernel="enumerate", chains=35, iterations=None, strengths=[300.0])
-    table = enumerated.tree["simulations"].to_dataset()
-    pairs = table["goal_red"].values, table["goal_green"].values
-    likelihood = np.exp(table["log_likelihood"].values)
-    of_pairs = prior_of_pairs(ppl.priors.relation_first)[pairs] * likelihood
-    expected = np.bincount(pairs[0], of_pairs, len(ppl.GOALS)) / of_pairs.sum()
-    changed = enumerated.with_prior("relation_first")
-    np.testing.assert_allclose(changed.marginal("goal_red"), expected, atol=1e-4)
-    assert abs(changed.marginal("relation") - enumerated.marginal("relation")).max() > 0.01
-    lone = enumerated.with_prior("no_social_goals")
+    before, after = map(prior_of_pairs, (ppl.priors.uniform, ppl.priors.relation_first))
+    pairs, likelihood = np.argwhere(before > 0), np.random.default_rng(0).normal(size=34**2)
+    prior = np.log(before[tuple(pairs.T)])
+    simulations = [
+        Simulation(hypothesis(*pair), seed, *masses)
+        for seed, (pair, *masses) in enumerate(zip(pairs.tolist(), prior, likelihood, strict=True))
+    ]
+    tree = make_tree(simulations, np.arange(34**2).reshape(34, 34).tolist())
+    tree = with_log_weight(with_prior(tree, before), (prior + likelihood).reshape(34, 34))
+    tree.attrs["settings"] = json.dumps({"model": {"prior": "the.uniform"}})
+    post = ppl.Posterior(tree)
+    changed, expected = post.with_prior("relation_first"), np.zeros(after.shape)
+    expected[tuple(pairs.T)] = after[tuple(pairs.T)] * np.exp(likelihood)
+    joint = changed.joint("goal_red", "goal_green")
+    np.testing.assert_allclose(joint, expected / expected.sum(), atol=1e-6)
+    assert abs(changed.marginal("relation") - post.marginal("relation")).max() > 0.01
+    lone = post.with_prior("no_social_goals")
     assert lone.probability(alpha="(0, 0)") == pytest.approx(1)
-    assert lone.settings["reweighted"]["effective_size"] < 1155
+    assert lone.settings["reweighted"]["effective_size"] < 34**2
     assert "equal draws" in str(lone)
     again = ppl.Posterior.load(changed.save(tmp_path / "run.nc"))
     np.testing.assert_array_equal(again.marginal("relation"), changed.marginal("relation"))
-    settings = json.loads(again.tree.attrs["settings"])
-    assert settings["reweighted"]["from"].endswith("uniform")
+    assert again.settings["reweighted"]["from"] == "the.uniform"
 
 
 def test_own_sites_are_weighted_with_the_rest() -> None:
     def friendlier(low: float) -> None:
-        kindness = numpyro.sample("kindness", dist.Uniform(low, 1.0))
-        shares = jnp.stack([0.2, *[0.4 * kindness] * 2, *[0.4 * (1 - kindness)] * 2])
+        mood = numpyro.sample("mood", dist.Uniform(low, 1.0))
+        shares = jnp.stack([0.2, *[0.4 * mood] * 2, *[0.4 * (1 - mood)] * 2])
         numpyro.sample("alpha", dist.Categorical(probs=shares))
         ppl.sites.goals()
         ppl.sites.strengths()
 
-    model = ppl.Model(prior=lambda: friendlier(0.0), simulator=runs.MODEL.simulator)
-    options = {**runs.OPTIONS, "iterations": 25, "weights": "count"}
-    post = ppl.infer(runs.EVENT, model, **options)
+    rng = np.random.default_rng(0)
+    moods, helps = rng.random(40), rng.integers(2, size=40)
+    simulations = [
+        Simulation(hypothesis(alpha=(1 if one else -1, 0)), seed, np.log(mood if one else 1 - mood))
+        for seed, (mood, one) in enumerate(zip(moods, helps, strict=True))
+    ]
+    draws = np.arange(40).reshape(4, 10).tolist()
+    post = ppl.Posterior(make_tree(simulations, draws, own_site=moods.tolist()))
+    assert post.mean("mood") == pytest.approx(moods.mean())
     changed = post.with_prior(lambda: friendlier(0.5))
-    kept = post.table.values["kindness"] >= 0.5
-    weights = post.table.weights * kept
-    expected = weights @ post.table.values["kindness"] / weights.sum()
-    assert changed.mean("kindness") == pytest.approx(expected, rel=1e-4)
-    assert "kindness" not in changed.with_prior("uniform").quantities
+    assert changed.mean("mood") == pytest.approx(moods[moods >= 0.5].mean(), rel=1e-4)
+    assert "mood" not in changed.with_prior("uniform").quantities
 
 
 def test_what_was_not_simulated_is_refused() -> None:
