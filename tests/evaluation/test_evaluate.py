@@ -435,7 +435,8 @@ def test_a_damaged_prediction_is_made_again_with_a_note(tmp_path: Path) -> None:
     assert first.folder is not None
     damaged = first.folder.folder_of("b") / "prediction.json"
     no_cost = '{"event": "b", "probabilities": {}, "answers": {}, "cost": 7}'
-    contents = ("", '{"event": "b", "proba', "[]", '{"event": "a"}', no_cost)
+    of_another = (first.folder.folder_of("a") / "prediction.json").read_text()
+    contents = ("", '{"event": "b", "proba', "[]", of_another, no_cost)
     for times, content in enumerate(contents, 2):
         damaged.write_text(content)
         with pytest.raises(InvalidEventError, match=r"prediction\.json"):
