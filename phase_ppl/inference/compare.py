@@ -28,7 +28,6 @@ import numpy as np
 import pandas as pd
 from jax import random
 from numpy.typing import NDArray
-from tqdm.auto import tqdm
 
 from phase_ppl.analysis.comparison import (
     CURVE_COLUMNS,
@@ -73,7 +72,7 @@ from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 from phase_ppl.world.identity import stable, versions, versions_so_far
 from phase_ppl.world.picture import plain
-from phase_ppl.world.progress import is_shown
+from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import PHASE, check_is_phase
 from phase_ppl.world.shards import SHARD, Shard
 
@@ -492,10 +491,8 @@ def compare(
         waiting = [(repeat, entry) for repeat, entry in runs if (repeat, entry.label) not in done]
         if waiting and checkpoint is not None:
             versions_so_far([record.settings["versions"]], checkpoint)
-        shown_bar = is_shown(progress)
         try:
-            with tqdm(total=len(waiting) + 1, disable=not shown_bar, unit="run") as bar:
-                bar.set_description("reference")
+            with Bar(len(waiting) + 1, 0, progress, "run", "reference") as bar:
                 if record.reference is None:
                     found = reference_of(wanted, event, model, seed, workers, executor)
                     found["truth"] = of_truth(found["marginals"], event.truth)

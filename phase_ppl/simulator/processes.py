@@ -306,14 +306,14 @@ def mapped(
     A single worker is this process. For tasks that cannot fail; the rest of the module is for those
     that can.
     """
-    from tqdm.auto import tqdm
+    from phase_ppl.world.progress import counted  # with tqdm, which workers do without
 
     with contextlib.ExitStack() as stack:
         run: Callable[..., Iterable[Result]] = map
         if workers > 1 and len(tasks) > 1:
             run = stack.enter_context(loky.ProcessPoolExecutor(min(workers, len(tasks)))).map
         columns = zip(*tasks, strict=True)
-        yield from tqdm(run(function, *columns), total=len(tasks), unit=unit, disable=None)
+        yield from counted(run(function, *columns), None, unit, "simulating", len(tasks))
 
 
 # --- many independent jobs, whatever becomes of a single one --------------------------------------
