@@ -188,6 +188,9 @@ def test_a_particle_stays_with_its_simulation_until_it_accepts_another(name: str
     np.testing.assert_allclose(states.step_error[neither], expected, rtol=1e-5)
     stayed = ~states.accepted[1:]
     assert 0.05 < stayed.mean() < 0.95
+    # of several kinds of moves none is idle
+    for kind in (states.window >= 0, states.window < 0):
+        assert not kind.any() or states.accepted[kind].mean() > 0.05
     for field in ("sim_seed", "step_error"):
         values = getattr(states, field)
         np.testing.assert_array_equal(values[1:][stayed], values[:-1][stayed], field)
