@@ -111,7 +111,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     ]
 
 
-MOST_MEMORY = 1.3e9
+MOST_MEMORY = max(1.3e9, 0.1 * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
 """Bytes of a process, beyond which what XLA has compiled is forgotten after a file of tests."""
 
 
