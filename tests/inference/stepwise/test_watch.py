@@ -19,6 +19,7 @@ from phase_ppl.models.effective import place_of_level, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from tests.inference.toy import few_goals
 
 QUICK = ppl.PlannerConfig(simulations=14, particles=6)
 MODEL = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=2), planner=QUICK)
@@ -149,36 +150,24 @@ def test_other_likelihoods_and_simulators_cannot_be_read() -> None:
         ppl.infer(event, own)
 
 
-@pytest.mark.parametrize(
-    ("prior", "kernel", "chains", "iterations"),
-    [
-        ("uniform", "importance", 400, 8),
-        pytest.param("strength_levels", "prior_mh", 40, 2000, marks=pytest.mark.slow),
-    ],
-)
-def test_kernels_that_sample_find_the_same(
-    prior: str, kernel: str, chains: int, iterations: int
-) -> None:
-    # with strengths that tell something, so that a wrong prior of theirs would show
-    likelihood = ppl.StepwiseLikelihood(tracking=ppl.Tracking(strength_weight=0.5))
-    model = dataclasses.replace(MODEL, prior=prior, likelihood=likelihood)
-    exact = ppl.infer(short(), model, workers=1, progress=False)
-    post = ppl.infer(
-        *(short(), model), kernel=kernel, chains=chains, iterations=iterations, progress=False
-    )
+def test_a_kernel_that_samples_finds_the_same() -> None:
+    # a video that tells little: other goals or another prior of strengths would be 0.15 or 0.1 off
+    tracking = ppl.Tracking(strength_weight=0.02)
+    likelihood = ppl.StepwiseLikelihood(weight=0.05, planner_seeds=1, tracking=tracking)
+    model = dataclasses.replace(MODEL, prior=few_goals, likelihood=likelihood)
+    exact = infer(model=model)
+    sampling: dict[str, Any] = {"kernel": "importance", "chains": 1600, "iterations": 4}
+    post = ppl.infer(short(), model, **sampling, progress=False)
     assert isinstance(post, ppl.Posterior)
-    assert "tempered: a frame counts 0.2" in str(post)
-    assert "tempered: a frame counts 0.2 for goals and 0.5 for strengths" in str(exact)
-    if kernel == "prior_mh":
-        post = ppl.Posterior(post.tree.isel(draw=slice(500, None)), "count")
-    for name, tolerance in (("relation", 0.06), ("goal_red", 0.12)):
+    assert "tempered: a frame counts 0.05" in str(post)
+    assert "tempered: a frame counts 0.05 for goals and 0.02 for strengths" in str(exact)
+    for name in ("relation", "goal_red", "goal_green"):
         apart = np.abs(post.marginal(name).values - exact.marginal(name).values).sum() / 2
-        assert apart < tolerance, name
-    bounds = (150.0, 225.0, 375.0, 525.0, 600.0)
+        assert apart < 0.12, name
     for name in ("strength_red", "strength_green"):
-        for cell in itertools.pairwise(bounds):
+        for cell in itertools.pairwise((150.0, 225.0, 375.0, 525.0, 600.0)):
             expected = exact.probability(**{name: cell})
-            assert abs(post.probability(**{name: cell}) - expected) < 0.05, (name, cell)
+            assert abs(post.probability(**{name: cell}) - expected) < 0.06, (name, cell)
 
 
 def test_a_level_has_the_prior_mass_of_the_strengths_nearest_to_it() -> None:
