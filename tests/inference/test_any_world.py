@@ -28,6 +28,7 @@ from phase_ppl.inference.tables import (
 )
 from phase_ppl.models import roles
 from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
@@ -47,7 +48,6 @@ from tests.inference.toy import (
     SETTINGS,
     TableRunner,
     never_called,
-    run,
     total_variation,
 )
 
@@ -195,9 +195,14 @@ def test_draws_visit_roles_as_often_as_the_posterior_says(name: str, steps: int)
     guide = bottom_up_guide(model.prior, model.sites, tables, prior_share=0.1)
     needs = {"guide": guide, "settings": SETTINGS} if kernel_info(name).needs else {}
     made = kernel_info(name).make(EventProgram(model, bridge.handle, N_FRAMES), **needs)
-    z = run(made, steps, random.split(random.key(0), CHAINS)).z
+    # left at each simulation, as in whole runs: what XLA makes of it is kept on disk
+    init = Hosted(lambda keys: made.init(keys, 0, None, (), {}))
+    step = Hosted(lambda state: made.sample(state, (), {}))
+    states = [init(random.split(random.key(0), CHAINS))]
+    for _ in range(steps):
+        states.append(step(states[-1]))
     assert bridge.failure is None
-    kept = {site: np.asarray(values)[50:] for site, values in z.items()}
+    kept = {site: np.stack([state.z[site] for state in states[51:]]) for site in states[0].z}
     share = np.stack([visited({s: v[:, c] for s, v in kept.items()}) for c in range(CHAINS)])
     assert share.sum() == pytest.approx(CHAINS)
     # the total variation to be expected of so many independent chains
