@@ -14,7 +14,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import event_judgments
-from phase_ppl.evaluation.tables import kinds_of
+from phase_ppl.evaluation.tables import kinds_of, parts_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -283,6 +283,15 @@ def test_people_who_judge_a_single_agent_have_no_relations_to_judge(tmp_path: Pa
     assert found.metrics["people"]["goal_accuracy"]["value"] == 0.5
     assert found.metrics["human"]["goal_log_score_people"]["value"] == pytest.approx(-np.log(2))
     assert found.metrics["human"]["relation_r"] is None
+
+
+def test_parts_of_the_metrics_are_in_the_order_of_their_questions() -> None:
+    # of three agents the pairs have the same order in both
+    names = [f"{colour} agent" for colour in ("red", "green", "purple", "orange")]
+    four = ppl.World(names, ["ball"], {"home": (8.0, 8.0)})
+    parts = [label for _, label in parts_of(four, "relation")]
+    questions = list(kinds_of(four)["relation"])
+    assert [f"relation_{label.replace(' & ', '_')}" for label in parts] == questions
 
 
 def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:
