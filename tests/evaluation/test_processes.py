@@ -36,9 +36,9 @@ def test_workers_answer_as_one_process_does_and_get_to_know_no_more(tmp_path: Pa
             found = of_events() if in_worker() else []
             if found:
                 raise AssertionError(f"found {found}")
-            process = f"{os.getpid()} {in_worker()}"
+            where = f"{os.getpid()} {in_worker()}"
             answer = {"relation": np.random.default_rng(seed).dirichlet(np.ones(3))}
-            return ppl.Answer(answer, {"process.txt": lambda path: path.write_text(process)})
+            return ppl.Answer(answer, {"where.txt": lambda path: path.write_text(where)})
 
     def of_events() -> list[str]:
         """Return events, truths and ids of events in the memory of this process."""
@@ -54,14 +54,15 @@ def test_workers_answer_as_one_process_does_and_get_to_know_no_more(tmp_path: Pa
 
     said = {"predictions": {"someone": {"relation": "friendly"}}}
     events = [still(f"name-{i}-of-the-event", 3 + i, shift=0.1 * i, **said) for i in range(3)]
+    assert of_events(), "they are found where they are"
     results = []
     for workers in (1, 2):
         folder = tmp_path / f"{workers}"
         found = evaluate(events, Local(folder), workers=workers, out=folder / "out")
         assert (found.failures, found.cost["workers"]) == ({}, workers)
-        processes = {path.read_text() for path in folder.glob("out/events/*/process.txt")}
-        assert (f"{os.getpid()} False" in processes) == (workers == 1)
-        assert all(one.endswith("True") for one in processes) == (workers == 2)
+        where = [path.read_text().split() for path in folder.glob("out/events/*/where.txt")]
+        here = [(process == f"{os.getpid()}", worker) for process, worker in where]
+        assert here == [(workers == 1, f"{workers == 2}")] * 3
         answers = {
             (name, question): shares.tobytes()
             for name, given in found.predictions.items()
