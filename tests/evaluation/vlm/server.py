@@ -81,7 +81,7 @@ def sends(body: Any, status: int = 200, share: float = 1.0, **headers: str) -> B
 
 def says_nothing(handler: BaseHTTPRequestHandler) -> None:
     """Take the request and wait."""
-    time.sleep(0.5)
+    time.sleep(2.0)
 
 
 def hangs_up(handler: BaseHTTPRequestHandler) -> None:
