@@ -115,6 +115,7 @@ REFUSED: dict[str, tuple[str, str]] = {
         text(relation=relation(0.5, 0.3, 0.2, "hostile")),
         "unknown relation 'hostile'; allowed",
     ),
+    "negative": (text(goal_red=goals() | {GOALS[9]: -0.01}), r"has -0\.01, expected a number"),
     "percent": (text(goal_red=goals() | {GOALS[0]: 40}), "has 40, expected a number from 0 to 1"),
     "true for a number": (text(goal_red=goals() | {GOALS[0]: True}), "has True, expected"),
     "sums far below 1": (text(goal_red=shares_of(0.9)), "goal_red sums to 0.9, expected 1"),

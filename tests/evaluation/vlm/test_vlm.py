@@ -252,6 +252,14 @@ def test_answers_that_cannot_be_read_are_kept_and_say_so_again(
     assert predict(Says(""), store=tmp_path, replay=True).cost["requests"] == 3
 
 
+def test_how_the_rest_is_treated_is_decided_when_an_answer_is_read(tmp_path: Path) -> None:
+    short = {goal: 0.96 * share for goal, share in goals().items()}
+    spread = predict(Says(text(goal_red=short)), store=tmp_path)
+    zero = predict(Says(), store=tmp_path, remaining="zero")
+    assert spread.probabilities["goal_red"][35] > 0
+    assert zero.probabilities["goal_red"][35] == 0
+
+
 def test_a_damaged_store_names_the_file(tmp_path: Path) -> None:
     predict(Says(text()), store=tmp_path)
     (file,) = files(tmp_path)
@@ -301,6 +309,11 @@ def test_half_a_character_and_odd_counts_can_be_kept(tmp_path: Path, waits: list
         ({"client": "gogle"}, "client 'gogle'.*'google'"),
         ({"client": "google", "timeout": 10**400}, "timeout=1000"),
         ({"client": "google", "temperature": 3}, "temperature=3.*<= 2"),
+        ({"client": "google", "timeout": 0}, "timeout=0, expected.*> 0"),
+        ({"client": "google", "video_fps": 25}, "video_fps=25.*<= 24"),
+        ({"client": "google", "retries": -1}, "retries=-1"),
+        ({"client": "google", "frames": 1}, "frames=1.*>= 2"),
+        ({"client": "google", "remaining": "half"}, "remaining 'half'"),
         ({"client": "google", "name": 4}, "name=4, expected a name"),
         ({"client": "google", "show": "film"}, "show 'film'"),
         ({"client": "google", "replay": "yes"}, "replay='yes'"),
