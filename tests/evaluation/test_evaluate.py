@@ -84,6 +84,7 @@ def test_what_an_answer_cost_is_kept_as_plain_data(tmp_path: Path) -> None:
     [
         (raises, "ValueError: not today (toys.py, line"),
         (lambda: {"relation": [0.5, np.nan, 0.5]}, "relation has the probability nan"),
+        (lambda: {"relation": [-0.5, 1.5, 0]}, "relation has the probability -0.5"),
         (lambda: {"goal_red": [1.0]}, "shape (1,), expected (36,)"),
         (lambda: {"goal_red": "Get blue item to red landmark"}, "'Get blue item to red lm'"),
         (lambda: {"goal_blue": RED_TO_RED}, "unknown question 'goal_blue'"),

@@ -252,6 +252,7 @@ ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
     [
         ({"relation_count": {"friendly": 3}}, "has .'relation_count'., expected one of"),
         ({"relation_counts": {"friendly": -1}}, "relation: 'friendly' has -1, expected a number"),
+        ({"relation_counts": {"friendly": True}}, "relation: 'friendly' has True"),
         ({"relation_counts": {"friendly": 10**12}}, "relation: 'friendly' has 1000000000000"),
         ({"relation_counts": {"freindly": 1}}, "unknown relation 'freindly'; did you mean"),
         ({"relation_counts": {"friendly": 3}, "n_raters": 2}, "n_raters is 2, .* has 3 votes"),

@@ -79,6 +79,8 @@ def test_message_passing_averages_all_and_a_member_can_be_asked_alone() -> None:
         mean = np.mean([one.probabilities[question] for one in each], axis=0)
         np.testing.assert_allclose(found.probabilities[question], mean)
     assert (each[0].probabilities["goal_red"] != each[1].probabilities["goal_red"]).any()
+    original = socialgnn(variant="original")(event.scene, event.observation, 0)
+    assert set(original.probabilities) == {"relation"}
 
 
 @needs_torch
