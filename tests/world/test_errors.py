@@ -9,14 +9,28 @@ import numpy as np
 import pytest
 
 from phase_ppl.world.errors import (
+    InvalidEventError,
     InvalidSettingError,
     OutputError,
+    PhasePPLError,
+    SimulationError,
+    UnknownNameError,
     nonnegative_number,
     positive_number,
     shown,
     unknown_name,
 )
 from phase_ppl.world.files import atomic_output, locked
+
+
+def test_errors_are_caught_by_code_that_knows_only_pythons_own() -> None:
+    of_values = InvalidEventError, InvalidSettingError, UnknownNameError
+    assert all(issubclass(error, ValueError) for error in of_values)
+    assert issubclass(OutputError, OSError)
+    assert issubclass(SimulationError, RuntimeError)
+    for error in (*of_values, OutputError, SimulationError):
+        assert issubclass(error, PhasePPLError)
+
 
 MANY = [f"D0819_{n}_E{n}" for n in range(30)]
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -53,19 +55,24 @@ def test_those_of_other_packages_are_loaded_and_broken_ones_do_not_matter(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Entry:
-        def __init__(self, name: str) -> None:
-            self.name = name
+        def __init__(self, name: str, register: Callable[[Any], Any]) -> None:
+            self.name, self.register = name, register
 
         def load(self) -> None:
             if self.name == "broken":
                 raise ImportError("no module named elsewhere")
-            ppl.register_kernel("theirs", validity="exact")(yours)
+            self.register(yours)
 
-    entries = {"phase_ppl.kernels": [Entry("broken"), Entry("theirs")]}
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: entries[group])
-    with pytest.warns(UserWarning, match="'broken' cannot be loaded: no module"):
-        assert "theirs" in ppl.available_kernels()
-    assert "theirs" in ppl.available_kernels()  # loaded once, without another warning
+    for group, available, register in (
+        ("kernels", ppl.available_kernels, ppl.register_kernel("theirs", validity="exact")),
+        ("models", ppl.available_models, ppl.register_model("theirs")),
+        ("families", ppl.available_families, ppl.register_family("theirs", scenario="opposing")),
+    ):
+        offered = {f"phase_ppl.{group}": [Entry(name, register) for name in ("broken", "theirs")]}
+        monkeypatch.setattr(importlib.metadata, "entry_points", lambda group, of=offered: of[group])
+        with pytest.warns(UserWarning, match="'broken' cannot be loaded: no module"):
+            assert "theirs" in available()
+        assert "theirs" in available()  # loaded once, without another warning
 
 
 def test_an_unknown_name_gets_close_ones() -> None:
