@@ -229,7 +229,7 @@ def test_a_player_who_comes_back_in_time_goes_on(made: Made) -> None:
 
 
 def test_whoever_does_not_begin_is_out_and_the_other_goes_back(made: Made) -> None:
-    with serving(made(ready_within=0.7, wait_at_most=0.1, limit=300)) as client:
+    with serving(made(ready_within=0.7, wait_at_most=0.5, limit=300)) as client:
         willing, absent = Player(client), Player(client)
         messages, _ = together(
             lambda: willing.play(drives("forward")), lambda: absent.play(lambda message: [])

@@ -95,6 +95,15 @@ def test_goals_are_asked_for_in_words() -> None:
     assert anna["legend"] == "What does Anna want?"
     assert dict(red["options"])["get to Anna"] == "get to Anna"
     assert dict(anna["options"])["not agents near"] == "not agents near"
+    red, _, relation = asked(PHASE)
+    assert red["options"][0] == [
+        "Get blue item to blue lm", "get the blue item to the blue landmark"
+    ]  # fmt: skip
+    assert [name for name, *_ in red["tables"][0]["columns"]] == ["blue", "green", "red", "yellow"]
+    assert [name for name, *_ in red["tables"][0]["rows"]] == [
+        "the blue item", "the pink item", "itself", "the green agent"
+    ]  # fmt: skip
+    assert relation["legend"] == "How do they stand to each other?"
 
 
 @other_worlds
