@@ -39,6 +39,14 @@ def raises(error: BaseException) -> Callable[..., Any]:
     return simulator
 
 
+def clings(*_: Any) -> Iterator[Any]:
+    while True:
+        try:
+            yield START
+        except GeneratorExit:
+            yield START
+
+
 WHERE = r"\(test_contract.py, line \d+, in simulator\)"
 BAD: list[tuple[Callable[..., Any], int, str]] = [
     (lambda *_: [START] * 3, 3, "SimulationError: the simulator ended after 3 of 8 frames"),
@@ -51,6 +59,7 @@ BAD: list[tuple[Callable[..., Any], int, str]] = [
     (raises(UnprintableError()), 1, "UnprintableError: .*"),
     (raises(SystemExit("enough")), 1, "SystemExit: enough .*"),
     (lambda *_: None, 0, "SimulationError: the simulator returned None, expected frames.*"),
+    (clings, N_FRAMES, "RuntimeError: generator ignored GeneratorExit.*"),  # when it is closed
 ]  # fmt: skip
 
 
