@@ -103,6 +103,9 @@ def test_the_same_seed_gives_the_same_decision() -> None:
     ("subgoal", "held", "contested", "number"),
     [
         (TOUCH, -1, False, 5),
+        (Literal(Predicate.CLOSE, 0, 1), -1, False, 5),
+        (Literal(Predicate.ON, 0, 1), -1, False, 5),
+        (Literal(Predicate.ON, 2, 1), -1, False, 13),
         (Literal(Predicate.ATTACH, 0, 2), -1, False, 13),
         (Literal(Predicate.ON, 1, 1, positive=False), -1, False, 12),
         (Literal(Predicate.CLOSE, 2, 1), 2, False, 12),

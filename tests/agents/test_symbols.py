@@ -130,3 +130,8 @@ class TestValue:
         assert self.best(most) == self.FAR
         assert self.best(most, done=0.6) == STOP
         assert self.best({STOP: [*range(10)]}) == STOP
+
+
+def test_held_items_are_imagined_as_the_settings_say() -> None:
+    for swivel in (False, True):
+        assert model_of(scene(), PlannerConfig(swivel=swivel)).params.swivel is swivel

@@ -35,6 +35,13 @@ def test_actions_are_those_of_the_recorded_data() -> None:
     assert not DIRECTIONS[others].any()
 
 
+def test_bodies_have_the_masses_of_their_areas() -> None:
+    assert constants.mass(0, 1.2) == pytest.approx(4 * 1.44)
+    assert constants.mass(3, 1.2) == pytest.approx(math.pi * 1.44)
+    assert constants.inertia(3, 2.0) == pytest.approx(0.5 * 4 * math.pi * 4)
+    assert constants.inertia(1, 2.0) == pytest.approx(26 / 9 * 16)
+
+
 @pytest.mark.parametrize("strength", STRENGTHS)
 @pytest.mark.parametrize("size", SIZES)
 def test_driving_straight_accelerates_by_force_less_friction(

@@ -140,6 +140,7 @@ TRACKS = processed(None)["trajectories"]
 NAME = name_of(None)
 BAD: dict[str, list[Any]] = {
     "holds 'videos', expected a list of videos": ["videos"],
+    "the list is empty": [[]],
     "videos[0] is list, expected a dict": [[[1, 2]]],
     "has no videos[0].name": [[{}]],
     "videos[0].name is 7, expected a string": [[{"name": 7}]],
@@ -155,6 +156,13 @@ FIELDS: dict[str, list[dict[str, Any]]] = {
     "trajectories[1] has shape (40, 4), expected ('n', 5)": [
         {"trajectories": [track[:, :4] for track in TRACKS]}
     ],
+    "trajectories[1][0, 1] is nan, expected a finite number": [
+        {"trajectories": [np.where(np.arange(5) == 1, np.nan, track) for track in TRACKS]}
+    ],
+    "the red agent is at (34, 28) in frame 0, outside": [
+        {"trajectories": [track + 20 for track in TRACKS]}
+    ],
+    "expected blue lm, green lm": [{"landmark_centers": [[8.5, 4.5]] * 4}],
     "trajectories have 40 of body 1, 9 of body 0, 47 of body 3": [
         {"trajectories": [TRACKS[0][:9], *TRACKS[1:]]}
     ],
