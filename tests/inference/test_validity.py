@@ -46,8 +46,8 @@ BLOCK = 60
 BLOCKS = 4
 """Steps are compiled a block at a time."""
 
-MECHANISMS = ("enumerated_gibbs", "mixture", "random_walk_mh")
-MADE_OF_THESE = ("local_mh", "prior_mh", "single_site_mh")
+KERNELS = ("enumerated_gibbs", "local_mh", "mixture", "random_walk_mh")
+MADE_OF_THESE = ("prior_mh", "single_site_mh")
 """Kernels whose moves are among those of the others."""
 
 ERRORS = table_errors()
@@ -69,7 +69,7 @@ START = {
 
 @pytest.fixture(
     scope="module",
-    params=[*MECHANISMS, *(pytest.param(name, marks=pytest.mark.slow) for name in MADE_OF_THESE)],
+    params=[*KERNELS, *(pytest.param(name, marks=pytest.mark.slow) for name in MADE_OF_THESE)],
 )
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
@@ -160,7 +160,7 @@ def can_be_tested(name: str) -> bool:
 
 def test_no_exact_kernel_is_left_out() -> None:
     found = {name for name in available_kernels() if can_be_tested(name)}
-    assert found == {*MECHANISMS, *MADE_OF_THESE}
+    assert found == {*KERNELS, *MADE_OF_THESE}
 
 
 def test_draws_have_the_posterior_law(name: str) -> None:
