@@ -292,6 +292,17 @@ def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float
 
 
 @needs_torch
+def test_networks_together_say_the_mean_of_their_probabilities() -> None:
+    members = tuple(random_member("extended", seed) for seed in range(3))
+    *each, together = (
+        Ensemble(Trained("extended", some))(BRINGING.scene, BRINGING.observation)
+        for some in (*zip(members, strict=True), members)
+    )
+    for name, shares in together.items():
+        np.testing.assert_allclose(shares, np.mean([one[name] for one in each], axis=0))
+
+
+@needs_torch
 def test_an_event_of_any_length_gets_the_answer_that_it_gets_among_others() -> None:
     ensemble = Ensemble(Trained("extended", (random_member("extended"),)))
     events = [walk(2, 0, 3), walk(1, 0, 150, with_item=True), walk(0, 3, 2)]
