@@ -54,11 +54,14 @@ def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
         return PriorMH(program)
 
     assert isinstance(kernel_info("mine").make(program), PriorMH)
-    for given in (
-        *({"validity": "perfect"}, {"sims_per_step": 0}, {"needs": ("luck",)}, {"keeps": "first"}),
-    ):
-        with pytest.raises(InvalidSettingError):
-            register_kernel("wrong", **{"validity": "exact", **given})
+    for message, given in {
+        "validity='perfect'": {"validity": "perfect"},
+        "sims_per_step=0": {"validity": "exact", "sims_per_step": 0},
+        "'luck' is none of": {"validity": "exact", "needs": ("luck",)},
+        "'first' is none of": {"validity": "exact", "keeps": "first"},
+    }.items():
+        with pytest.raises(InvalidSettingError, match=message):
+            register_kernel("wrong", **given)  # type: ignore[arg-type]
 
 
 def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram) -> None:
@@ -109,7 +112,10 @@ def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("eta", -0.1), ("gamma", float("nan")), ("window", 2.5), ("prior_share", 1), ("sign", "both")],
+    [
+        *(("eta", -0.1), ("gamma", float("nan")), ("window", 0), ("window", 2.5)),
+        *(("prior_share", 0), ("prior_share", 1), ("sign", "both")),
+    ],
 )
 def test_settings_are_the_papers_and_out_of_range_refused_by_name(name: str, value: Any) -> None:
     settings = SimpleSettings()
