@@ -149,7 +149,15 @@ def helpful_moods() -> None:
     numpyro.sample("memory", dist.Normal(red / 600, 0.5).expand([2]).to_event(1))
 
 
-@pytest.mark.parametrize("prior", [priors.uniform, helpful_moods])
+@pytest.mark.parametrize(
+    "prior",
+    [
+        priors.uniform,
+        helpful_moods,
+        pytest.param(priors.strength_levels, marks=pytest.mark.slow),
+        pytest.param(priors.relation_first, marks=pytest.mark.slow),
+    ],
+)
 def test_guide_has_the_density_that_it_draws_from(prior: Callable[[], Any]) -> None:
     # then the mean of P / Q over draws of Q is the total mass of P, since Q covers P
     z = proposed(prior)
