@@ -48,6 +48,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "load null": (lambda: ppl.load_events("a\0b.json"), r"a\x00b.json is a name that no file can"),
     "save": (lambda: ppl.save_event(EVENT, None), "None is no path"),
     "save no event": (lambda: ppl.save_event(3, "a.json"), "event=3, expected a phase_ppl.Event"),
+    "event of none": (lambda: ppl.Event(EVENT.scene, 3), "observation=3, expected"),
     "watch": (lambda: ppl.watch(None), "scene=None, expected"),
     "evaluate": (lambda: ppl.evaluate(None), "events=None, expected"),
     "cells": (lambda: ppl.generate("no", cells="chasing"), "cells='chasing', expected a mapping"),

@@ -225,6 +225,7 @@ BAD_INPUT = [
     ("resume file", "no checkpoint"),
     ("render collaborate --out x.avi", "ending in .mp4 or .gif or .png"),
     ("render collaborate --frame 3 --out x.gif", "--frame draws a picture: --out"),
+    ("render collaborate --strip 3 --out x.mp4", "--strip draws a picture: --out"),
     ("render collaborate --strip 3 --frame 1 --out x.png", "not allowed"),
     ("render collaborate --strip 999 --out x.png", "n=999, expected one of 1..54"),
     ("render collaborate --frame one --out x.png", "invalid int value: 'one'"),
@@ -296,14 +297,14 @@ class TestQuery:
         ]
 
     def test_json_is_the_same_as_plain_data(self, folder: Path, capsys: Capture) -> None:
-        questions = ["E strength_red", "P(relation)", "P(sign_red=to | relation=neutral)"]
+        questions = ["E strength_red", "P(relation, sign_red)", "P(sign_red=to | relation=neutral)"]
         top = "top 1 (relation | goal_red=get to green agent)"
         questions += ["mode relation", "hdi strength_red", top]
         said = told(capsys, "query", folder, *questions, "--json", "--weights", "likelihood")
         mean, table, given, mode, interval, most = json.loads(said)
         assert mean == {"question": "E strength_red", "value": 300.0, "error": None}
         assert table["values"] == [
-            {"relation": name, "probability": p, "error": pytest.approx(0.25)}
+            {"relation": name, "sign_red": "to", "probability": p, "error": pytest.approx(0.25)}
             for name, p in (("friendly", 0.75), ("neutral", 0.25))
         ]
         assert given["error"] is None
