@@ -116,6 +116,8 @@ VALUES: list[tuple[tuple[str | int, ...], Any, str]] = [
     (("truth",), [], "truth is [], expected an object"),
     (("truth", "goals"), {}, "truth.goals has no red agent and no green agent"),
     (("scene", "resets_velocity"), 1, "resets_velocity is 1, expected true or"),
+    (("judgments",), 3, "judgments is 3, expected an object"),
+    (("id",), 7, "id is 7, expected a string"),
 ]  # fmt: skip
 NAMES: list[tuple[tuple[str | int, ...], Any, str]] = [
     (("scene", "turning"), "left", "unknown turning 'left'; allowed: 'both', 'ccw'"),
