@@ -163,6 +163,7 @@ FIELDS: dict[str, list[dict[str, Any]]] = {
         {"trajectories": [track + 20 for track in TRACKS]}
     ],
     "expected blue lm, green lm": [{"landmark_centers": [[8.5, 4.5]] * 4}],
+    "landmark_centers has shape (1, 2)": [{"landmark_centers": [[1, 2]]}],
     "trajectories have 40 of body 1, 9 of body 0, 47 of body 3": [
         {"trajectories": [TRACKS[0][:9], *TRACKS[1:]]}
     ],
