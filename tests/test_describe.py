@@ -41,7 +41,7 @@ def test_it_prints_a_table_or_json_and_writes_card_sheet_and_figures(
     for name in ("data_card.png", "contact_sheet.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
     assert json.loads((out / "statistics.json").read_text())["events"] == 2
-    found = json.loads(told(capsys, "describe", folder, "--json"))
+    found = json.loads(told(capsys, "describe", folder, "--json", "--out", out, "--quiet"))
     assert found["tables"]["scenario"]["counts"]["competing"] == 2
     assert found["draws"]["compete"]["share"] == 0.25
 
