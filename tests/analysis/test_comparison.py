@@ -62,6 +62,7 @@ def test_efficiency_is_per_simulation() -> None:
     found = efficiency(post)
     assert found["simulations"] == 6 * 41
     assert 0 < found["ess_per_simulation"] < 40 / 41 + 0.2
+    assert found["seconds"] == 12.5
     assert 0 < found["moves"] <= found["acceptance"] < 1
     assert np.isnan(efficiency(Posterior(random_tree(1, n_draws=3), "count"))["ess_per_simulation"])
 

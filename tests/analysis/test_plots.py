@@ -118,7 +118,9 @@ def test_every_network_has_its_curves_and_the_epoch_that_was_kept(tmp_path: Path
         assert len(labels) == lines
         told = "2 networks, 320 training and 80 validation events"
         assert figure.get_suptitle() == f"SocialGNN, {variant}: {told}"
-    plots.training_curves(report(), tmp_path / "a b.pdf")
+    alone = {**report(), "members": report()["members"][:1]}
+    figure = plots.training_curves(alone, tmp_path / "a b.pdf")
+    assert ": 1 network, 320 training" in figure.get_suptitle()
     assert (tmp_path / "a b.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "a b.pdf").read_bytes().startswith(b"%PDF")
     for name in ("missing/curves.png", "curves.odd"):

@@ -146,12 +146,13 @@ def test_the_same_seeds_give_the_same_worlds(contested: ppl.Posterior) -> None:
     assert "no difference" in told(nothing)
 
 
-def test_walls_are_moved(contested: ppl.Posterior) -> None:
+def test_walls_are_moved_and_items_removed(contested: ppl.Posterior) -> None:
     closed = [[[16.0, 12.0], [16.0, 2.0]], [[16.0, 12.0], [16.0, 22.0]]]
-    shut = contested.do(walls=closed, seconds=1, n=2, workers=1)
+    shut = contested.do(walls=closed, remove=["pink item"], seconds=1, n=2, workers=1)
     assert (shut.poses[1, :, :, 0, 0] < 16).all()
     assert shut.scenes[1].rooms.door_width[2] == pytest.approx(0)
     assert told(shut).count("other walls") == 2
+    assert shut.tracks.sel(world="changed", entity="pink item").isnull().all()
 
 
 def test_a_film_shows_both_worlds(alone: WhatIf, tmp_path: Path) -> None:
@@ -246,6 +247,7 @@ def test_what_a_world_does_not_have_is_refused() -> None:
     for number, name in enumerate(world.entities):
         assert Change.of(world, {}, remove=name).removed == (number,)
     assert Change.of(world, {}, remove="big").removed == (3,)
+    assert Change.of(world, {}, remove=world.items).removed == (2, 3)
     with pytest.raises(PhasePPLError, match="unknown entity 'the'"):
         Change.of(ppl.World(["the cat", "the dog"], [], {"home": (8, 8)}), {}, remove="the")
 
@@ -326,13 +328,13 @@ def test_draws_under_another_prior_are_weighted_by_it(tmp_path: Path) -> None:
     joint = changed.joint("goal_red", "goal_green")
     np.testing.assert_allclose(joint, expected / expected.sum(), atol=1e-6)
     assert abs(changed.marginal("relation") - post.marginal("relation")).max() > 0.01
-    lone = post.with_prior("no_social_goals")
+    lone = changed.with_prior("no_social_goals")
     assert lone.probability(alpha="(0, 0)") == pytest.approx(1)
     assert lone.settings["reweighted"]["effective_size"] < 34**2
     assert "equal draws" in str(lone)
-    again = ppl.Posterior.load(changed.save(tmp_path / "run.nc"))
-    np.testing.assert_array_equal(again.marginal("relation"), changed.marginal("relation"))
-    assert again.settings["reweighted"]["from"] == "the.uniform"
+    again = ppl.Posterior.load(lone.save(tmp_path / "run.nc"))
+    np.testing.assert_array_equal(again.marginal("relation"), lone.marginal("relation"))
+    assert again.settings["reweighted"]["from"] == "the.uniform"  # the run's, not the last one
 
 
 def test_own_sites_are_weighted_with_the_rest() -> None:
