@@ -320,6 +320,10 @@ def test_a_posterior_of_three_agents_answers_is_kept_and_tells_of_itself(tmp_pat
     assert (str(again), again.map()) == (str(post), post.map())
     assert all(words in str(post) for words in ("purple agent", "tempered: beta = 0.05"))
     assert set(post.over_time()) >= {"goal_green", "relation_green_purple"}
+    # what would have been, of who helps or hinders whom as it was found
+    found = post.do(strength_red=600.0, n=3, seconds=0.1, workers=1, simulator=walkers)
+    columns = [post.table.values[f"goal_{key}"].tolist() for key in TRIO.keys]
+    assert set(found.goals) <= set(zip(*columns, strict=True))
 
 
 def test_another_prior_weighs_what_was_simulated_anew() -> None:
