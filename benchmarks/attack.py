@@ -101,7 +101,8 @@ def flip(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
 
 
 def hostile(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
-    trick = rng.choice(list(rng.choice([TRICKS, HOSTILE, FILES])))
+    files = {message: content for content, message in FILES}
+    trick = rng.choice(list(rng.choice([TRICKS, HOSTILE, files])))
     if trick in TRICKS:
         source = folder / rng.choice(("posterior.nc", "reading.nc", "event.nc", "events.nc"))
         path = folder / f"hostile-{source.name}"
@@ -114,7 +115,7 @@ def hostile(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
         path.write_bytes(HOSTILE[trick]((folder / "run.ckpt").read_bytes()))
     else:
         path = folder / "hostile.json"
-        path.write_bytes(FILES[trick][0])
+        path.write_bytes(files[trick])
 
     def attempt() -> str:
         if path.suffix == ".ckpt":
@@ -353,7 +354,8 @@ def main() -> None:
         print(*one)
     report = {"counts": {" ".join(key): n for key, n in counts.items()}, "bad": bad}
     common.write(report, options.json)
-    sys.exit(bool(bad))
+    if bad:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

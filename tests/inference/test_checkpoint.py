@@ -123,7 +123,7 @@ SCRIPT = """
 
     def fragile(scene, hypothesis, rng):
         number = len(list(folder.glob("begun-*")))
-        (folder / f"begun-{number}").touch()
+        (folder / f"begun-{number}-{os.getpid()}").touch()
         if number == 14:
             os.kill(os.getpid(), signal.SIGKILL)
         yield from walkers(scene, hypothesis, rng)
@@ -150,8 +150,8 @@ def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Post
     assert not (tmp_path / "run.nc").exists()
     again = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert again.returncode == 0, again.stderr
-    # 12 before the iteration that was cut off, 3 of it, then the rest
-    assert len(list(tmp_path.glob("begun-*"))) == 12 + 3 + 8
+    # 12 before the iteration that was cut off, 3 of it, then the rest, and two rivals a chain
+    assert len(list(tmp_path.glob("begun-*"))) == 12 + 3 + 8 + 8
     assert_same_draws(whole.tree, ppl.Posterior.load(tmp_path / "run.nc").tree)
 
 
