@@ -160,6 +160,7 @@ def test_longest_events_come_first_and_a_model_cannot_change_what_others_see() -
 
     found = evaluate([EVENTS[1], EVENTS[3], EVENTS[0], EVENTS[2]], vandal)
     assert order == [6, 5, 4, 3]
+    assert len(found.failures) == 4
     assert all("read-only" in failure for failure in found.failures.values())
 
 
