@@ -101,7 +101,7 @@ def flip(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
 
 
 def hostile(rng: random.Random, folder: Path) -> tuple[str, Callable[[], Any]]:
-    files = {message: content for content, message in FILES}
+    files = {f"{n} {message}": content for n, (content, message) in enumerate(FILES)}
     trick = rng.choice(list(rng.choice([TRICKS, HOSTILE, files])))
     if trick in TRICKS:
         source = folder / rng.choice(("posterior.nc", "reading.nc", "event.nc", "events.nc"))
