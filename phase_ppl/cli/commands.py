@@ -112,8 +112,9 @@ def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePos
         return phase_ppl.load_posterior(path, weights)
     if not (path / POSTERIOR).is_file():
         kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
-        one = shlex.quote(str(kept))
-        hint = f"; it holds an evaluation, with one such as {one}" if kept else ""
+        hint = ""
+        if kept is not None:
+            hint = f"; it holds an evaluation, with one such as {shlex.quote(str(kept))}"
         raise InvalidEventError(f"{path} holds no {POSTERIOR}{hint}")
     return phase_ppl.load_posterior(path / POSTERIOR, weights)
 
