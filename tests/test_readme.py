@@ -5,6 +5,7 @@ Pages that are notebooks are run by ``make docs``, and as scripts by a slow test
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import re
 import subprocess
@@ -89,13 +90,21 @@ def test_the_readmes_scene_is_simulated_and_drawn(
         assert (DOCS / "images" / name).is_file()
 
 
+def as_a_cell(example: str) -> str:
+    """Return an example that prints what a notebook would show below it."""
+    tree = ast.parse(example)
+    if isinstance(last := tree.body[-1], ast.Expr):
+        last.value = ast.Call(ast.Name("print"), [last.value], [])
+    return ast.unparse(tree)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", NOTEBOOKS, ids=lambda page: page.stem)
 # a notebook shows the picture that it opens
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
 @pytest.mark.filterwarnings("ignore:Exception ignored:pytest.PytestUnraisableExceptionWarning")
 def test_a_notebook_runs(page: Path, tmp_path: Path, run_script: Callable[..., str]) -> None:
-    run_script(saved("\n".join(examples(page)), tmp_path))
+    assert run_script(saved("\n".join(map(as_a_cell, examples(page))), tmp_path))
 
 
 def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[..., str]) -> None:
