@@ -17,7 +17,8 @@ import distributed
 @contextlib.contextmanager
 def local_cluster(n_workers: int = 2) -> Iterator[tuple[Any, Any]]:
     """Yield a cluster on this machine, and its client."""
-    of: Any = {"threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    # A free port for the dashboard: tests that run beside each other have a cluster each.
+    of: Any = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0"}
     with (
         distributed.LocalCluster(n_workers=n_workers, **of) as cluster,
         distributed.Client(cluster) as client,
