@@ -117,7 +117,16 @@ class JointSimulator:
             past: what happened before, if it does not begin at the scene's start.
             removed: entities that are there no more; agents among them decide nothing. The others
                 know of it only what they see.
+
+        Raises:
+            InvalidEventError: states of ``past`` are those of another world.
         """
+        for state in () if past is None else past.states:
+            if state.pose.shape != scene.start.shape:
+                raise InvalidEventError(
+                    f"past: {len(state.pose)} entities, expected the {len(scene.start)} of "
+                    f"{scene.world.name}"
+                )
         strengths = hypothesis.strengths
         model = WorldModel.of(scene, strengths, self.planner)
         agents = all_agents(hypothesis.effective_goals, model, self.planner, rng)

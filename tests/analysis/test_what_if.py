@@ -25,11 +25,18 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.what_if import Change, WhatIf, _drawn
 from phase_ppl.closed_loop.hidden_state import reconstructed
 from phase_ppl.models.effective import prior_of_pairs, prior_table
-from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNameError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    PhasePPLError,
+    UnknownNameError,
+)
 from phase_ppl.world.geometry import is_on
+from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import PHASE
 from phase_ppl.world.space import space_of
+from phase_ppl.world.worlds import SOLO
 from tests.agents.scenes import scene
 from tests.analysis.factory import (
     Simulation,
@@ -137,6 +144,10 @@ def test_from_a_frame_on_what_was_seen_has_happened(contested: ppl.Posterior) ->
     poses = np.array([state.pose[:, :2] for state in past.states])
     assert np.abs(poses - observed[..., :2]).max() < 0.7
     assert (past.states[-1].held != NOTHING).any()
+    rng, roles = np.random.default_rng(0), Roles.of(SOLO, {"red agent": "ball to field"})
+    elsewhere = ppl.JointSimulator().steps(SOLO.random_scene(0), roles, rng, past)
+    with pytest.raises(InvalidEventError, match="past: 4 entities, expected the 3 of"):
+        next(elsewhere)
 
 
 def test_the_same_seeds_give_the_same_worlds(contested: ppl.Posterior) -> None:
