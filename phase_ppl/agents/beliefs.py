@@ -265,7 +265,7 @@ class Perception:
         self.rng = make_rng(generator)
         layout, n = model.layout, config.particles
         truth, held, weld = compiled.from_state(State.at_start(model.scene), model.scene.radius)
-        # the others lie uniformly on integer points, at rest
+        # the others' centres of mass lie uniformly on integer points, at rest
         bodies = np.zeros((n, *truth.shape))
         x_points = np.arange(layout.origin[0] + START_INSET, layout.origin[0] + layout.columns - 1)
         y_points = np.arange(layout.origin[1] - layout.rows + START_INSET, layout.origin[1] - 1)

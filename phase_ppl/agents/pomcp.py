@@ -93,6 +93,7 @@ def _distance(
     room = room_of(x, y, layout)
     if room == target:
         inside = math.sqrt((x - px) ** 2 + (y - py) ** 2)
+        # as in the original, an item in its room is worth more than any way that leads there
         return inside - UNREACHABLE if subject >= params.force.shape[0] else inside
     door = layout.neighbour[room, target]
     if door < 0:

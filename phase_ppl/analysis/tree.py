@@ -324,7 +324,7 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
         change = log_prior - simulations["log_prior"].values
     else:
         change = effective - simulations["log_prior_effective"].values
-        stated = drawn_stated(program, goals, np.stack(list(strengths.values()), axis=1))
+        stated, _ = drawn_stated(program, goals, np.stack(list(strengths.values()), axis=1))
         simulations, draws = simulations.drop_vars(own), draws.drop_vars(own)
         for name, codes in zip(space.kept_columns, stated.T, strict=False):
             simulations[name] = simulations[name].copy(data=codes.astype(simulations[name].dtype))

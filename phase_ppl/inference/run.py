@@ -256,10 +256,10 @@ def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
 
 
 def compiled_given(recipe: Recipe) -> Hosted:
-    """Return the compiled function (keys, given sites, log floors, data) -> errors (chain, time).
+    """Return compiled (keys, given sites, log drawn, log floors, data) -> errors (chain, time).
 
     Each particle simulates a hypothesis of which some sites are given, the others proposed by
-    SIMPLE, whatever the kernel.
+    SIMPLE, whatever the kernel: see ``LocalMH.simulate_given``.
     """
     return _compiled_given(recipe._replace(info=KERNELS["local_mh"], options=()))
 
@@ -267,11 +267,15 @@ def compiled_given(recipe: Recipe) -> Hosted:
 @remembered(_KEPT_PROGRAMS)
 def _compiled_given(recipe: Recipe) -> Hosted:
     def simulate(
-        keys: jax.Array, given: dict[str, jax.Array], log_floor: jax.Array, data: Data
+        keys: jax.Array,
+        given: dict[str, jax.Array],
+        log_drawn: jax.Array,
+        log_floor: jax.Array,
+        data: Data,
     ) -> Any:
         kernel = make_kernel(recipe, data)
         assert isinstance(kernel, LocalMH), "it is registered by that name"
-        return jax.vmap(kernel.simulate_given)(keys, given, log_floor)
+        return jax.vmap(kernel.simulate_given)(keys, given, log_drawn, log_floor)
 
     return Hosted(simulate, _identity(recipe, "given sites"))
 

@@ -351,11 +351,13 @@ class Sampler:
         """Have each particle simulate effective goals (chain, agent)."""
         run, space = self._run, space_of(self._run.event.scene.world)
         usual = np.full(goals.shape, np.mean(STRENGTH_RANGE))
-        stated = drawn_stated(run.model.prior, goals, usual).astype(np.int32)
+        seed = (run.seed, self._done, *place)
+        stated, log_drawn = drawn_stated(run.model.prior, goals, usual, seed)
         names = (*space.goal_sites, space.company_site)
-        given = {name: stated[:, i] for i, name in enumerate(names)}
+        given = dict(zip(names, stated.T.astype(np.int32), strict=True))
         keys = self._keys(self._done, *place)
-        return compiled_given(run.recipe)(keys, given, log_floor, self._data)
+        drawn = log_drawn.astype(np.float32)
+        return compiled_given(run.recipe)(keys, given, drawn, log_floor, self._data)
 
     def _all_started(self, state: Any) -> Any:
         """Return the initial state with particles whose simulation failed where the next one is.

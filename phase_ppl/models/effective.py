@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import jax
@@ -194,18 +194,24 @@ def _all_stated(
 
 
 def drawn_stated(
-    prior: Program, goals: NDArray[np.int64], strengths: NDArray[np.floating[Any]]
-) -> NDArray[np.int64]:
-    """Return (n, 3) stated goals and alpha for effective goals, drawn by the prior given these.
+    prior: Program,
+    goals: NDArray[np.int64],
+    strengths: NDArray[np.floating[Any]],
+    seed: int | Sequence[int] = 0,
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return stated goals and alpha for effective goals, drawn by the prior given these.
 
-    Effective goals are (n, 2), strengths (n, 2) newtons.
+    Effective goals are (n, 2), strengths (n, 2) newtons; what is drawn is (n, 3), and (n,) the log
+    of how probable that was.
     """
     by_site = dict(zip(STRENGTH_SITES, strengths.T.astype(np.float64), strict=True))
     stated, row, log_weight = _all_stated(prior, goals, by_site)
     # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
-    log_weight += np.random.default_rng(0).gumbel(size=len(log_weight))
-    order, last = np.lexsort((log_weight, row)), np.flatnonzero(np.diff(row, append=-1))
-    return np.asarray(stated[order[last]])
+    perturbed = log_weight + np.random.default_rng(seed).gumbel(size=len(log_weight))
+    order, last = np.lexsort((perturbed, row)), np.flatnonzero(np.diff(row, append=-1))
+    total = np.full(len(goals), -np.inf)
+    np.logaddexp.at(total, row, log_weight)
+    return stated[order[last]], log_weight[order[last]] - total
 
 
 @remembered(_PRIORS_KEPT)

@@ -22,7 +22,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -32,7 +32,7 @@ import numpyro
 import numpyro.distributions as dist
 from numpy.typing import NDArray
 from numpyro.infer.inspect import get_dependencies
-from scipy.special import softmax
+from scipy.special import log_softmax, softmax
 
 from phase_ppl.models import density, effective, priors
 from phase_ppl.models.density import Program, remembered
@@ -76,7 +76,10 @@ def strengths(world: World) -> None:
 
 
 def uniform(world: World, social: float = SOCIAL) -> None:
-    """The paper's prior in any world: goals, strengths and ways to help or hinder are alike."""
+    """The paper's prior in any world: goals and strengths are alike.
+
+    Somebody helps or hinders with probability ``social``, all ways to do so alike.
+    """
     goals(world)
     company(world, social)
     strengths(world)
@@ -305,22 +308,29 @@ def kept_prior(prior: Program) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
 
 
 def drawn_stated(
-    prior: Program, goals: NDArray[np.int64], strengths: NDArray[np.floating[Any]]
-) -> NDArray[np.int64]:
+    prior: Program,
+    goals: NDArray[np.int64],
+    strengths: NDArray[np.floating[Any]],
+    seed: int | Sequence[int] = 0,
+) -> tuple[NDArray[np.int64], FloatArray]:
     """Return (row, agent + 1) stated goals and way for effective goals (row, agent).
 
-    Drawn by the prior given these and strengths (row, agent), newtons.
+    Drawn by the prior given these and strengths (row, agent), newtons; also (row,) the log of how
+    probable that was.
     """
     if not isinstance(prior, WorldPrior):
-        return effective.drawn_stated(prior, goals, strengths)
-    found, space, rng = masses_of(prior), space_of_prior(prior), np.random.default_rng(0)
+        return effective.drawn_stated(prior, goals, strengths, seed)
+    found, space, rng = masses_of(prior), space_of_prior(prior), np.random.default_rng(seed)
     by_way = space.log_prior_of_effective(found.goals, found.company, goals)
     # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
     way = (by_way + rng.gumbel(size=by_way.shape)).argmax(axis=0)
-    stated = np.array(goals, np.int64)
+    stated, rows = np.array(goals, np.int64), np.arange(len(goals))
+    log_drawn = log_softmax(by_way, axis=0)[way, rows]
     for agent in range(space.n_agents):
         # the own goal of one that helps or hinders is not used
-        unused = rng.choice(space.n_goals, len(goals), p=softmax(found.goals[agent]))
+        share = softmax(found.goals[agent])
+        unused = rng.choice(space.n_goals, len(goals), p=share)
         idle = space.owner[way, agent] != agent
         stated[idle, agent] = unused[idle]
-    return np.column_stack([stated, way])
+        log_drawn[idle] += np.log(share[unused[idle]])
+    return np.column_stack([stated, way]), log_drawn

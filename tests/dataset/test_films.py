@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
@@ -14,10 +15,9 @@ from PIL import Image
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    OutputError,
-)
+from phase_ppl.dataset.films import reading as films
+from phase_ppl.dataset.films.frames import Film
+from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.worlds import SOLO
@@ -96,6 +96,32 @@ def test_a_small_film_of_another_world_is_read_by_its_scene_or_its_world(tmp_pat
     by_world = ppl.read_video(path, layout=world, progress=False)
     assert by_world.event.scene.world == world
     assert off(by_world, event)[0] < 0.2
+
+
+def test_a_rate_that_is_rounded_takes_no_frame_for_the_one_before(
+    phase: tuple[Event, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    event, path = phase
+    whole, rounded = (
+        ppl.read_video(path, event.scene, frames_per_step=step, progress=False)
+        for step in (2, 1.9999)
+    )
+    np.testing.assert_array_equal(
+        rounded.event.observation.trajectory, whole.event.observation.trajectory
+    )
+
+    class Unknown(Film):
+        def __init__(self, path: Any) -> None:
+            super().__init__(path)
+            self.fps = 0.0
+
+    monkeypatch.setattr(films, "Film", Unknown)
+    for given, said in (
+        ({}, "does not say how fast it is: give frames_per_step="),
+        ({"frames_per_step": 1, "start": 0.25}, "how fast it is: start= cannot be found"),
+    ):
+        with pytest.raises(InvalidEventError, match=said):
+            ppl.read_video(path, event.scene, progress=False, **given)
 
 
 def test_bars_beside_it_and_a_still_beginning_are_left_out(phase: tuple[Event, Path]) -> None:

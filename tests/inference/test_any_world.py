@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro
@@ -19,6 +21,7 @@ from jax import random
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import distances, of_truth
 from phase_ppl.inference.guide import bottom_up_guide
+from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.inference.tables import (
     BottomUpTables,
@@ -137,11 +140,45 @@ def test_who_has_nothing_to_do_where_it_helps_has_no_part_in_it() -> None:
 
 
 def test_stated_goals_are_drawn_as_the_prior_has_them() -> None:
-    alike, n = (EFFECTIVE[0] == EFFECTIVE).all(axis=1), 4000
-    drawn = drawn_stated(few_in_cast().prior, np.tile(EFFECTIVE[0], (n, 1)), np.full((n, 3), 300.0))
+    alike, n = (COMMON == EFFECTIVE).all(axis=1), 4000
+    assert alike.sum() > 2
+    goals, strengths = np.tile(COMMON, (n, 1)), np.full((n, 3), 300.0)
+    drawn, log_drawn = drawn_stated(few_in_cast().prior, goals, strengths)
     share = [(drawn == row).all(axis=1).mean() for row in ROWS]
     expected = np.where(alike, MASSES, 0) / np.sum(MASSES, where=alike)
     np.testing.assert_allclose(share, expected, atol=0.03)
+    place = (drawn[:, None] == ROWS).all(axis=2).argmax(axis=1)
+    np.testing.assert_allclose(log_drawn, np.log(expected[place]), atol=1e-5)
+    other, _ = drawn_stated(few_in_cast().prior, goals, strengths, seed=1)
+    assert (other != drawn).any()
+
+
+def test_simulations_of_given_goals_weigh_as_the_prior_has_them() -> None:
+    # what is proposed otherwise than by the prior, here ways and strengths, P / Q makes up for
+    n, bridge = 4000, SimulatorBridge(TableRunner(table()), N_FRAMES, SPACE)
+    prior, n_windows = few_in_cast().prior, window_count(N_FRAMES, SETTINGS.window)
+    ways = np.random.default_rng(2).normal(0.0, 3.0, (n_windows + 1, len(SPACE.ways)))
+    estimate = np.full((n_windows + 1, 3), 300.0)
+    tables = BottomUpTables(np.zeros((n_windows + 1, 3, 6)), estimate, estimate / 2, ways)
+    guide = bottom_up_guide(prior, few_in_cast().sites, tables, prior_share=0.1)
+    kernel = LocalMH(EventProgram(few_in_cast(), bridge.handle, N_FRAMES), guide, SETTINGS)
+    goals, strengths = np.tile(COMMON, (n, 1)), np.full((n, 3), 375.0)
+    stated, log_drawn = drawn_stated(prior, goals, strengths)
+    names = (*SPACE.goal_sites, SPACE.company_site)
+    given = dict(zip(names, stated.T.astype(np.int32), strict=True))
+    simulated = Hosted(jax.vmap(kernel.simulate_given))
+    simulated(random.split(random.key(3), n), given, log_drawn, np.full(n, -np.inf))
+    assert bridge.failure is None
+    ratio = np.array([one.log_prior - one.log_proposal for one in bridge.records])
+    weights = np.exp(ratio - ratio.max()) / np.exp(ratio - ratio.max()).sum()
+    alike = (COMMON == EFFECTIVE).all(axis=1)
+    for name, expected in (
+        *((site, np.average(ROWS[:, i], weights=MASSES * alike)) for i, site in enumerate(names)),
+        *((site, 375.0) for site in SPACE.strength_sites),
+    ):
+        values = np.array([float(one.sites[name]) for one in bridge.records])
+        error = math.sqrt((weights**2 * (values - expected) ** 2).sum()) + 1e-6
+        assert weights @ values == pytest.approx(expected, abs=4 * error)
 
 
 # --- kernels -------------------------------------------------------------------------------------
@@ -151,6 +188,9 @@ ROWS = np.array(list(itertools.product(*GOALS, COMPANY)))
 MASSES = np.prod(list(itertools.product(*[m.values() for m in (*GOALS, COMPANY)])), axis=1)
 EFFECTIVE = SPACE.effective(dict(zip(SPACE.sites, ROWS.T, strict=False))).astype(np.int64)
 """(row, ...) all stated goals and ways with prior mass, their masses and effective goals."""
+
+COMMON = max(EFFECTIVE.tolist(), key=EFFECTIVE.tolist().count)
+"""The effective goals that most of these lead to."""
 
 
 @functools.cache

@@ -11,7 +11,12 @@ import numpyro.distributions as dist
 import pytest
 
 from phase_ppl.models import priors, sites
-from phase_ppl.models.effective import log_prior_of_effective, prior_table
+from phase_ppl.models.effective import (
+    drawn_stated,
+    log_prior_of_effective,
+    prior_table,
+    stated_hypotheses,
+)
 from phase_ppl.world.goals import goal_index
 
 LEVELS = (150.0, 300.0, 450.0, 600.0)
@@ -24,6 +29,22 @@ PINK_TO_RED = goal_index("Get pink item to red lm")
 def log_prior(pairs: list[tuple[int, int]], prior: object = priors.uniform) -> np.ndarray:
     strengths = {name: np.full(len(pairs), 300.0) for name in ("strength_red", "strength_green")}
     return log_prior_of_effective(prior, np.array(pairs), strengths)  # type: ignore[arg-type]
+
+
+def test_stated_goals_are_drawn_by_the_prior_given_effective_ones() -> None:
+    pair, n = (BLUE_TO_RED, BLUE_TO_RED), 3000
+    goals, forces = np.tile(pair, (n, 1)), np.full((n, 2), 300.0)
+    drawn, log_drawn = drawn_stated(priors.sparse_social, goals, forces)
+    table = np.exp(prior_table(priors.sparse_social, (300.0,)))[..., 0, 0]
+    options = stated_hypotheses()[pair]
+    expected = table[tuple(options.T)] / table[tuple(options.T)].sum()
+    place = (drawn[:, None] == options).all(axis=2).argmax(axis=1)
+    np.testing.assert_allclose(log_drawn, np.log(expected[place]), atol=1e-4)
+    by_alpha = np.bincount(options[:, 2], expected, minlength=5)
+    np.testing.assert_allclose(np.bincount(drawn[:, 2], minlength=5) / n, by_alpha, atol=0.04)
+    again, other = (drawn_stated(priors.sparse_social, goals, forces, seed)[0] for seed in (0, 1))
+    np.testing.assert_array_equal(again, drawn)
+    assert (other != drawn).any()
 
 
 def test_a_site_of_ones_own_with_few_values_is_summed_out() -> None:

@@ -229,6 +229,8 @@ def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatAr
                 f"{name} has {film.fps:g} frames per second, at least "
                 f"{1 / SHOWN_SECONDS_PER_FRAME:g} were expected: give frames_per_step="
             )
+    if start and not film.fps > 0:
+        raise InvalidEventError(f"{name} does not say how fast it is: start= cannot be found")
     first = round(start * film.fps)
     steps = (film.n_frames - 1 - first) / frames_per_step
     if steps < MIN_FRAMES - 1:
@@ -270,8 +272,8 @@ def _follow(
     progress: bool | None,
 ) -> tuple[FloatArray, dict[int, Image.Image]]:
     """Return (time, entity, 4) poses and confidence, and pictures of some frames."""
-    first, weight = np.floor(moments + 1e-6).astype(int), moments % 1
-    weight[(weight < 1e-3) | (weight > 1 - 1e-3)] = 0.0
+    first = np.floor(moments + 1e-3).astype(int)  # rates are rounded
+    weight = np.where(moments - first < 1e-3, 0.0, moments - first)
     wanted = {*first.tolist(), *(first[weight > 0] + 1).tolist()}
     shown_at = np.linspace(0, len(moments) - 1, min(_PANELS, len(moments))).round().astype(int)
     kept = {int(first[step]): int(step) for step in shown_at}

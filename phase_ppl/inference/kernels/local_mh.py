@@ -41,7 +41,7 @@ from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Mo
 from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_length
-from phase_ppl.models.density import Program, Sites, draw, log_density
+from phase_ppl.models.density import Program, Sites, draw, log_density, trace_log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import unknown_name
 
@@ -192,19 +192,26 @@ class LocalMH(MetropolisKernel):
         )
 
     def simulate_given(
-        self, key: jax.Array, given: dict[str, jax.Array], log_floor: jax.Array
+        self,
+        key: jax.Array,
+        given: dict[str, jax.Array],
+        log_drawn: jax.Array,
+        log_floor: jax.Array,
     ) -> jax.Array:
         """Return (time,) the errors of a hypothesis of which some sites are given.
 
-        The others are drawn from what the whole observation suggests; that density, of all sites,
-        is kept with the simulation, which is stopped where its log likelihood cannot reach a floor.
+        These were drawn with log probability ``log_drawn``, the others are drawn from what the
+        whole observation suggests given them; the density of both together is kept with the
+        simulation, which is stopped where its log likelihood cannot reach a floor.
         """
         program, guide = self.program, self.guide
         assert isinstance(guide, Mixture), "the bottom-up guide is one"
         bottom_up, window = guide.programs[0], jnp.asarray(self.n_windows)
         key_sites, key_seed = random.split(key)
         sites = draw(handlers.substitute(bottom_up, data=given), key_sites, window)
-        log_prior, log_proposal = program.log_prior(sites), log_density(bottom_up, sites, window)
+        trace = handlers.trace(handlers.substitute(bottom_up, data=sites)).get_trace(window)
+        others = {name: site for name, site in trace.items() if name not in given}
+        log_prior, log_proposal = program.log_prior(sites), log_drawn + trace_log_density(others)
         seed = program.simulator_seed(key_seed, sites)
         ceiling = self.error_ceiling(log_floor)
         return program.simulate(sites, log_prior, seed, ceiling, log_proposal)

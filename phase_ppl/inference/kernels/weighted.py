@@ -203,7 +203,7 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     for name in STRENGTH_SITES:
         law = trace[name]["fn"]
         log_prior = log_prior + _log_newtons(law, columns[name], cut=not depends[name])
-    stated = drawn_stated(prior, pairs[which], force)
+    stated, _ = drawn_stated(prior, pairs[which], force)
     sites = dict(zip((*GOAL_SITES, ALPHA_SITE), stated.T.astype(np.int32), strict=True))
     sites |= dict(zip(STRENGTH_SITES, force.T, strict=True))
     return _with_mass(prior, sites, log_prior, strengths)
