@@ -149,7 +149,7 @@ def judge(task: Task) -> list[dict[str, Any]]:
             decisions = []
             for agent in agents[a]:
                 decisions.append(agent.decide(*state))
-                agent.done(Action(pair[a]))
+                agent.acted(Action(pair[a]))
             chosen = [int(decision.action) for decision in decisions]
             others = ~np.eye(len(chosen), dtype=bool)
             with_itself = float(np.mean(same[np.ix_(chosen, chosen)][others]))

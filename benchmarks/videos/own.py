@@ -73,7 +73,7 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
             agent.observe(bodies[0], held[0], weld[0])
             found = conduct.policy(agent.root_statistics(agent.intents)[0])
             meant.append(Action(int(rng.choice(N_ACTIONS, p=found))))
-            agent.done(meant[-1])
+            agent.acted(meant[-1])
         done = [executed(action, scene.turning) for action in meant]
         trial.actions[:] = done
         inverse.attempt(bodies[0], held[0], weld[0], params, scratch, trial)

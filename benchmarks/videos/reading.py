@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.goal_filter import (
     Conduct,
-    Looked,
     PairFilter,
+    Plans,
     SearchSets,
     frame_log_likelihood,
 )
@@ -100,14 +100,14 @@ class Kept:
 
     Attributes:
         truth: effective goals of red and green; levels: places of their strengths.
-        steps: per step (looked, wanted, relative density, its highest log density).
+        steps: per step (plans, wanted, relative density, its highest log density).
         strengths: (step, strength of red, of green) probabilities.
         unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.Reading`.
     """
 
     truth: tuple[int, int]
     levels: tuple[int, int]
-    steps: list[tuple[list[list[Looked]], NDArray[np.bool_], FloatArray, float]]
+    steps: list[tuple[list[list[Plans]], NDArray[np.bool_], FloatArray, float]]
     strengths: FloatArray
     unexplained: FloatArray
     log_peak: FloatArray
@@ -122,8 +122,8 @@ class Kept:
     ) -> FloatArray:
         """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
         log_mass, found = log_prior().copy(), []
-        for looked, wanted, relative, highest in self.steps:
-            sets = looked[:planner_seeds]
+        for plans, wanted, relative, highest in self.steps:
+            sets = plans[:planner_seeds]
             now, _ = frame_log_likelihood(sets, wanted, relative, log_mass, conduct)
             found.append(now + highest)
             log_mass += weight * found[-1]
@@ -192,7 +192,7 @@ class Recorder(SearchSets):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.searched: list[tuple[list[list[Looked]], NDArray[np.bool_]]] = []
+        self.searched: list[tuple[list[list[Plans]], NDArray[np.bool_]]] = []
         self.densities: list[FloatArray] = []
         advance = self.hidden.advance
 
@@ -202,9 +202,9 @@ class Recorder(SearchSets):
 
         self.hidden.advance = advanced  # type: ignore
 
-    def look(self, wanted: Sequence[NDArray[np.bool_]] | None = None) -> list[list[Looked]]:
+    def plans(self, wanted: Sequence[NDArray[np.bool_]] | None = None) -> list[list[Plans]]:
         assert wanted is not None
-        found = super().look(wanted)
+        found = super().plans(wanted)
         small = [
             [one._replace(intent_of=one.intent_of.astype(np.int16)) for one in pair]
             for pair in found

@@ -381,13 +381,13 @@ class Agent(Policies):
         """Observe the true state, update the beliefs, and choose subgoal and action."""
         self.observe(bodies, held, weld)
         (root,) = self.root_statistics(self.intents)
-        self.done(root.best)
+        self.acted(root.best)
         return Decision(self.intent, root, int(held[self.agent]), self.beliefs)
 
     def look(self, bodies: FloatArray, held: IntArray, weld: FloatArray, action: Action) -> None:
         """Observe a past state, and take note of what was done then, without deciding anything."""
         self.observe(bodies, held, weld, np.zeros_like(self.intent_of, np.bool_))
-        self.done(action)
+        self.acted(action)
 
 
 def all_agents(

@@ -288,7 +288,7 @@ class Perception:
         self._last_action: Action | None = None
         self._closed_off = _closed_off(model, truth[agent, :2])
 
-    def done(self, action: Action) -> None:
+    def acted(self, action: Action) -> None:
         """Say what the agent has just executed, which its next prediction starts from."""
         self._last_action = action
 

@@ -13,7 +13,15 @@ import functools
 from collections.abc import Callable
 
 from phase_ppl.agents.standpoints import Stance
-from phase_ppl.agents.symbols import Finder, Step, SymbolicState, Target, plans_of, start_node
+from phase_ppl.agents.symbols import (
+    NO_DOOR,
+    Finder,
+    Step,
+    SymbolicState,
+    Target,
+    plans_of,
+    start_node,
+)
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 
@@ -40,7 +48,7 @@ class SubgoalPlanner:
         plans: Callable[[Abilities], Finder] = plans_of,
     ) -> None:
         self.agent, self.own = agent, own
-        self.stance, self.opponent = stance, stance.other
+        self.stance, self.other = stance, stance.other
         if own.predicate is Predicate.ON:  # of a room with several landmarks, this one counts
             landmarks = list(abilities.landmark_in)
             landmarks[abilities.landmark_rooms[own.target]] = own.target
@@ -82,7 +90,7 @@ class SubgoalPlanner:
         if not self.abilities.is_open and self.stance.contested:
             if subject >= self._n_agents:
                 return self._guard_item(state, observed)
-            if subject == self.opponent and not self._touches:
+            if subject == self.other and not self._touches:
                 return self._keep_away(state, observed)
         # nobody to hinder, or no doors to do it by: the goal itself
         return self._free_hands(state, keep=self._item) or self.own
@@ -113,7 +121,7 @@ class SubgoalPlanner:
         steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
         alone = steps is not None
         if steps is None and self.stance.cooperative:
-            steps = self._plan(state, (self.agent, self.opponent), frozenset({item}), delivered)
+            steps = self._plan(state, (self.agent, self.other), frozenset({item}), delivered)
         own_step = next((s for s in steps or () if self.agent in s.agents), None)
         if own_step is not None and self._can_start(steps, own_step, state):
             return self._start(own_step.literal, alone, item, state, observed)
@@ -169,7 +177,7 @@ class SubgoalPlanner:
         """Return how to begin a step towards bringing an item somewhere."""
         if literal.predicate is Predicate.ATTACH and literal.positive and not alone:
             # what is to be handed over may be pushed as well; the search decides
-            following = self._next_room((item,), state.rooms[item], state.rooms[self.opponent])
+            following = self._next_room((item,), state.rooms[item], state.rooms[self.other])
             if following is not None:
                 return Literal(Predicate.CLOSE, item, following)
         return self._in_sight(literal, item, observed)
@@ -179,7 +187,7 @@ class SubgoalPlanner:
         if self.abilities.is_open or state.other_done or state.own_done:
             return self._free_hands(state) or STOP
         goal_room = self._goal_room()
-        way = self.abilities.route((), state.rooms[self.opponent], goal_room)
+        way = self.abilities.route((), state.rooms[self.other], goal_room)
         on_way = self._doors(way)
         held = state.held[self.agent]
         closing = [
@@ -189,8 +197,8 @@ class SubgoalPlanner:
         if item == NOTHING or (held != NOTHING and item not in closing):
             return self._free_hands(state) or STOP
 
-        elsewhere = frozenset({NOTHING, *range(len(self.abilities.walled))}) - set(on_way)
-        cleared = Target("clear", item - self._n_agents, elsewhere)
+        elsewhere = frozenset({NO_DOOR, *range(len(self.abilities.walled))}) - set(on_way)
+        cleared = Target("door_filled_by", item - self._n_agents, elsewhere)
         steps = self._plan(state, (self.agent,), frozenset({item}), cleared)
         if not steps:
             return STOP
@@ -216,8 +224,8 @@ class SubgoalPlanner:
     def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
         goal_room = self._goal_room()
-        rival_room = state.rooms[self.opponent]
-        way = self.abilities.route((self.opponent,), rival_room, goal_room)
+        rival_room = state.rooms[self.other]
+        way = self.abilities.route((self.other,), rival_room, goal_room)
         if way is None:
             return self._free_hands(state) or STOP
         doors = self._doors(way)
@@ -241,25 +249,25 @@ class SubgoalPlanner:
         if narrowed:
             return self._door(self.agent, narrowed[0])
         meeting = set(way[1:]) if len(way) > 1 else set(way)
-        if state.rooms[self.agent] in meeting or observed[self.opponent]:
+        if state.rooms[self.agent] in meeting or observed[self.other]:
             return self.own
         return self._walk(state, meeting, goal_room)
 
     def _guard_item(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
         item = self.own.subject
-        me, rival = state.rooms[self.agent], state.rooms[self.opponent]
+        me, rival = state.rooms[self.agent], state.rooms[self.other]
         item_room, goal_room = state.rooms[item], self._goal_room()
         ability = self.abilities
-        rival_way = ability.route((self.opponent,), rival, item_room)
-        rival_holds = state.held[self.opponent] == item
+        rival_way = ability.route((self.other,), rival, item_room)
+        rival_holds = state.held[self.other] == item
         if ability.route((self.agent,), me, item_room) is None:
             if rival_holds or rival == item_room or rival_way is None:
                 return STOP
             return self._stand_in_door(state, rival_way)
         holding = state.held[self.agent] == item
         if rival_holds:
-            if ability.route((self.opponent, item), item_room, goal_room) is None:
+            if ability.route((self.other, item), item_room, goal_room) is None:
                 return self._free_hands(state) or STOP
             if holding:
                 return self._hold_back(item, item_room)
@@ -267,7 +275,7 @@ class SubgoalPlanner:
         if rival_way is None:
             return self._free_hands(state) or STOP
         rooms, distance = self._rooms_to_take_to(item, item_room), ability.room_distance
-        closed = (room for room in rooms if ability.route((self.opponent,), rival, room) is None)
+        closed = (room for room in rooms if ability.route((self.other,), rival, room) is None)
         refuge = next(closed, None)
         if refuge is None:
             if not holding and me in rival_way[1:-1]:
@@ -275,7 +283,7 @@ class SubgoalPlanner:
             nearer = [room for room in rooms if distance[item_room][room] < distance[rival][room]]
             refuge = max(nearer, key=lambda room: distance[rival][room], default=None)
         if refuge is None:
-            return self._aside(self.opponent, rival).negated()
+            return self._aside(self.other, rival).negated()
         if not holding:
             return self._take(state, item, observed)
         following = self._next_room((self.agent, item), item_room, refuge)

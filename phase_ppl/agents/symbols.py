@@ -49,12 +49,12 @@ class SymbolicState(NamedTuple):
     """Which facts hold in one particle."""
 
     rooms: tuple[int, ...]  # room of each entity (0 for all in an arena without inner walls)
-    held: tuple[int, ...]  # item held by each agent, or -1
+    held: tuple[int, ...]  # item held by each agent, or ``NOTHING``
     in_reach: tuple[bool, ...]  # agent by agent, whether it can grab each item
     # whether the positive form of the agent's own and of the other's goal is reached
     own_done: bool
     other_done: bool
-    door_filled_by: tuple[int, ...]  # the door that each item closes, or -1
+    door_filled_by: tuple[int, ...]  # the door that each item closes, or ``NO_DOOR``
 
 
 class Facts(NamedTuple):
@@ -182,17 +182,17 @@ class Node(NamedTuple):
     rooms: tuple[int, ...]
     held: tuple[int, ...]
     near: tuple[int, ...]
-    """Entity each agent is at, within grab range; -1 for none."""
+    """Entity each agent is at, within grab range, or ``NOTHING``."""
     placed: tuple[bool, ...]
     """Whether each entity has been brought to the landmark of its room."""
-    clear: tuple[int, ...]
-    """Door filled by each item, or -1."""
+    door_filled_by: tuple[int, ...]
+    """Door that each item closes, or ``NO_DOOR``."""
 
 
 class Target(NamedTuple):
     """What a plan is to attain: something of an entity has one of some values."""
 
-    field: typing.Literal["rooms", "held", "clear"]
+    field: typing.Literal["rooms", "held", "door_filled_by"]
     entity: int  # as ``field`` of a node counts: all entities, the agents, or the items
     values: frozenset[int]
     placed: bool = False  # and it has been brought to the landmark of its room
@@ -229,7 +229,7 @@ def start_node(state: SymbolicState, done: tuple[bool, ...], targets: frozenset[
 def _door_free(node: Node, abilities: Abilities, door: int, carried: int) -> bool:
     return not any(
         filled == door and abilities.fills[item][door] and len(node.held) + item != carried
-        for item, filled in enumerate(node.clear)
+        for item, filled in enumerate(node.door_filled_by)
     )
 
 
@@ -245,7 +245,7 @@ def moves(
         targets: entities that matter; others are not touched, carried or placed.
         abilities: what the bodies can do.
     """
-    rooms, held, near, placed, clear = node
+    rooms, held, near, placed, filled = node
     n_agents, item, room = len(held), held[agent], rooms[agent]
     actors: tuple[int, ...] = (agent,)
 
@@ -256,30 +256,30 @@ def moves(
         for door, following in abilities.neighbours[room]:
             if abilities.passes[agent][door] and _door_free(node, abilities, door, NOTHING):
                 there = _set(rooms, agent, following), held, _set(near, agent, NOTHING)
-                after = Node(*there, _set(placed, agent, False), clear)
+                after = Node(*there, _set(placed, agent, False), filled)
                 length = abilities.room_distance[room][following]
                 yield step(Predicate.CLOSE, agent, following, length, after)
         for target in targets:
             if target != agent and rooms[target] == room and near[agent] != target:
-                after = Node(rooms, held, _set(near, agent, target), placed, clear)
+                after = Node(rooms, held, _set(near, agent, target), placed, filled)
                 yield step(Predicate.TOUCH, agent, target, TOUCH_COST, after)
         target = near[agent]
         if target >= n_agents and target in targets:
-            after = Node(rooms, _set(held, agent, target), near, placed, clear)
+            after = Node(rooms, _set(held, agent, target), near, placed, filled)
             yield step(Predicate.ATTACH, agent, target, GRIP_COST, after)
         landmark = abilities.landmark_in[room]
         if agent in targets and not placed[agent] and landmark != NOTHING:
-            after = Node(rooms, held, near, _set(placed, agent, True), clear)
+            after = Node(rooms, held, near, _set(placed, agent, True), filled)
             yield step(Predicate.ON, agent, landmark, PLACE_COST, after)
         return
-    after = Node(rooms, _set(held, agent, NOTHING), _set(near, agent, item), placed, clear)
+    after = Node(rooms, _set(held, agent, NOTHING), _set(near, agent, item), placed, filled)
     yield Step(actors, Literal(Predicate.ATTACH, agent, item, positive=False), GRIP_COST, after)
     others = [a for a, thing in enumerate(held) if a != agent and thing == item]
     actors = (agent, *(other for other in others if other in willing))
     if not abilities.carries(*actors, holders=1 + len(others)) or item not in targets:
         return
     movers = (agent, item, *others)
-    emptied = _set(clear, item - n_agents, -1)
+    emptied = _set(filled, item - n_agents, NO_DOOR)
     apart = [e for e in movers if abilities.route((e,), rooms[e], rooms[item]) is None]
     for door, following in abilities.neighbours[rooms[item]]:
         # a holder beyond the door need not pass it; one before it must also be with the item

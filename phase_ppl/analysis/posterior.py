@@ -81,8 +81,8 @@ class Posterior(EventPosterior):
         scenario: ScenarioFunction | None = None,
     ) -> None:
         check_tree(tree)
-        kept = str(tree.attrs["weights"])
-        name = _FORMERLY.get(kept, kept) if weights is None else weights
+        recorded = str(tree.attrs["weights"])
+        name = _FORMERLY.get(recorded, recorded) if weights is None else weights
         check_name("weights", name, WEIGHTINGS)
         n_draws = tree["posterior"].sizes["draw"]
         self._burn_in = whole_number(
@@ -93,14 +93,14 @@ class Posterior(EventPosterior):
                 f"burn_in={self._burn_in}, but each chain has {n_draws} draws: expected fewer"
             )
         self._tree = tree
-        self._kept = tree = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
+        self._counted = counted = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         self._weights = name
-        rows = WEIGHTINGS[name](tree)
+        rows = WEIGHTINGS[name](counted)
         words = Vocabulary(space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
-            known[site], columns[site] = own_quantity(tree, site, columns[site])
-        groups, parts = chain_groups(tree)[rows.index["chain"]], halves(tree, name, rows)
+            known[site], columns[site] = own_quantity(counted, site, columns[site])
+        groups, parts = chain_groups(tree)[rows.index["chain"]], halves(counted, name, rows)
         rows = dataclasses.replace(rows, values=columns, groups=groups, halves=parts)
         constant = tree["constant_data"].to_dataset()
         super().__init__(words, self._tree.attrs, constant, known, rows)
@@ -212,7 +212,7 @@ class Posterior(EventPosterior):
     def diagnostics(self) -> dict[str, Any]:
         """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`."""
         return diagnostics(
-            self._kept,
+            self._counted,
             self._weights,
             self._rows,
             self.leaders(),
@@ -234,7 +234,7 @@ class Posterior(EventPosterior):
             ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``hindsight`` says what it
             is, ``weights`` by which weights.
         """
-        weighting, rows, weights = so_far(self._kept)
+        weighting, rows, weights = so_far(self._counted)
         words, simulations = self._words, self._tree["simulations"].dataset
         codes = {name: simulations[name].values[rows] for name in words.space.goal_sites}
         codes |= words.relation_codes(codes)
@@ -252,7 +252,7 @@ class Posterior(EventPosterior):
 
         :func:`phase_ppl.analysis.diagnostics.arviz_data` says what is there; nothing is simulated.
         """
-        return arviz_data(self._kept, self._words.scenario)
+        return arviz_data(self._counted, self._words.scenario)
 
     def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
         tree = self._tree.copy()

@@ -43,7 +43,7 @@ from phase_ppl.world.names import AGENTS, NOTHING
 from phase_ppl.world.scene import Scene
 
 
-class Looked(NamedTuple):
+class Plans(NamedTuple):
     """One agent's plans at one moment, by one set of beliefs and searches."""
 
     roots: list[RootStatistics]  # of every intent, what its search found
@@ -114,7 +114,7 @@ class SearchSets:
         """Return the function's results, in order, from the threads if there are any."""
         return map(function, tasks) if self._pool is None else self._pool.map(function, tasks)
 
-    def look(self, wanted: Sequence[BoolArray] | None = None) -> list[list[Looked]]:
+    def plans(self, wanted: Sequence[BoolArray] | None = None) -> list[list[Plans]]:
         """Return (set, agent) what the planners make of what was seen so far.
 
         Args:
@@ -144,16 +144,16 @@ class SearchSets:
             for place, root in zip(group, roots, strict=True)
         }
 
-        def looked(one: Policies) -> Looked:
-            return Looked([found[one, k] for k in range(len(one.intents))], one.intent_of.copy())
+        def of_agent(one: Policies) -> Plans:
+            return Plans([found[one, k] for k in range(len(one.intents))], one.intent_of.copy())
 
-        return [list(map(looked, each)) for each in self._policies]
+        return [list(map(of_agent, each)) for each in self._policies]
 
-    def done(self, actions: Sequence[Action]) -> None:
+    def acted(self, actions: Sequence[Action]) -> None:
         """Say what the agents have just done, from which their beliefs go on."""
         for each in self._policies:
             for policies, action in zip(each, actions, strict=True):
-                policies.done(action)
+                policies.acted(action)
 
     def _model(self, strengths: tuple[float, ...]) -> WorldModel:
         if strengths not in self._models:
@@ -166,7 +166,7 @@ SEARCHED_BY_ALL: Final = 0.99
 there is the first set alone."""
 
 OfGoals = dict[str, NDArray[Any]]
-_All = Sequence[Sequence[Looked]]  # (set, agent)
+_All = Sequence[Sequence[Plans]]  # (set, agent)
 
 
 class Reading(NamedTuple):
@@ -221,17 +221,17 @@ class GoalFilter:
     def read(self, frame: FloatArray) -> Reading:
         """Take in the next frame, (entity, 3) x, y [units], angle [rad]."""
         hidden = self._sets.hidden
-        looked = self._sets.look(self._choose_wanted())
+        plans = self._sets.plans(self._choose_wanted())
         log_density = hidden.advance(frame, self._sets.map)
         highest = float(log_density.max())
         relative = np.exp(log_density - highest)
-        of_goals = self._of_goals(looked, log_density, relative)
-        self._sets.done(most_probable_actions(log_density))
+        of_goals = self._of_goals(plans, log_density, relative)
+        self._sets.acted(most_probable_actions(log_density))
         axes = range(log_density.ndim)
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         actions /= actions.sum(axis=1, keepdims=True)
         held, peak = hidden.best().held.copy(), hidden.log_peak
-        searched = [len(root.actions) > 1 for each in looked for one in each for root in one.roots]
+        searched = [len(root.actions) > 1 for each in plans for one in each for root in one.roots]
         return Reading(
             of_goals, hidden.strengths(), actions, held, peak - highest, peak, sum(searched)
         )
@@ -244,7 +244,7 @@ class GoalFilter:
         """Return what there is to say of goals before the first frame."""
         raise NotImplementedError
 
-    def _of_goals(self, looked: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
+    def _of_goals(self, plans: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
         """Return what a frame says, from plans at the moment before and its density.
 
         Both (action of the first agent, of the second, ...); ``relative`` is over the highest.
@@ -289,9 +289,9 @@ class PairFilter(GoalFilter):
         self._probable = found.reshape(self._log_mass.shape)
         return [found] * len(AGENTS)
 
-    def _of_goals(self, looked: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
+    def _of_goals(self, plans: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
         likelihood, without = frame_log_likelihood(
-            looked, self._probable, relative, self._log_mass, self._conduct
+            plans, self._probable, relative, self._log_mass, self._conduct
         )
         likelihood += log_density.max()
         without = (without + log_density.max()).astype(np.float32)
@@ -300,7 +300,7 @@ class PairFilter(GoalFilter):
 
 
 def frame_log_likelihood(
-    looked: _All,
+    plans: _All,
     wanted: BoolArray,
     relative: FloatArray,
     log_mass: FloatArray,
@@ -315,16 +315,16 @@ def frame_log_likelihood(
     which would speak against whoever is improbable already.
 
     Args:
-        looked: (set, agent) what the planners make of the moment.
+        plans: (set, agent) what the planners make of the moment.
         wanted: (goal_red, goal_green) pairs for which there are all sets.
         relative: (A, A) density of the frame after every pair of actions.
         log_mass: (goal_red, goal_green) before the frame.
         conduct: how agents act on their plans.
     """
-    n = len(looked)
+    n = len(plans)
     # (set, agent, goal_red, goal_green, action), 0 where there is no intent
     policies = np.empty((n, len(AGENTS), N_GOALS, N_GOALS, N_ACTIONS))
-    for place, both in enumerate(looked):
+    for place, both in enumerate(plans):
         for agent, one in enumerate(both):
             table = np.zeros((len(one.roots) + 1, N_ACTIONS))
             for row, root in enumerate(one.roots):
@@ -398,8 +398,8 @@ class PolicyFilter(GoalFilter):
             "marginals": self._log_mass.copy(),
         }
 
-    def _of_goals(self, looked: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
-        policies, policy_of = self._policies(looked)
+    def _of_goals(self, plans: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
+        policies, policy_of = self._policies(plans)
         self._update_marginals(relative, policies, policy_of)
         return {
             "density": log_density.ravel(),
@@ -409,10 +409,10 @@ class PolicyFilter(GoalFilter):
             "marginals": self._log_mass.copy(),
         }
 
-    def _policies(self, looked: _All) -> tuple[list[FloatArray], list[IntArray]]:
+    def _policies(self, plans: _All) -> tuple[list[FloatArray], list[IntArray]]:
         """Return each agent's different policies, and which of them each standpoint has."""
         policies, policy_of = [], []
-        for sets in zip(*looked, strict=True):
+        for sets in zip(*plans, strict=True):
             intents = np.stack([one.intent_of for one in sets], axis=1)
             kinds, number = np.unique(intents, axis=0, return_inverse=True)
             of_sets = []

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 from phase_ppl.evaluation.answer_sets import PEOPLE
 from phase_ppl.evaluation.bootstrap import LEVEL
-from phase_ppl.evaluation.metrics import PREFIX, Path, at
+from phase_ppl.evaluation.metrics import PREFIX, Place, at
 from phase_ppl.world.hypothesis import SCENARIOS
 
 NOTHING: Final = "-"  # what a table of a terminal has where there is no figure
@@ -23,7 +23,7 @@ _LABEL, _OF_PAIR = 22, 19  # most characters of a name, alone and in a pair
 _EVENTS: Final = "n_events"
 
 Row = tuple[str, Mapping[str, Any]]  # name, metrics
-_Columns = Mapping[str, str | Path]  # heading -> place in the metrics, parts joined by dots
+_Columns = Mapping[str, str | Place]  # heading -> place in the metrics, parts joined by dots
 
 
 def figure_text(found: Mapping[str, Any] | None, signed: bool = False, digits: int = 2) -> str:
@@ -143,7 +143,7 @@ def _tables(
         yield f"{word} right, {title}", columns, right
     for kind, word in KIND_WORDS.items():
         sure = dict.fromkeys(p for _, m in models for p in at(m, ("calibration", kind)) or ())
-        of_sure: dict[str, Path] = {
+        of_sure: dict[str, Place] = {
             f"p >= {p}": ("calibration", kind, p) for p in sure if float(p) > 0
         }
         yield f"{word} right, by the least probability of the answer", of_sure, models
@@ -178,7 +178,7 @@ def _tables(
     )
 
 
-def _by_part(metrics: Sequence[Mapping[str, Any]], kind: str) -> tuple[str, dict[str, Path]]:
+def _by_part(metrics: Sequence[Mapping[str, Any]], kind: str) -> tuple[str, dict[str, Place]]:
     """Return by what answers are told apart, and heading -> its place in the metrics.
 
     In PHASE by scenario; elsewhere goals by agent, relations by pair.
@@ -188,7 +188,7 @@ def _by_part(metrics: Sequence[Mapping[str, Any]], kind: str) -> tuple[str, dict
         names = dict.fromkeys(name for of_model in metrics for name in of_model.get(parts, ()))
         return parts.replace("_", " "), {name: (parts, name) for name in names}
     counts = {name: max(m["by_scenario"][name]["n"] for m in metrics) for name in SCENARIOS}
-    places: dict[str, Path] = {
+    places: dict[str, Place] = {
         f"{name} ({n})": ("by_scenario", name) for name, n in counts.items() if n
     }
     return "by true scenario (events)", places
@@ -212,7 +212,7 @@ def _among_people(models: Sequence[Row]) -> dict[str, Any]:
     return {"human": human, "doubt": doubt}
 
 
-def _cell(metrics: Mapping[str, Any], place: str | Path) -> str:
+def _cell(metrics: Mapping[str, Any], place: str | Place) -> str:
     """Return what a table shows of a place in the metrics."""
     found = at(metrics, place)
     if place == "cpu_seconds" and found is not None:

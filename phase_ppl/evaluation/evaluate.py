@@ -23,7 +23,7 @@ from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
 from phase_ppl.evaluation.tables import world_of
-from phase_ppl.simulator.contract import described
+from phase_ppl.simulator.contract import error_text
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
 from phase_ppl.world.errors import (
     InvalidSettingError,
@@ -311,7 +311,7 @@ def _ask(predict: Predict, job: _Job) -> _Outcome:
         return _Outcome(prediction, _contents(answer) if job.with_artefacts else {})
     except (Exception, SystemExit) as error:
         of_settings = given is None and isinstance(error, InvalidSettingError | UnknownNameError)
-        return _Outcome(failure=described(error), of_settings=of_settings)
+        return _Outcome(failure=error_text(error), of_settings=of_settings)
     finally:
         jax = sys.modules.get("jax")
         if in_worker() and jax is not None and next(_asked) % COMPILED_OF == 0:

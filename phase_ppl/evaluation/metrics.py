@@ -101,7 +101,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
 from phase_ppl.world.scene import PHASE, World
 
-Path = tuple[str, ...]  # keys under which a figure is found in the metrics
+Place = tuple[str, ...]  # keys under which a figure is found in the metrics
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> what the names of figures under ``human`` begin with."""
@@ -178,8 +178,8 @@ class Scores:
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
         self._events, self._seed, self._resamples = events, seed, resamples
         self._facts: dict[tuple[str, ...], tuple[Facts, FloatArray]] = {}
-        self._among_people: dict[tuple[str, ...], dict[Path, Any]] = {}
-        self._curves: dict[tuple[tuple[str, ...], bytes], dict[Path, Curve]] = {}
+        self._among_people: dict[tuple[str, ...], dict[Place, Any]] = {}
+        self._curves: dict[tuple[tuple[str, ...], bytes], dict[Place, Curve]] = {}
 
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
         """Return what :func:`evaluate_predictions` does."""
@@ -231,17 +231,17 @@ class Scores:
             self._facts[ids] = tables.facts(chosen), weights
         return self._facts[ids]
 
-    def _of(self, known: Facts, weights: FloatArray, said: Said) -> dict[Path, Curve]:
+    def _of(self, known: Facts, weights: FloatArray, said: Said) -> dict[Place, Curve]:
         key = known.ids, said.content()
         if key not in self._curves:
             self._curves[key] = model_curves(known, said, weights)
         return self._curves[key]
 
 
-def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Path, Any]:
+def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Place, Any]:
     """Return the figures of people's agreement with each other."""
     by_participant = known.by_participant
-    found: dict[Path, Any] = {}
+    found: dict[Place, Any] = {}
     for kind, prefix in PREFIX.items():
         questions = kinds_of(known.world)[kind]
         halves = split_half(known.judgments, questions, weights, by_participant, seed)
@@ -268,7 +268,7 @@ class Curve(NamedTuple):
         return figure(self.values, self.n) if self.scores is None else proportion(self.scores)
 
 
-def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
+def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Curve]:
     """Return all figures that are about the model."""
     curves = accuracy_curves(model.right, known, weights)
     curves["goal_top3_accuracy",] = mean_curve(weights, model.in_top, of_shares=True)
@@ -302,9 +302,9 @@ def mean_curve(weights: FloatArray, values: FloatArray, of_shares: bool = False)
     return Curve(weighted_mean(weights, values), events_with(values), scores)
 
 
-def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
+def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Curve]:
     """Return people's own log scores, on the events on which the model has one."""
-    curves: dict[Path, Curve] = {}
+    curves: dict[Place, Curve] = {}
     for kind, prefix in PREFIX.items():
         people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
         path = ("human", f"{prefix}log_score_people")
@@ -314,12 +314,12 @@ def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, 
 
 def accuracy_curves(
     right: Mapping[str, FloatArray], known: Facts, weights: FloatArray
-) -> dict[Path, Curve]:
+) -> dict[Place, Curve]:
     """Return the accuracies, overall and of each part (:meth:`~Facts.parts`).
 
     From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
     """
-    curves: dict[Path, Curve] = {}
+    curves: dict[Place, Curve] = {}
     for kind, values in right.items():
         for path, chosen in known.parts(kind).items():
             part = np.where(chosen, values, np.nan)
@@ -384,7 +384,7 @@ def count_scenarios(result: dict[str, Any], scenario: IntArray) -> None:
         part["n"] = int((scenario == SCENARIOS.index(name)).sum())
 
 
-def put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:
+def put(result: dict[str, Any], entries: Mapping[Place, Any]) -> None:
     """Put each entry where its path says."""
     for path, value in entries.items():
         place = result
@@ -393,7 +393,7 @@ def put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:
         place[path[-1]] = value
 
 
-def at(metrics: Mapping[str, Any], path: str | Path) -> Any:
+def at(metrics: Mapping[str, Any], path: str | Place) -> Any:
     """Return what is where a path, or its parts joined by dots, says; None: there is nothing."""
     found: Any = metrics
     for name in path.split(".") if isinstance(path, str) else path:
@@ -495,7 +495,7 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     ]
     table = pd.DataFrame(rows, columns=["who", "kind", "part", "right"])
     people = table["who"].unique()
-    found: dict[Path, Any] = {("n_participants",): len(people)}
+    found: dict[Place, Any] = {("n_participants",): len(people)}
     for part in dict.fromkeys(["", *(part for of_kind in parts.values() for part in of_kind)]):
         of_part, path = (table[table["part"] == part], part.split("\0")) if part else (table, [])
         if part:

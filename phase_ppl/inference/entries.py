@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
-from phase_ppl.inference.registry import KernelInfo, described
+from phase_ppl.inference.registry import KernelInfo, info_of
 from phase_ppl.inference.run import Kernel, Run
 from phase_ppl.inference.settings import PRESETS, SimpleSettings, completed
 from phase_ppl.models.model import Model
@@ -108,7 +108,7 @@ def entry_of(
         kernel = str(options.pop("kernel"))
         for name in ("planner", "weights", "iterations"):  # the same for all kernels
             options.pop(name, None)
-    info = described(kernel)
+    info = info_of(kernel)
     own_lengths = ("budget", "iterations") if own_length else ()
     length = {name: options.pop(name) for name in own_lengths if name in options}
     for name in options:

@@ -161,7 +161,7 @@ def kernel_info(name: str) -> KernelInfo:
     return KERNELS[name]
 
 
-def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
+def info_of(kernel: str | Factory | MCMCKernel) -> KernelInfo:
     """Return what is known of a kernel given by name, as a factory or class, or as an instance.
 
     An instance of ours is taken with its options and bound to the event at hand.

@@ -22,7 +22,7 @@ from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
+from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
 from phase_ppl.inference.tables import (
     BottomUpTables,
@@ -100,7 +100,7 @@ class Run:
     def __post_init__(self) -> None:
         check_event(self.event)
         world, model = self.event.scene.world, self.model
-        self.info = described(self.kernel)
+        self.info = info_of(self.kernel)
         if is_stepwise(model.likelihood):
             check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
         self.model = model = model.in_world(world)

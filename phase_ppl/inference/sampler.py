@@ -166,9 +166,9 @@ def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
             raise InvalidSettingError(
                 f"{name}={shown(value)}: a stepwise likelihood simulates nothing"
             )
-    from phase_ppl.inference.stepwise import TableRunner, read_event
+    from phase_ppl.inference.stepwise import TableRunner, filtered_frames
 
-    return TableRunner(read_event(event, model, run.seed, workers, options.progress))
+    return TableRunner(filtered_frames(event, model, run.seed, workers, options.progress))
 
 
 _split: Final = Hosted(

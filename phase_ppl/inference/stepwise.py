@@ -260,10 +260,12 @@ def filter_event(
     """
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
-    return StepwisePosterior(read_event(event, model, seed, threads, progress), prior=model.prior)
+    return StepwisePosterior(
+        filtered_frames(event, model, seed, threads, progress), prior=model.prior
+    )
 
 
-def read_event(
+def filtered_frames(
     event: Event,
     model: Model,
     seed: int = 0,
@@ -313,7 +315,7 @@ class TableRunner:
     observed one, on which every frame is conditioned. Nothing is random, so seeds make no
     difference, and nothing is stopped early.
 
-    ``found`` is what :func:`read_event` returns. Attributes are as of a
+    ``found`` is what :func:`filtered_frames` returns. Attributes are as of a
     :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for ``limit``,
     ``patience`` and ``deadline`` to matter.
     """

@@ -240,13 +240,13 @@ def _read(
 ) -> Table:
     # remembered for the same two objects, so that kernels that are compared share it
     from phase_ppl.analysis.stepwise_table import table_of
-    from phase_ppl.inference.stepwise import read_event
+    from phase_ppl.inference.stepwise import filtered_frames
     from phase_ppl.models.model import Model
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
     event = Event(scene, observation)
-    return table_of(read_event(event, model, threads=threads, progress=progress))
+    return table_of(filtered_frames(event, model, threads=threads, progress=progress))
 
 
 # --- features of motion that speak for goals ------------------------------------------------------

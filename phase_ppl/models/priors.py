@@ -57,7 +57,7 @@ __all__ = [
 
 
 AnyProgram = TypeVar("AnyProgram", bound=Program)
-SOCIAL: Final = 0.1  # probability of a social goal under ``sparse_social``; 2/3 under ``uniform``
+SPARSE_SOCIAL: Final = 0.1  # probability of a social goal; under ``uniform`` it is 2/3
 
 STRENGTH_CORRELATION: Final = 0.8
 """Correlation of the normal scores of the strengths under :func:`correlated_strengths`."""
@@ -104,8 +104,8 @@ def sparse_social() -> None:
     Everything else as in :func:`uniform`.
     """
     sites.goals()
-    one = SOCIAL / (len(ALPHAS) - 1)
-    probs = jnp.array([1 - SOCIAL, *[one] * (len(ALPHAS) - 1)])
+    one = SPARSE_SOCIAL / (len(ALPHAS) - 1)
+    probs = jnp.array([1 - SPARSE_SOCIAL, *[one] * (len(ALPHAS) - 1)])
     numpyro.sample(ALPHA_SITE, dist.Categorical(probs=probs))
     sites.strengths()
 

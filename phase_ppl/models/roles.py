@@ -118,7 +118,7 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
 
 _READY_MADE: Final[dict[Any, RolePrior]] = {
     priors.uniform: uniform,
-    priors.sparse_social: functools.partial(uniform, social=priors.SOCIAL),
+    priors.sparse_social: functools.partial(uniform, social=priors.SPARSE_SOCIAL),
     priors.no_social_goals: functools.partial(uniform, social=0.0),
 }
 """Priors of PHASE -> the same in any world."""

@@ -228,7 +228,7 @@ def simulate_together(
         if batch.shape != expected:
             raise SimulationError(f"the batch has shape {batch.shape}, expected {expected}")
     except (Exception, SystemExit) as error:
-        why = described(error)
+        why = error_text(error)
         results = [
             SimulationResult.failed(hypothesis, seed, n_frames, why)
             for hypothesis, seed in zip(hypotheses, seeds, strict=True)
@@ -254,7 +254,7 @@ def simulate_trajectory(
             return np.array([next(incoming).copy() for _ in range(n_frames)])
     except (Exception, SystemExit) as error:
         raise SimulationError(
-            f"simulation of [{hypothesis}] with seed {seed} failed: {described(error)}"
+            f"simulation of [{hypothesis}] with seed {seed} failed: {error_text(error)}"
         ) from error
 
 
@@ -287,7 +287,7 @@ def _follow(
     except Cancelled:
         raise
     except (Exception, SystemExit) as error:  # a simulator may raise anything
-        failure = described(error)
+        failure = error_text(error)
     completed = done == n_frames and failure is None
     seconds = time.perf_counter() - clock
     return SimulationResult(
@@ -324,7 +324,7 @@ def _checked(
             incoming.close()
 
 
-def described(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """Return in one line class and message of ``error``, and where a user's code raised it."""
     # str() of a user's own exception may itself raise; this one does not
     trace = traceback.TracebackException.from_exception(error, limit=-1, lookup_lines=False)

@@ -36,7 +36,7 @@ from typing import Any, Final, Generic, TypeVar
 import cloudpickle
 import loky
 
-from phase_ppl.simulator.contract import Cancelled, OutOfTime, described, too_long
+from phase_ppl.simulator.contract import Cancelled, OutOfTime, error_text, too_long
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, number_of_workers, shown
 
 Result = TypeVar("Result")
@@ -115,7 +115,7 @@ def _do_in_worker(
             try:
                 thing = pickle.loads(packed)
             except Exception as error:
-                raise CannotLoad(described(error)) from None
+                raise CannotLoad(error_text(error)) from None
             if token not in _packed:
                 _warm_up_in_turn(thing)
             if len(_loaded) >= _LOADED_AT_MOST:  # workers of other people live long
@@ -160,7 +160,7 @@ def pool_for(
         packed = cloudpickle.dumps(thing)
     except Exception as error:
         raise InvalidSettingError(
-            f"{what} cannot be sent to worker processes ({described(error)}); workers=1 needs none"
+            f"{what} cannot be sent to worker processes ({error_text(error)}); workers=1 needs none"
         ) from error
     token = f"{os.getpid()}-{secrets.token_hex(8)}"
     if executor is not None:
@@ -464,7 +464,7 @@ class Dispatch(Generic[Job]):
         elif isinstance(error, BrokenExecutor):
             why, error = f"its worker process died, in {task.losses} of {task.losses} runs", None
         else:
-            why = described(error)
+            why = error_text(error)
         return self.failed(task.job, why, error)
 
     def _check_cancelled(self) -> None:
@@ -547,7 +547,7 @@ def _attempt(thing: Any, function: Callable[[Any, Any], Any], job: Any) -> Any:
     try:
         return function(thing, job)
     except (Exception, SystemExit) as error:
-        return Failure(described(error), error)
+        return Failure(error_text(error), error)
 
 
 def _warm_up(thing: Any) -> None:

@@ -34,16 +34,18 @@ class Predicate(enum.IntEnum):
     ATTACH = 2
     """ATTACH(agent, item): the item is welded to the agent."""
     CLOSE = 3
-    """CLOSE(agent | item, place): in a room, or in a door: the number of rooms and its own."""
+    """CLOSE(agent | item, place): in a room, whose number is the target, or in a door, whose own
+    number comes after those of the rooms."""
     STOP = 4
     OWN = 5
     """A goal's literal only, OWN(entity, number): a predicate of the world's own."""
 
 
 class Literal(NamedTuple):
-    """A predicate or its negation over entity ``subject`` and entity or landmark ``target``.
+    """A predicate or its negation over the entity ``subject``; ``World.words`` has it in names.
 
-    ``World.words`` has it in names.
+    ``target`` is the number of an entity, a landmark, a place or a predicate of the world's own, as
+    the predicate says.
     """
 
     predicate: Predicate

@@ -119,7 +119,7 @@ def test_a_hand_that_closed_on_nothing_refutes_what_was_believed_in_its_reach() 
         agent.beliefs.bodies[:, BLUE] = 0.0
         agent.beliefs.bodies[:, BLUE, :2] = behind
         assert all(reach())
-        agent.done(action)
+        agent.acted(action)
         perceive(agent, HIDDEN)
         assert all(reach()) if stays else not any(reach())
 

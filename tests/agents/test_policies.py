@@ -26,7 +26,7 @@ def watched(agent: int, held: int = -1, pairs: list[tuple[int, int]] | None = No
     found = Policies(agent, MODEL, CONFIG, seed=3, goals=pairs)
     bodies, holds, weld = state_of(WHERE)
     found.observe(bodies, holds, weld)
-    found.done(Action.ATTACH)
+    found.acted(Action.ATTACH)
     if held >= 0:
         holds[agent], weld[agent] = held, (1.6, 0.0, 0.0)
     found.observe(bodies, holds, weld)

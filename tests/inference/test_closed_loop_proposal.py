@@ -98,14 +98,14 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("phase_ppl.inference.stepwise.read_event", interrupted)
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", interrupted)
     with pytest.raises(ppl.Interrupted) as stopped:
         ppl.infer(unread(4), kernel="local_mh", chains=2, workers=1, progress=False)
     assert stopped.value.posterior is None
 
 
 def test_what_is_wrong_is_refused_before_the_video_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.inference.stepwise.read_event", never_called)
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", never_called)
     for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
         with pytest.raises(ppl.PhasePPLError, match=r"too small|papr|burn_in=7"):
             ppl.infer(unread(5), kernel="local_mh", chains=2, workers=1, progress=False, **wrong)

@@ -62,7 +62,7 @@ def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Itera
     for poses, rates, items in zip(frames, moved, held, strict=True):
         state = State(poses, rates[:, :2], rates[:, 2], items, np.zeros((len(AGENTS), 3)))
         perception.observe(*from_state(state, scene.radius))
-        perception.done(Action.NO_FORCE)
+        perception.acted(Action.NO_FORCE)
         found = perception.beliefs
         poses_of_all = [
             to_state(*one, scene.radius).pose

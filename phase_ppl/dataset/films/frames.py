@@ -102,7 +102,7 @@ class Film:
         self.fps = float(rate[1]) if rate else 0.0
 
 
-class Mapping:
+class View:
     """Where a film shows a scene's arena, and its frames as the painter would draw them.
 
     The arena's border, black lines all around, is looked for in what is black in every sample;

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from phase_ppl.dataset.films.bodies import REACH, SEEN, Bodies
-from phase_ppl.dataset.films.frames import Colours, Film, Mapping, Still
+from phase_ppl.dataset.films.frames import Colours, Film, Still, View
 from phase_ppl.dataset.motion import observed_turning
 from phase_ppl.render.frames import BACKGROUND, Painter, Pixels, panel, side_by_side, write_centred
 from phase_ppl.world import worlds
@@ -163,8 +163,8 @@ def read_video(
     colours = Colours(given.world)
     film = Film(path)
     moments = _moments(film, frames_per_step, start)
-    mapping = Mapping(film, given)
-    samples = [mapping(frame) for frame in film.samples]
+    view = View(film, given)
+    samples = [view(frame) for frame in film.samples]
     still = Still(samples, colours, Painter(given))
     if scene is None:
         centres, halves = still.landmarks()
@@ -176,9 +176,9 @@ def read_video(
         )
     else:
         still.check(scene)
-    bodies = Bodies(Painter(given), still, colours, softness=1 / mapping.scale)
+    bodies = Bodies(Painter(given), still, colours, softness=1 / view.scale)
     radius = given.radius if scene is not None else _sizes(bodies, samples, colours)
-    found, pictures = _follow(film, mapping, bodies, radius, moments, progress)
+    found, pictures = _follow(film, view, bodies, radius, moments, progress)
     known = given.start if scene is not None else None
     given = dataclasses.replace(given, radius=radius)
     track, confidence = _closed(found, given, moments / (film.fps or math.nan), max_gap, known)
@@ -265,7 +265,7 @@ def _sizes(bodies: Bodies, samples: Sequence[Pixels], colours: Colours) -> Float
 
 def _follow(
     film: Film,
-    mapping: Mapping,
+    view: View,
     bodies: Bodies,
     radius: FloatArray,
     moments: FloatArray,
@@ -282,7 +282,7 @@ def _follow(
     before: FloatArray | None = None
     frames = counted(film.frames(wanted), progress, "frame", film.path.name, len(wanted))
     for number, frame in frames:
-        picture = mapping(frame)
+        picture = view(frame)
         if number in kept:
             pictures[kept[number]] = Image.fromarray(picture)
         poses[number] = found = bodies.find(picture, before, radius)

@@ -81,10 +81,10 @@ class Simple:
 def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
     """Return what SIMPLE takes beside its own options, by ``kernel``; None: anything it does."""
     from phase_ppl.inference.infer import infer
-    from phase_ppl.inference.registry import described
+    from phase_ppl.inference.registry import info_of
     from phase_ppl.inference.settings import SETTINGS
 
-    of_kernel = described(given.get("kernel") or _KERNEL).options
+    of_kernel = info_of(given.get("kernel") or _KERNEL).options
     if of_kernel is None:
         return None
     of_infer = [name for name in _options_of(infer) if name not in _NOT_OPTIONS]
@@ -120,7 +120,7 @@ def simple(
             by name, such as ``proposal="paper"``.
     """
     from phase_ppl.analysis.weights import WEIGHTINGS
-    from phase_ppl.inference.registry import described
+    from phase_ppl.inference.registry import info_of
     from phase_ppl.inference.settings import completed
     from phase_ppl.models.model import Model
 
@@ -137,7 +137,7 @@ def simple(
     known = _of_simple(options)
     for name in options:
         if known is not None and name not in known:
-            kernel = described(options.get("kernel") or _KERNEL).name
+            kernel = info_of(options.get("kernel") or _KERNEL).name
             what = f"option of model 'simple' with kernel {kernel!r}:"
             raise unknown_name(what, name, [*_options_of(simple), *known])
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
