@@ -30,11 +30,11 @@ def probabilities(event: Event, form: Form) -> np.ndarray:
     truth = common.true_hypothesis(event).effective_goals
     tables = bottom_up_tables(event.scene, event.observation, SimpleSettings(proposal=form))
     logits = np.asarray(tables.goal_logits)
-    if tables.alpha_logits is None:
+    if tables.way_logits is None:
         logits = np.repeat(logits[:, None], len(ALPHAS), axis=1)
         alpha = np.tile(ALPHA_PROBABILITIES, (len(logits), 1))
     else:
-        alpha = np.array(ALPHA_PROBABILITIES) * np.exp(np.asarray(tables.alpha_logits))
+        alpha = np.array(ALPHA_PROBABILITIES) * np.exp(np.asarray(tables.way_logits))
     alpha /= alpha.sum(axis=1, keepdims=True)
     goal = np.exp(logits - logits.max(axis=-1, keepdims=True))
     goal /= goal.sum(axis=-1, keepdims=True)

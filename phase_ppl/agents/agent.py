@@ -116,7 +116,7 @@ class Policies(Perception):
         self._seed = None if isinstance(seed, np.random.Generator) else seed
         generator = np.random.default_rng(seed if self._seed is None else [self._seed, agent])
         super().__init__(agent, model, config, generator)
-        self._search = pomcp.Search.of(config)
+        self._search = pomcp.SearchSettings.of(config)
         world = model.scene.world
         self._counts = len(world.entities), len(world.agents)
         if goals is None:

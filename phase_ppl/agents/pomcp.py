@@ -161,7 +161,7 @@ _STREAMS: Final = 2**52
 _STREAM_STEP = np.uint64(0xD1342543DE82EF95)
 
 
-class Search(NamedTuple):
+class SearchSettings(NamedTuple):
     """Settings of one search, as compiled code wants them (see ``PlannerConfig``)."""
 
     simulations: int
@@ -173,7 +173,7 @@ class Search(NamedTuple):
     paired: bool
 
     @classmethod
-    def of(cls, config: PlannerConfig) -> Search:
+    def of(cls, config: PlannerConfig) -> SearchSettings:
         """Return those of a planner."""
         return cls(*(getattr(config, name) for name in cls._fields))
 
@@ -215,7 +215,10 @@ _MOST_KEPT: Final = 200_000  # steps; beyond, playouts are imagined for each sea
 
 
 def make_playouts(
-    search: Search, n_searches: int = 1, n_bodies: int = len(ENTITIES), n_agents: int = len(AGENTS)
+    search: SearchSettings,
+    n_searches: int = 1,
+    n_bodies: int = len(ENTITIES),
+    n_agents: int = len(AGENTS),
 ) -> Playouts:
     """Return room for the playouts of some searches, which share them if they are paired."""
     longest = search.simulations + 2 + search.rollout_length
@@ -257,7 +260,9 @@ def make_tree(
 
 
 @bare_kernel
-def _select(tree: Tree, node: int, n_actions: int, search: Search, rng: NDArray[np.uint64]) -> int:
+def _select(
+    tree: Tree, node: int, n_actions: int, search: SearchSettings, rng: NDArray[np.uint64]
+) -> int:
     """Return the column with the highest Q + U; unvisited ones first, ties at random.
 
     U = (ln((1 + N + c_base) / c_base) + c_init) p sqrt(N) / (1 + n), p = 1 / actions.
@@ -329,7 +334,7 @@ def _load_particle(
 
 @bare_kernel
 def _descend(
-    tree: Tree, first: int, n_actions: int, search: Search, stream: NDArray[np.uint64]
+    tree: Tree, first: int, n_actions: int, search: SearchSettings, stream: NDArray[np.uint64]
 ) -> int:
     """Walk down the tree to a new node; return its depth. No state is needed for that."""
     node, depth, column = 0, 0, first
@@ -371,7 +376,7 @@ def _play(
     depth: int,
     agent: int,
     actions: IntArray,
-    search: Search,
+    search: SearchSettings,
     params: Params,
     scratch: Scratch,
     rng: NDArray[np.uint64],
@@ -403,7 +408,7 @@ def _value(
     start: int,
     depth: int,
     subgoal: IntArray,
-    search: Search,
+    search: SearchSettings,
     params: Params,
     layout: Layout,
 ) -> float:
@@ -433,7 +438,7 @@ def run(
     agent: int,
     subgoal: IntArray,
     actions: IntArray,
-    search: Search,
+    search: SearchSettings,
     params: Params,
     layout: Layout,
     scratch: Scratch,

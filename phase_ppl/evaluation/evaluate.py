@@ -180,7 +180,10 @@ def evaluate(
         )
         outcomes = _outcomes(asked, left, settings, folder is not None, slots, executor)
         try:
-            with Progress(left, len(done), slots, progress) as bar, contextlib.closing(outcomes):
+            with (
+                EventProgress(left, len(done), slots, progress) as bar,
+                contextlib.closing(outcomes),
+            ):
                 for note in notes:
                     bar.say(note)
                 for event_id, outcome in outcomes:
@@ -331,7 +334,7 @@ def _contents(answer: Answer) -> dict[str, bytes]:
 # --- how far it is --------------------------------------------------------------------------------
 
 
-class Progress(Bar):
+class EventProgress(Bar):
     """A bar on stderr that counts events, of which so many were done before.
 
     Long events come first and take longer, so the time left rests on the seconds per frame.

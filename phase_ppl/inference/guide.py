@@ -39,10 +39,10 @@ NEVER = -80.0
 """Log probability below which a goal is taken to have no prior mass; NumPyro's categorical
 distribution gives a probability of 0 a log of -87."""
 
-_NEVER_ALPHA: Final = 1e-30
+_NEVER_WAY: Final = 1e-30
 _PRIORS_KEPT: Final = 16
 _PRIOR_DRAWS: Final = 32
-"""Over which a prior of alpha that depends on a user's own sites is averaged."""
+"""Over which a prior of ways that depends on a user's own sites is averaged."""
 
 
 def bottom_up_guide(
@@ -64,29 +64,30 @@ def bottom_up_guide(
 def _local_program(
     prior: Program, sites: Mapping[str, tuple[int, ...]], tables: BottomUpTables
 ) -> Program:
-    order, space, prior_of_alpha = list(sites), space_of_prior(prior), None
+    order, space, prior_of_way = list(sites), space_of_prior(prior), None
     way_site = space.company_site
-    if tables.alpha_logits is not None and any(
+    if tables.way_logits is not None and any(
         order.index(goal) < order.index(way_site) for goal in space.goal_sites
     ):
-        prior_of_alpha = _prior_of_alpha(prior)
+        prior_of_way = _prior_of_way(prior)
 
     def local(window: jax.Array) -> None:
-        logits, strength, strength_sd = (
-            jnp.asarray(table, jnp.float32)[window] for table in tables[:3]
-        )
-        alpha = tables.alpha_logits
-        social = None if alpha is None else jnp.asarray(alpha, jnp.float32)[window]
+        def here(table: FloatArray | jax.Array) -> jax.Array:
+            return jnp.asarray(table, jnp.float32)[window]
+
+        logits, strength = here(tables.goal_logits), here(tables.strength)
+        strength_sd = here(tables.strength_sd)
+        of_way = None if tables.way_logits is None else here(tables.way_logits)
         known = ~jnp.isnan(strength)
         estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
         sd = jnp.where(known, strength_sd, 1.0)
         replace: dict[str, Replace] = {}
         given: dict[str, jax.Array] = {}
-        if prior_of_alpha is not None and social is not None:
-            both = dist.Categorical(logits=prior_of_alpha + social)
+        if prior_of_way is not None and of_way is not None:
+            both = dist.Categorical(logits=prior_of_way + of_way)
             given[way_site] = numpyro.sample(way_site, both)
-        elif social is not None:
-            replace[way_site] = functools.partial(_alpha_distribution, social)
+        elif of_way is not None:
+            replace[way_site] = functools.partial(_way_distribution, of_way)
         for agent, name in enumerate(space.goal_sites):
             of_agent = logits[..., agent, :]
             replace[name] = functools.partial(_goal_distribution, way_site, of_agent)
@@ -106,8 +107,8 @@ def _local_program(
 
 
 @remembered(_PRIORS_KEPT)
-def _prior_of_alpha(prior: Program) -> FloatArray:
-    """Return (alpha,) the log prior, with whatever it depends on averaged out."""
+def _prior_of_way(prior: Program) -> FloatArray:
+    """Return (way,) the log prior, with whatever it depends on averaged out."""
     space = space_of_prior(prior)
 
     def probabilities(key: jax.Array) -> jax.Array:
@@ -117,15 +118,15 @@ def _prior_of_alpha(prior: Program) -> FloatArray:
     def averaged() -> jax.Array:
         keys = random.split(random.key(0), _PRIOR_DRAWS)
         mean = jax.vmap(probabilities)(keys).mean(axis=0)
-        return jnp.log(jnp.maximum(mean, _NEVER_ALPHA))
+        return jnp.log(jnp.maximum(mean, _NEVER_WAY))
 
     return np.asarray(Hosted(averaged)())
 
 
-def _alpha_distribution(
+def _way_distribution(
     logits: jax.Array, prior: dist.Distribution, values: Mapping[str, jax.Array]
 ) -> dist.Distribution:
-    """Return the window's distribution of alpha, times the prior given the sites before it."""
+    """Return the window's distribution of the way, times the prior given the sites before it."""
     return dist.Categorical(logits=prior.log_prob(jnp.arange(len(logits))) + logits)
 
 
@@ -134,7 +135,7 @@ def _goal_distribution(
 ) -> dist.Distribution:
     """Return the window's distribution of a goal, on goals that have prior mass.
 
-    Logits are (goal,), or (alpha, goal) where it depends on alpha, which is at ``way_site`` of the
+    Logits are (goal,), or (way, goal) where it depends on the way, which is at ``way_site`` of the
     ``values`` of the sites before.
     """
     if logits.ndim == 2:

@@ -73,7 +73,7 @@ class BottomUpTables(NamedTuple):
     # (window + 1, agent) its standard deviation, newtons; NaN likewise
     strength_sd: FloatArray | jax.Array
     # (window + 1, way) beside the prior's; None: as in the prior
-    alpha_logits: FloatArray | jax.Array | None = None
+    way_logits: FloatArray | jax.Array | None = None
 
 
 def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:

@@ -15,7 +15,7 @@ import numpy as np
 from phase_ppl.agents import pomcp
 from phase_ppl.agents.agent import Agent, Intent, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.pomcp import Search
+from phase_ppl.agents.pomcp import SearchSettings
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action
@@ -48,7 +48,7 @@ class SlowSearch:
         self,
         model: WorldModel,
         strengths: tuple[float, float],
-        search: Search,
+        search: SearchSettings,
         inner_steps: int,
         generator: np.random.Generator,
     ) -> None:
@@ -125,7 +125,7 @@ class OracleAgent(Agent):
         assert not config.paired, "the search pairs nothing"
         super().__init__(agent, goals, model, config, generator)
         self.slow_search = SlowSearch(
-            model, strengths, Search.of(config), config.inner_steps, generator.spawn(1)[0]
+            model, strengths, SearchSettings.of(config), config.inner_steps, generator.spawn(1)[0]
         )
 
     def _search_actions(self, intents: Sequence[Intent], actions: IntArray) -> list[RootStatistics]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
-from phase_ppl.closed_loop.goal_filter import Conduct, Looked, frame_log_likelihood
+from phase_ppl.closed_loop.goal_filter import Conduct, Plans, frame_log_likelihood
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.world.goals import N_GOALS
 
@@ -23,18 +23,18 @@ def root(rng: np.random.Generator) -> RootStatistics:
     return RootStatistics(actions, visits, np.zeros(4), Action(int(actions[visits.argmax()])))
 
 
-def looked(rng: np.random.Generator) -> list[Looked]:
+def plans(rng: np.random.Generator) -> list[Plans]:
     """Return plans of both agents that are the same for all goals but RED and GREEN."""
     found = []
     for agent in range(2):
         of_pair = np.zeros((N_GOALS, N_GOALS), np.int64)
         (of_pair if agent == 0 else of_pair.T)[(RED, GREEN)[agent]] = 1
         of_pair[0] = -1  # names its own holder
-        found.append(Looked([root(rng), root(rng)], of_pair.ravel()))
+        found.append(Plans([root(rng), root(rng)], of_pair.ravel()))
     return found
 
 
-def by_hand(all_sets: list[list[Looked]], relative: NDArray[np.float64], sets: list[int]) -> float:
+def by_hand(all_sets: list[list[Plans]], relative: NDArray[np.float64], sets: list[int]) -> float:
     """Return the log likelihood of RED, GREEN as a sum over all pairs of actions."""
     red, green = (
         np.mean([CONDUCT.policy(all_sets[i][agent].roots[1]) for i in sets], axis=0)
@@ -43,10 +43,10 @@ def by_hand(all_sets: list[list[Looked]], relative: NDArray[np.float64], sets: l
     return float(np.log((np.multiply.outer(red, green) * relative).sum()))
 
 
-def drawn(n: int) -> tuple[list[list[Looked]], NDArray[np.float64]]:
+def drawn(n: int) -> tuple[list[list[Plans]], NDArray[np.float64]]:
     """Return plans of so many sets, and densities after every pair of actions."""
     rng = np.random.default_rng(n)
-    return [looked(rng) for _ in range(n)], rng.random((N_ACTIONS, N_ACTIONS))
+    return [plans(rng) for _ in range(n)], rng.random((N_ACTIONS, N_ACTIONS))
 
 
 def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:

@@ -56,7 +56,7 @@ def prior_of_ways(world: World) -> Any:
 
 def proposed_ways(world: World, stretch: int) -> Any:
     """(way,) probabilities that are proposed."""
-    logits = np.asarray(tables_of(world).alpha_logits)[stretch]
+    logits = np.asarray(tables_of(world).way_logits)[stretch]
     return softmax(np.log(prior_of_ways(world)) + logits)
 
 

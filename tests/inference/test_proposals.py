@@ -187,7 +187,7 @@ def test_sites_of_the_users_own_come_from_the_prior_and_decide_about_helping() -
     z = proposed(helpful_moods)
     assert z["mood"].mean() == pytest.approx(0.3, abs=0.03)
     for mood, prior in enumerate((CALM, HELPFUL)):
-        seen = prior * np.exp(np.asarray(tables().alpha_logits)[WINDOW])
+        seen = prior * np.exp(np.asarray(tables().way_logits)[WINDOW])
         expected = 0.9 * seen / seen.sum() + 0.1 * prior
         share = np.bincount(z["alpha"][z["mood"] == mood], minlength=5) / (z["mood"] == mood).sum()
         np.testing.assert_allclose(share, expected, atol=0.03)

@@ -19,7 +19,7 @@ from phase_ppl.inference.kernels.metropolis import (
     ProposalKernel,
     SiteMove,
     chosen,
-    log_known,
+    log_ratio_known,
 )
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
@@ -209,7 +209,7 @@ class MixtureMH(LocalMH):
         one_moved, log_hastings = self.one_site_moved(key_site, state.z)
         sites = chosen(local, sites, one_moved)
         move = self.local_move(window, sites, state)
-        of_single = log_known(move.log_prior, log_hastings, state)
+        of_single = log_ratio_known(move.log_prior, log_hastings, state)
         after = move.log_after
         move = move._replace(
             log_known=jnp.where(local, move.log_known, of_single),

@@ -274,7 +274,9 @@ def _redrawn(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, jax.Ar
     return new, jnp.sum(prior.log_prob(value)) - jnp.sum(prior.log_prob(new))
 
 
-def log_known(log_prior: jax.Array, log_hastings: jax.Array | float, state: MHState) -> jax.Array:
+def log_ratio_known(
+    log_prior: jax.Array, log_hastings: jax.Array | float, state: MHState
+) -> jax.Array:
     """Return the log acceptance ratio without the likelihoods."""
     known = log_prior - state.log_prior + log_hastings
     # from a start without mass, whatever completes is accepted
@@ -360,7 +362,7 @@ class MetropolisKernel(ParticleKernel):
         ``log_hastings`` is log q(z | z') - log q(z' | z).
         """
         log_prior = self.program.log_prior(sites)
-        known = log_known(log_prior, log_hastings, state)
+        known = log_ratio_known(log_prior, log_hastings, state)
         log_proposal = log_prior if from_prior else np.nan
         return Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
 
