@@ -20,7 +20,7 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.tables import true_answers
+from phase_ppl.evaluation.arrays import true_answers
 from phase_ppl.world.event import Event
 
 KINDS = ("goals", "relation", "all", "verdict")

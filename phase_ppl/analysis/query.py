@@ -92,10 +92,10 @@ class Junction(NamedTuple):
     """Events of which all hold, or any, or one that does not."""
 
     kind: Literal["and", "or", "not"]
-    parts: tuple[Event, ...]
+    parts: tuple[Statement, ...]
 
 
-Event: TypeAlias = Condition | Junction
+Statement: TypeAlias = Condition | Junction
 
 
 class Query(NamedTuple):
@@ -108,8 +108,8 @@ class Query(NamedTuple):
     question: str
     number: float | None
     names: tuple[Word, ...]
-    event: tuple[Event, ...]
-    given: tuple[Event, ...]
+    event: tuple[Statement, ...]
+    given: tuple[Statement, ...]
     given_at: int
 
 
@@ -172,7 +172,7 @@ class _Reader:
         question = self._question()
         number = self._share_or_count(question)
         closing = next((_CLOSING[sign] for sign in _CLOSING if self._take(sign)), None)
-        event: tuple[Event, ...] = ()
+        event: tuple[Statement, ...] = ()
         if question == "P":
             names, event = self._names_or_event()
         elif question == "H":
@@ -212,13 +212,13 @@ class _Reader:
             self._expected("a share in (0, 1] or percent, as in hdi 94% strength_red", start)
         return number
 
-    def event_alone(self) -> tuple[Event, ...]:
+    def event_alone(self) -> tuple[Statement, ...]:
         found = self._listed(self._either)
         if self._skip() < len(self._text):
             self._expected("',', 'and', 'or' or the end")
         return found
 
-    def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Event, ...]]:
+    def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Statement, ...]]:
         start = self._skip()
         is_event = self._word("not") or self._take("(")
         if not is_event:
@@ -232,16 +232,16 @@ class _Reader:
             self._expected("names only or conditions only; what is given comes after '|'")
         return names, ()
 
-    def _either(self) -> Event:
+    def _either(self) -> Statement:
         return self._joined("or", lambda: self._joined("and", self._single))
 
-    def _joined(self, kind: Literal["and", "or"], one: Callable[[], Event]) -> Event:
+    def _joined(self, kind: Literal["and", "or"], one: Callable[[], Statement]) -> Statement:
         found = [one()]
         while self._word(kind):
             found.append(one())
         return found[0] if len(found) == 1 else Junction(kind, tuple(found))
 
-    def _single(self) -> Event:
+    def _single(self) -> Statement:
         start = self._skip()
         negated = self._word("not")
         if not negated and not self._take("("):
@@ -250,7 +250,7 @@ class _Reader:
         if self._depth > _DEEPEST:
             self._expected(f"at most {_DEEPEST} brackets and 'not' within each other", start)
         if negated:
-            found: Event = Junction("not", (self._single(),))
+            found: Statement = Junction("not", (self._single(),))
         else:
             parts = self._listed(self._either)
             self._expect(")", "',' or ')'")
@@ -421,7 +421,7 @@ class _Reader:
         if text in [word.text for word in before]:
             self._fail(f"{text} is named twice: expected different quantities", at)
 
-    def meaning(self, events: Sequence[Event]) -> Conditions:
+    def meaning(self, events: Sequence[Statement]) -> Conditions:
         """Return what is said of hypotheses; QueryError if nothing can fulfil it."""
         clauses: list[Clause] = []
         said: dict[str, list[Condition]] = {}
@@ -447,7 +447,7 @@ class _Reader:
         fulfilled = [self._simple(one)(values) for one in said]
         return bool(np.logical_and.reduce(fulfilled).any())
 
-    def _clause(self, event: Event) -> Clause:
+    def _clause(self, event: Statement) -> Clause:
         if isinstance(event, Junction):
             parts = [self._clause(part).holds for part in event.parts]
             if event.kind == "not":
@@ -510,7 +510,7 @@ class _Reader:
         return lambda values: _COMPARED[sign](quantity.numbers(values), ends[0])
 
 
-def _all_of(events: Sequence[Event]) -> Iterator[Event]:
+def _all_of(events: Sequence[Statement]) -> Iterator[Statement]:
     """Yield what is joined by "and" one by one."""
     for event in events:
         if isinstance(event, Junction) and event.kind == "and":

@@ -137,30 +137,30 @@ def options_of(
 
     taken = inspect.signature(phase_ppl.evaluate).parameters
     shared = dict(plain)
-    own: dict[str, dict[str, Any]] = {label: {} for label in models}
+    of_one: dict[str, dict[str, Any]] = {label: {} for label in models}
     for text, value in named:
         label, dot, name = text.rpartition(".")
         if dot:
             check_name(f"model in --option {text}:", label, models)
-        place = own[label] if dot else shared
+        place = of_one[label] if dot else shared
         if name in place or name in taken:
             why = "given twice" if name in place else "no option of a model"
             raise InvalidSettingError(f"--option {text}: {why}")
         place[name] = value
     if len(models) == 1:
-        return {label: {**shared, **given} for label, given in own.items()}
+        return {label: {**shared, **given} for label, given in of_one.items()}
     found: dict[str, dict[str, Any]] = {label: {} for label in models}
     for name, value in shared.items():
         takers = [
             label
             for label, model in models.items()
-            if model_info(model).takes(name, {**shared, **own[label]})
+            if model_info(model).takes(name, {**shared, **of_one[label]})
         ]
         if not takers:
             raise InvalidSettingError(f"{name}: none of the models {', '.join(models)} takes it")
         for label in takers:
             found[label][name] = value
-    return {label: {**found[label], **given} for label, given in own.items()}
+    return {label: {**found[label], **given} for label, given in of_one.items()}
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -169,7 +169,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     from phase_ppl.evaluation.judgments import all_events
 
     models = models_of(options.model)
-    several = len(models) > 1 or list(models) != list(models.values())
+    labelled = len(models) > 1 or list(models) != list(models.values())  # each has a folder
     if options.resume and options.out is None:
         raise InvalidSettingError("--resume needs --out, the folder to go on in")
     plain = cli.given(options, *_SHORT_FOR)
@@ -177,19 +177,22 @@ def _evaluate(options: argparse.Namespace) -> int:
         plain[name] = own.taken(plain[name], name, named=name != "simulator")
     of_models = options_of(models, plain, options.option)
     events = all_events(options.events, options.split)
-    (_check_several if several else _check_one)(options, events, models, of_models)
+    if labelled:
+        _check_several(options, events, models, of_models)
+    else:
+        _check_one(options, events)
     if options.out is not None:
         writable_folder(options.out)
 
     code = 0
     found: dict[str, Evaluation] = {}
     for label, model in models.items():
-        named = f"{label}: " if several else ""
-        out = options.out / label if several and options.out is not None else options.out
+        named = f"{label}: " if labelled else ""
+        out = options.out / label if labelled and options.out is not None else options.out
         evaluation = _evaluation(options, events, model, out, of_models[label], named)
         if evaluation is None:
             return cli.INTERRUPTED
-        if several:
+        if labelled:
             for event, failure in evaluation.failures.items():
                 print(f"{label}: failed: {event}: {failure}", file=sys.stderr)
         else:
@@ -203,7 +206,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         if problems or evaluation.failures:
             code = cli.FAILED
         found[label] = evaluation
-    if not several:
+    if not labelled:
         (alone,) = found.values()
         _end_of_one(alone, options)
         return code
@@ -240,9 +243,7 @@ def _evaluation(
         raise type(error)(f"{named}{error}{hint}") from None
 
 
-def _check_one(
-    options: argparse.Namespace, events: Sequence[Event], *_: Mapping[str, object]
-) -> None:
+def _check_one(options: argparse.Namespace, events: Sequence[Event]) -> None:
     """Find out what is wrong with ``--against`` before the model is asked."""
     from phase_ppl.evaluation.evaluation import opponent
 
@@ -259,8 +260,8 @@ def _check_several(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Find out what is wrong before the first model is asked."""
-    from phase_ppl.evaluation.answer_sets import stored_label
-    from phase_ppl.evaluation.comparison import check_names, stored_names
+    from phase_ppl.evaluation.answer_sets import reference_label
+    from phase_ppl.evaluation.comparison import check_names, named_among
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.evaluation import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.prediction import reference_predictions
@@ -273,8 +274,8 @@ def _check_several(
         if options.resume and holds_predictions(options.out / label):
             settings = settings_of(asked, options.seed or 0, chosen, options.shard)
             ResultsFolder.open(options.out / label).check_same(settings)
-    references = stored_names(named_references(options.stored), reference_predictions(chosen))
-    known = [*models, *(stored_label(name, models) for name in references)]
+    references = named_among(named_references(options.stored), reference_predictions(chosen))
+    known = [*models, *(reference_label(name, models) for name in references)]
     if options.against is not None:
         check_name("model to compare with", options.against, known)
     if options.out is None:

@@ -69,7 +69,7 @@ class AnswerSet:
 def answer_sets(
     events: Sequence[Event],
     models: Mapping[str, Mapping[str, Prediction]],
-    stored: Collection[str],
+    references: Collection[str],
     metrics: Mapping[str, Mapping[str, Any]],
 ) -> list[AnswerSet]:
     """Return people's answers and those of models, in order; whoever has none is left out.
@@ -77,7 +77,7 @@ def answer_sets(
     Args:
         events: that may carry people's judgments.
         models: name -> event id -> answers.
-        stored: those models whose answers the events carry.
+        references: those models whose answers the events carry.
         metrics: of people and models by name, where they are asked for.
     """
     labels = [label_of(name) for name in models]
@@ -85,7 +85,7 @@ def answer_sets(
     people = peoples_answers(events)
     found = [AnswerSet(PEOPLE, PEOPLE, PEOPLE, PEOPLE_COLOUR, people, metrics.get(PEOPLE, {}))]
     for name, label in zip(models, labels, strict=True):
-        kind = "reference" if name in stored else "model"
+        kind = "reference" if name in references else "model"
         unlike = label if labels.count(label) == 1 else name
         colour = COLOURS.get(name) or next(colours)
         found.append(AnswerSet(name, kind, unlike, colour, models[name], metrics.get(name, {})))
@@ -103,7 +103,7 @@ def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
     return found
 
 
-def stored_label(name: str, models: Collection[str]) -> str:
+def reference_label(name: str, models: Collection[str]) -> str:
     """Return how a model whose answers the events carry is called beside other models."""
     return f"{name} (stored)" if name in models or name == PEOPLE else name
 

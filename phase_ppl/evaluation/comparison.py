@@ -14,7 +14,8 @@ import numpy as np
 from phase_ppl.dataset.documents import check_schema, of_kind, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
-from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, stored_label
+from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
+from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.bootstrap import resampled
 from phase_ppl.evaluation.cells import (
     INTERVALS,
@@ -30,7 +31,6 @@ from phase_ppl.evaluation.differences import LEAST_EVENTS
 from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evaluation, evaluation_of
 from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_curve
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -70,7 +70,7 @@ class Entry:
     """A model that is compared."""
 
     name: str  # as the comparison calls it, different for all
-    kind: str  # "model", of an evaluation; or "stored", whose answers the events carry
+    kind: str  # "model", of an evaluation; or "reference", whose answers the events carry
     predictions: Mapping[str, Prediction]  # event id -> answers, of the events compared
     # of the evaluation, as in its settings.json but for the events
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -162,8 +162,8 @@ class ModelComparison(Printed):
         return self._answers({**self.metrics, PEOPLE: self.people})
 
     def _answers(self, metrics: Mapping[str, Mapping[str, Any]]) -> list[AnswerSet]:
-        stored = [one.name for one in self.entries if one.kind != "model"]
-        return answer_sets(self.events, self._predictions, stored, metrics)
+        references = [one.name for one in self.entries if one.kind != "model"]
+        return answer_sets(self.events, self._predictions, references, metrics)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -459,13 +459,13 @@ def entries(
         for name, one in found.items()
     ]
     references = reference_predictions(events)
-    for name in stored_names(stored, references):
-        made.append(Entry(stored_label(name, found), "stored", references[name]))
+    for name in named_among(stored, references):
+        made.append(Entry(reference_label(name, found), "reference", references[name]))
     return made
 
 
-def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
-    """Return the names of the models, whose answers the events carry, that are wanted."""
+def named_among(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
+    """Return the names of the reference models that are wanted."""
     known = list(references)
     if isinstance(stored, str):
         stored = known if stored == ALL else [stored]

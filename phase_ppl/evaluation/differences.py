@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr
 
-from phase_ppl.evaluation import tables
+from phase_ppl.evaluation import arrays
 from phase_ppl.evaluation.bootstrap import (
     LEVEL,
     difference,
@@ -111,12 +111,12 @@ def equivalence(
     """
     rows: list[Row] = []
     for model, predictions in models.items():
-        chosen = tables.predicted(events, predictions)
-        known = tables.facts(chosen)
-        said = tables.said(known, predictions)
+        chosen = arrays.predicted(events, predictions)
+        known = arrays.facts(chosen)
+        said = arrays.said(known, predictions)
         weights = resampled(len(chosen), seed, resamples)
         for kind in known.people:
-            more = said.right[kind] - tables.at_truth(known.people[kind], known.truth[kind])
+            more = said.right[kind] - arrays.at_truth(known.people[kind], known.truth[kind])
             for path, chosen_rows in known.parts(kind).items():
                 scenario = path[-1] if path else None
                 part = np.where(chosen_rows, more, np.nan)

@@ -38,6 +38,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from phase_ppl.evaluation.arrays import Facts, Said, facts, predicted, said
 from phase_ppl.evaluation.bootstrap import (
     Figure,
     correlation,
@@ -49,7 +50,6 @@ from phase_ppl.evaluation.bootstrap import (
 )
 from phase_ppl.evaluation.prediction import Prediction, labels_of
 from phase_ppl.evaluation.ratings import Judgments
-from phase_ppl.evaluation.tables import Facts, Said, facts, predicted, said
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from phase_ppl.dataset.hdf5 import SIGNATURE, with_event_id
+from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
 from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
-from phase_ppl.evaluation.tables import world_of
 from phase_ppl.simulator.contract import error_text
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
 from phase_ppl.world.errors import (
@@ -150,15 +150,15 @@ def evaluate(
     check_world(model, world)
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]
-    asked = ready(model, options)
+    ready_model = ready(model, options)
     if observer is not None:
         check_is_phase(chosen[0].scene.world, "an observer of people")
-        from phase_ppl.evaluation.observers.fit import observed  # needs JAX
+        from phase_ppl.evaluation.observers.fit import seen_through  # needs JAX
 
-        asked = observed(asked, observer)
-    if not asked.parallel:
+        ready_model = seen_through(ready_model, observer)
+    if not ready_model.parallel:
         executor, slots = None, 1
-    settings = settings_of(asked, seed, chosen, shard)
+    settings = settings_of(ready_model, seed, chosen, shard)
     chosen = [event for event in chosen if event.id in settings["events"]]
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None
@@ -178,7 +178,7 @@ def evaluate(
             (event for event in chosen if event.id not in done),
             key=lambda event: -event.observation.n_frames,
         )
-        outcomes = _outcomes(asked, left, settings, folder is not None, slots, executor)
+        outcomes = _outcomes(ready_model, left, settings, folder is not None, slots, executor)
         try:
             with (
                 EventProgress(left, len(done), slots, progress) as bar,
@@ -194,8 +194,8 @@ def evaluate(
                         done[event_id] = prediction
                         bar.one_more(event_id, prediction.cost["seconds"])
                         continue
-                    failure = f"model {asked.name!r}, event {event_id!r}: {outcome.failure}"
-                    if outcome.of_settings and asked.registered and not done:
+                    failure = f"model {ready_model.name!r}, event {event_id!r}: {outcome.failure}"
+                    if outcome.of_settings and ready_model.registered and not done:
                         raise InvalidSettingError(failure)
                     failures[event_id] = outcome.failure
                     if folder is not None:

@@ -33,7 +33,8 @@ from typing import Any, Final
 
 from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.dataset.load import load_events, save_events
-from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, stored_label
+from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
+from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.cells import INTERVALS, metric_tables, wrapped
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
@@ -42,7 +43,6 @@ from phase_ppl.evaluation.metrics import (
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -133,7 +133,7 @@ class Evaluation(Printed):
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
-        """The same with metrics; of an evaluation that is not finished all about what is."""
+        """The same with their metrics: before the end, all are about the predicted events."""
         events, metrics = self.events, self.metrics
         people, references = metrics["people"] or {}, metrics["reference_models"]
         if not self.finished:
@@ -151,7 +151,7 @@ class Evaluation(Printed):
 
     def _of_references(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return what is given of models whose answers the events carry by their names here."""
-        return {stored_label(name, [self.name]): of_model for name, of_model in given.items()}
+        return {reference_label(name, [self.name]): of_model for name, of_model in given.items()}
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Evaluation:

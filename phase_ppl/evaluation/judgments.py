@@ -31,11 +31,11 @@ import pandas as pd
 from phase_ppl.dataset.documents import in_front, read_rows
 from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
+from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     UnknownNameError,

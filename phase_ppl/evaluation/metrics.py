@@ -68,7 +68,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.evaluation import tables
+from phase_ppl.evaluation import arrays
+from phase_ppl.evaluation.arrays import Facts, Said, at_truth, kinds_of, true_answers
 from phase_ppl.evaluation.bootstrap import (
     Figure,
     by_event,
@@ -95,7 +96,6 @@ from phase_ppl.evaluation.prediction import (
     reference_predictions,
 )
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.tables import Facts, Said, at_truth, kinds_of, true_answers
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
@@ -184,7 +184,7 @@ class Scores:
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
         """Return what :func:`evaluate_predictions` does."""
         known, weights = self._of_events(predictions)
-        model = tables.said(known, predictions)
+        model = arrays.said(known, predictions)
         true_goals = np.where(known.truth["goal"] < 0, np.nan, 0.0)
         judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
         result: dict[str, Any] = {
@@ -208,7 +208,7 @@ class Scores:
     ) -> dict[str, Any]:
         """Return what :func:`paired_difference` does."""
         known, weights = self._of_events(one, other)
-        first, second = tables.said(known, one), tables.said(known, other)
+        first, second = arrays.said(known, one), arrays.said(known, other)
         of_one = self._of(known, weights, first.where_known(second))
         of_other = self._of(known, weights, second.where_known(first))
         result: dict[str, Any] = {"n_events": len(known.ids)}
@@ -224,11 +224,11 @@ class Scores:
         """Return facts and resamples of the events that all models predict."""
         chosen = list(self._events)
         for predictions in models:
-            chosen = tables.predicted(chosen, predictions)
+            chosen = arrays.predicted(chosen, predictions)
         ids = tuple(event.id for event in chosen)
         if ids not in self._facts:
             weights = resampled(len(chosen), self._seed, self._resamples)
-            self._facts[ids] = tables.facts(chosen), weights
+            self._facts[ids] = arrays.facts(chosen), weights
         return self._facts[ids]
 
     def _of(self, known: Facts, weights: FloatArray, said: Said) -> dict[Place, Curve]:
@@ -430,7 +430,7 @@ def human_accuracy(
         InvalidSettingError: ``seed`` or ``resamples`` is out of range.
     """
     chosen = [e for e in events if e.truth is not None and event_judgments(e) is not None]
-    known = tables.facts(chosen)
+    known = arrays.facts(chosen)
     weights = resampled(len(chosen), seed, resamples)
     share = {kind: at_truth(people, known.truth[kind]) for kind, people in known.people.items()}
     # argmax takes NaN for the largest, and what nobody answered is left out here
@@ -477,9 +477,9 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     """
     import pandas as pd
 
-    world = tables.world_of(events)
+    world = arrays.world_of(events)
     kinds = kinds_of(world)
-    parts = {kind: ["\0".join(path) for path in tables.parts_of(world, kind)] for kind in kinds}
+    parts = {kind: ["\0".join(path) for path in arrays.parts_of(world, kind)] for kind in kinds}
 
     def part_of(event: Event, kind: str, place: int) -> str:
         return parts[kind][SCENARIOS.index(event.truth.scenario) if world == PHASE else place]

@@ -92,7 +92,7 @@ class Run:
     event: Event  # what is explained
     model: Model  # prior, simulator, likelihood
     kernel: Kernel  # as the user gave it
-    options: Mapping[str, Any]  # of the kernel
+    kernel_options: Mapping[str, Any]
     settings: SimpleSettings  # of SIMPLE
     chains: int  # particles M
     seed: int  # a whole number >= 0
@@ -129,7 +129,7 @@ class Run:
                 "name": self.info.name,
                 "source": source_hash(factory),
                 "values": {k: v for k, v in sorted(own_values.items()) if isinstance(v, plain)},
-                "options": stable(dict(self.options)),
+                "options": stable(dict(self.kernel_options)),
             },
             "settings": stable(vars(self.settings)),
             "chains": self.chains,
@@ -150,14 +150,14 @@ class Run:
         return {
             "model": stored,
             "kernel": self.kernel if isinstance(self.kernel, str) else None,
-            "options": _plain(self.options),
+            "options": _plain(self.kernel_options),
             "settings": _plain(vars(self.settings)),
         }
 
     @functools.cached_property
     def recipe(self) -> Recipe:
         """What the compiled programs depend on: not on the simulator, which runs beside them."""
-        options, n_frames = tuple(self.options.items()), self.n_frames
+        options, n_frames = tuple(self.kernel_options.items()), self.n_frames
         model = dataclasses.replace(self.model, simulator=None, planner=None)
         if self._is_padded:
             longer = max(_USUAL, 1 << (n_frames - 1).bit_length())
@@ -382,7 +382,7 @@ class Length(NamedTuple):
         return self.budget.amount if self.budget and self.budget.unit == unit else math.inf
 
     @property
-    def counts(self) -> bool:
+    def is_counted(self) -> bool:
         """Whether the run ends when so many simulations or frames were made."""
         return self.budget is not None and self.budget.unit != "seconds"
 
@@ -450,7 +450,7 @@ class Pace:
     @property
     def goes_on(self) -> bool:
         """Whether another iteration is to begin."""
-        if self._length.counts:
+        if self._length.is_counted:
             return not self.is_spent and self.done - self._last < IDLE
         return self.done < self.expected
 

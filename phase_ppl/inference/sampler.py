@@ -222,7 +222,7 @@ class Sampler:
 
     def _check_memory(self) -> None:
         limit, most = self._length.limit, self._length.at_most(self._length.iterations or 0)
-        if self._length.counts:
+        if self._length.is_counted:
             most = max(int(min(limit("simulations"), limit("frames") // self._n_frames)), most)
         check_memory(
             f"chains={self._run.chains}, {most} simulations of {self._n_frames} frames",
@@ -420,14 +420,14 @@ class Sampler:
 
     def _simulations(self) -> int:
         """Return the simulations until now: the most there can be, where those do not decide."""
-        if self._length.counts:
+        if self._length.is_counted:
             return self._pace.simulations
         return self._length.at_most(self._done) + self._n_rivals
 
     def _expected(self) -> int:
         """Return how many simulations there will be in the end, as far as one can tell."""
         spent, limit = self._pace, self._length.limit
-        if not self._length.counts:
+        if not self._length.is_counted:
             return self._length.at_most(spent.expected)
         each = spent.frames / spent.simulations if spent.frames else self._n_frames
         total = min(limit("simulations"), limit("frames") / each)
@@ -504,7 +504,7 @@ class Sampler:
         simple = vars(run.settings) | {"strength": estimator_name(run.settings.strength)}
         del simple["beta"]  # the model's likelihood has it
         return {
-            "kernel": {"name": run.info.name, **run.options},
+            "kernel": {"name": run.info.name, **run.kernel_options},
             "chains": run.chains,
             "iterations": self._done,  # an interrupted run equals a shorter one
             "seed": run.seed,

@@ -211,6 +211,7 @@ def drawn_stated(
     order, last = np.lexsort((perturbed, row)), np.flatnonzero(np.diff(row, append=-1))
     total = np.full(len(goals), -np.inf)
     np.logaddexp.at(total, row, log_weight)
+    total[total == -np.inf] = 0.0  # without prior mass anything may be drawn
     return stated[order[last]], log_weight[order[last]] - total
 
 

@@ -31,10 +31,10 @@ from phase_ppl.models.roles import (
     WorldPrior,
     as_given,
     in_one_line,
-    in_world,
     is_of_any_world,
     masses_of,
     refused,
+    role_prior,
     space_of_prior,
 )
 from phase_ppl.models.sites import HYPOTHESIS_SITES
@@ -175,7 +175,7 @@ class Model(Generic[Kind]):
         likelihood = self.likelihood
         if type(likelihood) is RadialLikelihood:
             likelihood = dataclasses.replace(likelihood, n_entities=len(world.entities))
-        bound: Any = WorldPrior(prior, in_world(prior, world), world)
+        bound: Any = WorldPrior(prior, role_prior(prior, world), world)
         return dataclasses.replace(self, prior=bound, likelihood=likelihood)
 
     @property

@@ -83,7 +83,7 @@ class Thresholds:
             check(field.name, value)
 
 
-class SymbolicState(NamedTuple):
+class Moment(NamedTuple):
     """The predicates that hold at one moment."""
 
     rooms: tuple[int, ...]  # CLOSE: the room each entity is in; in PHASE that of its landmark
@@ -94,7 +94,7 @@ class SymbolicState(NamedTuple):
 
 def symbolic_trajectory(
     scene: Scene, observation: Observation, thresholds: Thresholds | None = None
-) -> list[SymbolicState]:
+) -> list[Moment]:
     """Return the symbolic state of every frame."""
     given = Thresholds() if thresholds is None else thresholds
     trajectory = observation.trajectory
@@ -106,7 +106,7 @@ def symbolic_trajectory(
     )
     frames = (_lasting(values, given.lasting).tolist() for values in found)
     return [
-        SymbolicState(tuple(rooms), tuple(held), tuple(map(tuple, near)), tuple(on))  # type: ignore[arg-type]
+        Moment(tuple(rooms), tuple(held), tuple(map(tuple, near)), tuple(on))  # type: ignore[arg-type]
         for rooms, held, near, on in zip(*frames, strict=True)
     ]
 
@@ -244,7 +244,7 @@ class CostToGo:
         """Return the cost, units of way; inf where there is no plan."""
         return self._known_cost(self._relevant(node))
 
-    def node(self, state: SymbolicState) -> Node:
+    def node(self, state: Moment) -> Node:
         """Return a symbolic state as the planner's: being at the focus counts first."""
         near = list[int]()
         for agent, touched in enumerate(state.near):
@@ -357,9 +357,7 @@ class Rationality:
             raise InvalidSettingError(f"lapse={shown(self.lapse)}, expected a number in (0, 1)")
 
 
-def own_changes(
-    before: SymbolicState, after: SymbolicState, agent: int
-) -> Iterator[tuple[SymbolicState, Literal]]:
+def own_changes(before: Moment, after: Moment, agent: int) -> Iterator[tuple[Moment, Literal]]:
     """Yield what an agent did between two frames, each with the state in which it did it.
 
     Letting go, going to a room, touching, gripping, arriving, in this order. To grip is to touch;
@@ -410,14 +408,14 @@ class ForwardModel:
         self._steps: dict[tuple[Any, ...], list[Step]] = {}
         self._known_policy = functools.cache(self._policy)
 
-    def policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
+    def policy(self, state: Moment, agent: int, goal: int) -> dict[Literal, float]:
         """Return P(operator | state, goal) by the literal that the operator makes true, sum 1.
 
         ``STOP`` is waiting; ``goal`` is the index of the effective goal.
         """
         return self._known_policy(state, agent, goal)
 
-    def _policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
+    def _policy(self, state: Moment, agent: int, goal: int) -> dict[Literal, float]:
         given, left_after = self.rationality, self._cost_to_go[agent, goal]
         node = left_after.node(state)
         left = left_after(node)
@@ -440,7 +438,7 @@ class ForwardModel:
             for literal, weight in weights.items()
         }
 
-    def log_likelihood(self, trajectory: Sequence[SymbolicState]) -> FloatArray:
+    def log_likelihood(self, trajectory: Sequence[Moment]) -> FloatArray:
         """Return (agent, goal) log P(trajectory | goal), 0 for goals that name their holder.
 
         Given what is seen of both before, each agent's doings depend on its own goal only: the
@@ -454,9 +452,7 @@ class ForwardModel:
             )
         return found
 
-    def _log_step(
-        self, before: SymbolicState, after: SymbolicState, agent: int, goal: int
-    ) -> float:
+    def _log_step(self, before: Moment, after: Moment, agent: int, goal: int) -> float:
         completes = 1 / self.rationality.operator_frames
         did = [] if before == after else list(own_changes(before, after, agent))
         if not did:
@@ -479,7 +475,7 @@ def _put(values: tuple, index: int, value: object) -> tuple:  # type: ignore[typ
     return (*values[:index], value, *values[index + 1 :])
 
 
-def _with_near(state: SymbolicState, agent: int, entity: int) -> SymbolicState:
+def _with_near(state: Moment, agent: int, entity: int) -> Moment:
     return state._replace(near=_put(state.near, agent, _put(state.near[agent], entity, True)))
 
 

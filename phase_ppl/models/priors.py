@@ -249,12 +249,12 @@ def strength_levels() -> None:
 
 
 def available() -> list[str]:
-    """Return the names of the ready-made priors, sorted."""
+    """Return the names of all priors, ready-made and registered, sorted."""
     return PRIORS.names()
 
 
 def named(name: str) -> Program:
-    """Return the ready-made prior of that name."""
+    """Return the prior of that name, ready-made or registered."""
     return PRIORS[name]
 
 

@@ -32,7 +32,7 @@ import numpyro
 import numpyro.distributions as dist
 from numpy.typing import NDArray
 from numpyro.infer.inspect import get_dependencies
-from scipy.special import log_softmax, softmax
+from scipy.special import softmax
 
 from phase_ppl.models import density, effective, priors
 from phase_ppl.models.density import Program, remembered
@@ -97,7 +97,7 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
     Raises:
         InvalidSettingError: it gives (nearly) all mass to others.
     """
-    program = functools.partial(in_world(prior, world), world)
+    program = functools.partial(role_prior(prior, world), world)
     space, ways = space_of(world), hypothesis.all_ways(len(world.agents))
     key = jax.random.key(whole_number("seed", seed, 0))
     for _ in range(_DRAWS):
@@ -135,7 +135,7 @@ def is_of_any_world(prior: object) -> bool:
     )
 
 
-def in_world(prior: Callable[..., object], world: World) -> RolePrior:
+def role_prior(prior: Callable[..., object], world: World) -> RolePrior:
     """Return the prior over roles that a model's prior stands for.
 
     Raises:
@@ -168,7 +168,7 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
         InvalidSettingError: it is of PHASE only, cannot be run, lacks a site, or has some that are
             not independent of each other or not what they should be.
     """
-    program = functools.partial(in_world(prior, world), world)
+    program = functools.partial(role_prior(prior, world), world)
     name, space = qualified_name(prior), space_of(world)
     wanted = (*space.goal_sites, COMPANY_SITE, *space.strength_sites)
     try:
@@ -325,7 +325,8 @@ def drawn_stated(
     # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
     way = (by_way + rng.gumbel(size=by_way.shape)).argmax(axis=0)
     stated, rows = np.array(goals, np.int64), np.arange(len(goals))
-    log_drawn = log_softmax(by_way, axis=0)[way, rows]
+    total = np.logaddexp.reduce(by_way, axis=0)
+    log_drawn = by_way[way, rows] - np.where(total > -np.inf, total, 0.0)
     for agent in range(space.n_agents):
         # the own goal of one that helps or hinders is not used
         share = softmax(found.goals[agent])

@@ -22,9 +22,9 @@ import numpy as np
 from phase_ppl import render
 from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.dataset.load import load_events, save_events
+from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.evaluation.registry import check_installed
-from phase_ppl.evaluation.tables import world_of
 from phase_ppl.study import exports
 from phase_ppl.study import settings as settings_module
 from phase_ppl.study import store as store_module

@@ -49,7 +49,8 @@ KEYS = random.split(random.key(0), 2)
 
 def made(n_frames: int, **changes: Any) -> Run:
     given = {"model": Model(simulator=walkers), "kernel": "local_mh", **changes}
-    return Run(walking_event(n_frames), options={}, settings=SETTINGS, chains=4, seed=0, **given)
+    event = walking_event(n_frames)
+    return Run(event, kernel_options={}, settings=SETTINGS, chains=4, seed=0, **given)
 
 
 def test_events_of_all_lengths_share_a_program() -> None:

@@ -18,8 +18,8 @@ from phase_ppl.models.predicate import (
     INDEPENDENT,
     CostToGo,
     ForwardModel,
+    Moment,
     Rationality,
-    SymbolicState,
     Thresholds,
     log_prior_of_pairs,
     own_changes,
@@ -51,9 +51,9 @@ def state(
     held: tuple[int, int] = (NOTHING, NOTHING),
     near: tuple[tuple[int, int], ...] = (),
     placed: tuple[int, ...] = (),
-) -> SymbolicState:
+) -> Moment:
     """Return a state: red alone in the blue room, nobody at anything, unless given."""
-    return SymbolicState(
+    return Moment(
         rooms,
         held,
         tuple(tuple((agent, e) in near for e in range(4)) for agent in range(2)),
@@ -65,7 +65,7 @@ def go(agent: int, room: int) -> Literal:
     return Literal(Predicate.CLOSE, agent, room)
 
 
-def cost(goal: str, agent: int, where: ppl.Scene, given: SymbolicState) -> float:
+def cost(goal: str, agent: int, where: ppl.Scene, given: Moment) -> float:
     """Return what is left to do of an agent's goal, units of way."""
     literal = goal_literal(where.world.goal_index(goal), agent, where.world)
     to_go = CostToGo(without_physics(where), agent, literal)
@@ -342,7 +342,7 @@ def test_three_agents_are_summed_over_as_if_all_roles_were_listed() -> None:
 
 def test_of_two_landmarks_in_a_room_the_goals_is_the_one_to_be_on() -> None:
     where, barn = SOLO.random_scene(0), SOLO.landmark_names.index("barn")
-    state = SymbolicState((1, 1, 0), (NOTHING,), ((False, True, False),), (NOTHING, barn, NOTHING))
+    state = Moment((1, 1, 0), (NOTHING,), ((False, True, False),), (NOTHING, barn, NOTHING))
     assert cost("ball to barn", 0, where, state) == 0
     assert cost("ball to field", 0, where, state) == pytest.approx(0.5 + 3)  # grip, place
     assert cost("get to ball", 0, where, state) == 0
@@ -353,7 +353,7 @@ def test_of_two_landmarks_in_a_room_the_goals_is_the_one_to_be_on() -> None:
 def test_what_is_left_to_do_of_goals_about_two_others() -> None:
     where, rooms, nobody = TRIO.random_scene(0), (0, 0, 1, 0, 2), (False,) * 5
     near = (nobody, nobody, nobody)
-    state = SymbolicState(rooms, (NOTHING,) * 3, near, (NOTHING,) * 5)
+    state = Moment(rooms, (NOTHING,) * 3, near, (NOTHING,) * 5)
     purple = TRIO.agent("purple agent")
     assert cost("red agent to blue ball", purple, where, state) == 0  # it is in its room
     assert cost("green agent to red agent", purple, where, state) == 0  # they go by themselves

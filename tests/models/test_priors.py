@@ -161,7 +161,8 @@ def test_relations_need_probabilities() -> None:
 
 
 def test_social_goals_are_rare_under_sparse_social_and_else_absent() -> None:
-    assert (draws("sparse_social")["alpha"] != 0).mean() == pytest.approx(priors.SOCIAL, abs=0.01)
+    social = (draws("sparse_social")["alpha"] != 0).mean()
+    assert social == pytest.approx(priors.SPARSE_SOCIAL, abs=0.01)
     mass = density("no_social_goals", CODES, STRENGTHS)
     assert mass[CODES[:, 2] != ALPHAS.index((0, 0))].sum() == 0
 

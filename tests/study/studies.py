@@ -19,8 +19,8 @@ import pytest
 from starlette.testclient import TestClient
 
 import phase_ppl as ppl
+from phase_ppl.evaluation.arrays import true_answers
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.tables import true_answers
 from phase_ppl.physics.actions import Action
 from phase_ppl.study.clips import CLIPS, Clip, clips_of
 from phase_ppl.study.study import Study

@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
+from phase_ppl.evaluation.arrays import true_answers
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
-from phase_ppl.evaluation.tables import true_answers
 from phase_ppl.study import plan
 from phase_ppl.study.clips import clips_of
 from phase_ppl.study.settings import Settings, template

@@ -187,7 +187,7 @@ class _Window:
         rows, columns = np.mgrid[place] + 0.5
         points = of.painter.units(np.stack([columns, rows], axis=-1))
         self._x, self._y = (np.ascontiguousarray(points[..., axis]) for axis in (0, 1))
-        self._own_colour = of.still.colours[entity][:, None, None]
+        self._own_colour = of.still.body_colours[entity][:, None, None]
         self._frame, self._labelled = _layers(frame[place]), labels[place] == entity
         wall, floor = of.walls[place], _layers(of.still.floor[place])
         under, above, free = floor, np.zeros_like(floor), np.ones_like(wall)
@@ -199,7 +199,7 @@ class _Window:
             if apart > 1.5 * reach + REACH * radius[other]:
                 continue
             shape, own = self._cover(of.is_agent(other), poses[other], float(radius[other]))
-            colour = own * of.still.colours[other][:, None, None]
+            colour = own * of.still.body_colours[other][:, None, None]
             colour = colour + (shape - own) * np.array(EYE_COLOUR, float)[:, None, None]
             if of.order.index(other) < of.order.index(entity):
                 under = under * (1 - shape) + colour

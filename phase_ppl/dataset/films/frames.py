@@ -235,7 +235,7 @@ class Still:
     """What stands still in the samples of a film, mapped to the painter's picture.
 
     Its ``floor``, (height, width, 3), is the picture without bodies, which have the (entity, 3)
-    ``colours`` in the film.
+    ``body_colours`` in the film.
     """
 
     def __init__(self, samples: Sequence[Pixels], colours: Colours, painter: Painter) -> None:
@@ -260,7 +260,7 @@ class Still:
             count[free] += 1
         plain = np.asarray(painter.floor, float)
         self.floor = np.where(count[..., None] > 0, total / np.maximum(count, 1)[..., None], plain)
-        self.colours = np.empty((n, 3))
+        self.body_colours = np.empty((n, 3))
         for entity, parts in enumerate(own):
             pixels = np.concatenate(parts)
             if len(pixels) < 20:
@@ -268,7 +268,7 @@ class Still:
                     f"nothing in the film has the colour of the {colours.names[entity]}, "
                     f"{tuple(colours.values[entity].astype(int).tolist())}"
                 )
-            self.colours[entity] = np.median(pixels, axis=0)
+            self.body_colours[entity] = np.median(pixels, axis=0)
 
     def landmarks(self) -> tuple[FloatArray, FloatArray]:
         """Return (landmark, 2) centres and (landmark,) half-widths of the squares, units.

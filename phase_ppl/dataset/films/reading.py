@@ -132,7 +132,7 @@ def read_video(
     Args:
         path: an .mp4, a .gif, or anything else that ffmpeg reads.
         scene: what the film shows: its world, walls and sizes. It is kept as it is.
-        layout: the world alone, or its name, such as "phase", where the scene is not known: walls,
+        layout: the world, or its name, such as "phase", where the scene is not known: walls,
             landmarks, sizes and starts are then read from the picture. In PHASE the way in which
             agents turn is that which is seen, else "both".
         frames_per_step: frames of the film per frame of the event, a twelfth of a simulated
@@ -153,37 +153,39 @@ def read_video(
             told apart, or a setting that cannot be.
         UnknownNameError: there is no ready-made world of that name.
     """
-    given, world = _given(scene, layout)
+    shown_scene, world = _given(scene, layout)
     nonnegative_number("start", start)
     whole_number("max_gap", max_gap, 0)
     if frames_per_step is not None and not 1 <= number_or_nan(frames_per_step) < math.inf:
         raise InvalidSettingError(
             f"frames_per_step={shown(frames_per_step)}, expected a number >= 1"
         )
-    colours = Colours(given.world)
+    colours = Colours(shown_scene.world)
     film = Film(path)
     moments = _moments(film, frames_per_step, start)
-    view = View(film, given)
+    view = View(film, shown_scene)
     samples = [view(frame) for frame in film.samples]
-    still = Still(samples, colours, Painter(given))
+    still = Still(samples, colours, Painter(shown_scene))
     if scene is None:
         centres, halves = still.landmarks()
-        given = dataclasses.replace(
-            given,
+        shown_scene = dataclasses.replace(
+            shown_scene,
             walls=still.walls(),
             landmark_centres=centres,
             landmark_half_width=one_or_all(halves.tolist()),
         )
     else:
         still.check(scene)
-    bodies = Bodies(Painter(given), still, colours, softness=1 / view.scale)
-    radius = given.radius if scene is not None else _sizes(bodies, samples, colours)
+    bodies = Bodies(Painter(shown_scene), still, colours, softness=1 / view.scale)
+    radius = shown_scene.radius if scene is not None else _sizes(bodies, samples, colours)
     found, pictures = _follow(film, view, bodies, radius, moments, progress)
-    known = given.start if scene is not None else None
-    given = dataclasses.replace(given, radius=radius)
-    track, confidence = _closed(found, given, moments / (film.fps or math.nan), max_gap, known)
+    known = shown_scene.start if scene is not None else None
+    shown_scene = dataclasses.replace(shown_scene, radius=radius)
+    track, confidence = _closed(
+        found, shown_scene, moments / (film.fps or math.nan), max_gap, known
+    )
     if scene is None:
-        scene = dataclasses.replace(given, start=track[0], world=world)
+        scene = dataclasses.replace(shown_scene, start=track[0], world=world)
         if scene.world == PHASE:
             scene = dataclasses.replace(scene, turning=observed_turning(track, scene.radius))
     else:

@@ -22,6 +22,7 @@ from phase_ppl.analysis.figures.style import (
     written,
 )
 from phase_ppl.evaluation.answer_sets import AnswerSet
+from phase_ppl.evaluation.arrays import facts, kinds_of, said, true_answers, world_of
 from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.differences import ALPHA
 from phase_ppl.evaluation.figures.rows import (
@@ -41,7 +42,6 @@ from phase_ppl.evaluation.figures.rows import (
     width_of,
 )
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.tables import facts, kinds_of, said, true_answers, world_of
 from phase_ppl.render.frames import draw_strip
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event

@@ -20,6 +20,7 @@ from phase_ppl.analysis.figures.style import (
     written,
 )
 from phase_ppl.evaluation.answer_sets import AnswerSet
+from phase_ppl.evaluation.arrays import facts, kinds_of, true_scenario
 from phase_ppl.evaluation.cells import KIND_WORDS, number
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
@@ -33,7 +34,6 @@ from phase_ppl.evaluation.experiments import (
     load_tags,
 )
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.tables import facts, kinds_of, true_scenario
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.errors import shown as in_short
 from phase_ppl.world.hypothesis import SCENARIOS

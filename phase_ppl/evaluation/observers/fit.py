@@ -354,7 +354,7 @@ class Observed:
         getattr(self.model, "warm_up", lambda: None)()
 
 
-def observed(model: ReadyModel, given: str | os.PathLike[str] | FittedObserver) -> ReadyModel:
+def seen_through(model: ReadyModel, given: str | os.PathLike[str] | FittedObserver) -> ReadyModel:
     """Return a model seen through an observer."""
     observer = observer_of(given, model.name)
     digest = hashlib.sha256(json.dumps(observer.to_dict()).encode()).hexdigest()

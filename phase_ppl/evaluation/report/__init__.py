@@ -24,6 +24,7 @@ from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, PEOPLE, AnswerSet, label_of
+from phase_ppl.evaluation.arrays import titles_of, true_answers, true_scenario
 from phase_ppl.evaluation.cells import metric_tables, number
 from phase_ppl.evaluation.comparison import (
     ModelComparison,
@@ -35,7 +36,6 @@ from phase_ppl.evaluation.figures import drawings_of
 from phase_ppl.evaluation.figures.rows import NothingToDrawError, Results, scenarios_of
 from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
-from phase_ppl.evaluation.tables import titles_of, true_answers, true_scenario
 from phase_ppl.render.frames import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray

@@ -139,6 +139,7 @@ class EventKernel(MCMCKernel):
         """How many windows the observation has: a number, or an array of one if it is padded."""
         if not self.program.is_padded:
             return self.most_windows
+        # as ``window_count`` says, of a length that is known only here
         return jnp.maximum(self.program.observed - self.settings.window, 1)
 
     @property
