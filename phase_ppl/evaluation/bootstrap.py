@@ -9,7 +9,7 @@ and Price 2012, Journal of Educational and Behavioral Statistics 37). Of everyth
 percentiles are those further out that make the interval of a mean of normal numbers Student's
 (Hesterberg 2015, The American Statistician 69, "expanded percentiles").
 
-A resample of n events is a vector of n weights: how often each event was drawn. Every figure is a
+A resample of n events is a vector of n weights: how often each event was drawn. Every measure is a
 function of weighted sums over events, so that one matrix of weights, whose first row is the data
 themselves, gives its value and all its resampled values at once.
 """
@@ -25,7 +25,7 @@ from scipy import special
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import whole_number
 
-Figure = dict[str, float | None]  # ``value``, ``ci_low``, ``ci_high``
+Measure = dict[str, float | None]  # ``value``, ``ci_low``, ``ci_high``
 LEVEL: Final = 0.95  # share of the resampled values between ``ci_low`` and ``ci_high``
 
 _CONSTANT: Final = 1e-12
@@ -116,7 +116,7 @@ def divided(total: FloatArray, count: FloatArray) -> FloatArray:
     return np.where(count > 0, total / np.where(count > 0, count, 1), np.nan)
 
 
-def figure(values: FloatArray, n: int) -> Figure | None:
+def measure(values: FloatArray, n: int) -> Measure | None:
     """Return value and 95 % interval (percentiles of the resampled values); None without a value.
 
     Values are (1 + resamples,), the value first; those that are NaN, such as of resamples without
@@ -129,7 +129,7 @@ def figure(values: FloatArray, n: int) -> Figure | None:
     return {"value": float(values[0]), "ci_low": low, "ci_high": high}
 
 
-def proportion(values: ArrayLike) -> Figure | None:
+def proportion(values: ArrayLike) -> Measure | None:
     """Return the mean of scores (event, answer) from 0 to 1, NaN: none, with its 95 % interval.
 
     Answers about one event go together: two that are always both right or both wrong are worth one.
@@ -210,7 +210,7 @@ def interval(
 
 def difference(
     one: FloatArray, other: FloatArray, n: int, of_shares: bool = False
-) -> Figure | None:
+) -> Measure | None:
     """Return ``one - other`` with its interval and a two-sided p, over the same resamples.
 
     Differences ``of_shares``, of means from 0 to 1, are resampled with two more events
@@ -225,7 +225,7 @@ def difference(
     values = one - other
     # what is equal but for rounding is equal
     values = np.where(np.abs(values) < _CONSTANT, 0, values)
-    found = figure(values, n)
+    found = measure(values, n)
     if found is None:
         return None
     if of_shares and n > 1:

@@ -11,7 +11,7 @@ from phase_ppl.evaluation.bootstrap import LEVEL
 from phase_ppl.evaluation.metrics import PREFIX, Place, at
 from phase_ppl.world.hypothesis import SCENARIOS
 
-NOTHING: Final = "-"  # what a table of a terminal has where there is no figure
+NOTHING: Final = "-"  # what a table of a terminal has where there is no number
 WIDTH: Final = 100  # columns of a terminal
 MAJORITY: Final = "people, majority"
 KIND_WORDS: Final = {"goal": "goals", "relation": "relations"}
@@ -26,8 +26,8 @@ Row = tuple[str, Mapping[str, Any]]  # name, metrics
 _Columns = Mapping[str, str | Place]  # heading -> place in the metrics, parts joined by dots
 
 
-def figure_text(found: Mapping[str, Any] | None, signed: bool = False, digits: int = 2) -> str:
-    """Return a figure of the metrics with its interval for a terminal: "0.50 [0.40, 0.60]"."""
+def measure_text(found: Mapping[str, Any] | None, signed: bool = False, digits: int = 2) -> str:
+    """Return a measure with its interval for a terminal: "0.50 [0.40, 0.60]"."""
     if found is None:
         return NOTHING
     how = f"{'+' if signed else ''}.{digits}f"
@@ -45,7 +45,7 @@ def p_text(value: float | None) -> str:
 
 
 def aligned(table: Sequence[Sequence[str]], width: int | None = WIDTH) -> list[str]:
-    """Return the lines of a table: names on the left, figures on the right of their columns.
+    """Return the lines of a table: names on the left, numbers on the right of their columns.
 
     The first row has the headings; columns beyond the width come below.
     """
@@ -59,7 +59,7 @@ def aligned(table: Sequence[Sequence[str]], width: int | None = WIDTH) -> list[s
 
 
 class Table(NamedTuple):
-    """A table of figures as text, for a terminal or a page."""
+    """A table of numbers as text, for a terminal or a page."""
 
     title: str
     headings: Sequence[str]  # of the names first
@@ -102,15 +102,15 @@ def metric_tables(
 
     Below them come people, where there are any
     (:func:`~phase_ppl.evaluation.metrics.human_accuracy`). Rows, columns and tables without a
-    figure are left out.
+    number are left out.
     """
     for title, columns, rows in _tables(models, people):
-        figures = [heading for heading, place in columns.items() if place != _EVENTS]
+        numbers = [heading for heading, place in columns.items() if place != _EVENTS]
         cells = {
             name: {heading: _cell(metrics, place) for heading, place in columns.items()}
             for name, metrics in rows
         }
-        kept = {n: row for n, row in cells.items() if any(row[h] != NOTHING for h in figures)}
+        kept = {n: row for n, row in cells.items() if any(row[h] != NOTHING for h in numbers)}
         used = [h for h in columns if any(row[h] != NOTHING for row in kept.values())]
         if kept:
             yield Table(
@@ -223,7 +223,7 @@ def _cell(metrics: Mapping[str, Any], place: str | Place) -> str:
     if isinstance(found, int):
         return str(found)
     if found is not None and "accuracy" in found:
-        return f"{figure_text(found['accuracy'])} of {found['n']}"
+        return f"{measure_text(found['accuracy'])} of {found['n']}"
     if found is not None and "p" in found:
-        return f"{figure_text(found, signed=True)} p {p_text(found['p'])}"
-    return figure_text(found)
+        return f"{measure_text(found, signed=True)} p {p_text(found['p'])}"
+    return measure_text(found)

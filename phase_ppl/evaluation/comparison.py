@@ -22,14 +22,14 @@ from phase_ppl.evaluation.cells import (
     KIND_WORDS,
     NOTHING,
     Table,
-    figure_text,
+    measure_text,
     metric_tables,
     p_text,
     wrapped,
 )
 from phase_ppl.evaluation.differences import LEAST_EVENTS
 from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evaluation, evaluation_of
-from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_curve
+from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_measure
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -123,7 +123,7 @@ class ModelComparison(Printed):
             found[one.name] = scores.metrics(one.predictions)
             for name in ("cpu_seconds", "seconds"):
                 spent = np.array([number_or_nan(cost.get(name)) for cost in costs])
-                found[one.name][name] = mean_curve(weights, spent[:, None]).figure()
+                found[one.name][name] = mean_measure(weights, spent[:, None]).measure()
         return found
 
     @functools.cached_property
@@ -172,9 +172,9 @@ class ModelComparison(Printed):
 
         columns: dict[tuple[str, str], list[Any]] = {}
         for measure in _TABLE:
-            figures = [at(self.metrics[name], measure) for name in self.models]
+            found = [at(self.metrics[name], measure) for name in self.models]
             for part in ("value", "ci_low", "ci_high"):
-                columns[measure, part] = [f and f[part] for f in figures]
+                columns[measure, part] = [f and f[part] for f in found]
         return pd.DataFrame(columns, index=pd.Index(self.models, name="model"), dtype=float)
 
     def save(self, folder: str | os.PathLike[str]) -> Path:
@@ -200,7 +200,7 @@ class ModelComparison(Printed):
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> ModelComparison:
-        """Read what :meth:`save` wrote. All figures follow from the answers in it.
+        """Read what :meth:`save` wrote. All numbers follow from the answers in it.
 
         Raises:
             InvalidEventError: there is no such folder, or a file in it is damaged.
@@ -520,7 +520,7 @@ def difference_tables(c: ModelComparison, most: int | None = None) -> list[Table
         for pair in pairs:
             of_pair = [found.get((*pair, name)) for name in measures]
             cells = [
-                (figure_text(r, signed=True), p_text(r["p_holm"] if r else None)) for r in of_pair
+                (measure_text(r, signed=True), p_text(r["p_holm"] if r else None)) for r in of_pair
             ]
             body.append((pair, [text for both in cells for text in both]))
         if body:

@@ -1,6 +1,6 @@
 """Paired differences between models and equivalence with people, on resampled events.
 
-Both resample events: every figure is about other events like these, not about other people or
+Both resample events: every measure is about other events like these, not about other people or
 other runs of the models.
 """
 
@@ -75,7 +75,7 @@ def differences(
 
 
 def _figures(found: Mapping[str, Any], *above: str) -> Iterator[tuple[list[str], dict[str, Any]]]:
-    """Yield path and figure of all that :class:`Scores` found."""
+    """Yield path and measure of all that :class:`Scores` found."""
     for name, value in found.items():
         if isinstance(value, dict) and "value" in value:
             yield [*above, name], value

@@ -1,7 +1,7 @@
 """How well a model agrees with people, and whether it doubts where they do.
 
 The latter, what a referee asks of a fit to people's answers, is about relations, of the events that
-people judged and for which the model has probabilities. A *figure* is as in
+people judged and for which the model has probabilities. A *measure* is as in
 :mod:`phase_ppl.evaluation.metrics`. ``doubt`` of metrics.json is None where there is no such event,
 else:
 
@@ -40,10 +40,10 @@ import numpy as np
 
 from phase_ppl.evaluation.arrays import Facts, Said, facts, predicted, said
 from phase_ppl.evaluation.bootstrap import (
-    Figure,
+    Measure,
     correlation,
     divided,
-    figure,
+    measure,
     r_of_sums,
     resampled,
     weighted_mean,
@@ -87,19 +87,19 @@ def doubt(known: Facts, model: Said, seed: int = 0, resamples: int = 1000) -> di
     brier = (p**2).sum(axis=1) - 2 * (p * people).sum(axis=1) + 1
     bins = calibration(p, people)
 
-    def r(groups: IntArray | None) -> Figure | None:
+    def r(groups: IntArray | None) -> Measure | None:
         if drawn is None:  # an event's ratings are its own, and resampled with it
-            return figure(correlation(weights, p, people, groups), len(p))
+            return measure(correlation(weights, p, people, groups), len(p))
         value = correlation(weights[:1], p, people, groups)
         among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
         moved = correlation(weights[1:], p, drawn, groups) + value - _mean(among_raters)
-        return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
+        return measure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
 
     return {
         "relation_r": r(None),
         "relation_r_given_truth": r(same_truth(truth, len(RELATIONS))),
-        "log_score_gap": figure(weighted_mean(weights, gap), len(p)),
-        "brier": figure(weighted_mean(weights, brier), len(p)),
+        "log_score_gap": measure(weighted_mean(weights, gap), len(p)),
+        "brier": measure(weighted_mean(weights, brier), len(p)),
         "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
         "calibration": bins,
         "ceiling": ceiling(counts, truth, rng, resamples),

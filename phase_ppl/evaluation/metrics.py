@@ -1,6 +1,6 @@
 """The paper's metrics of predictions (Appendix 5), and what says more than being right.
 
-A *figure* is ``{"value", "ci_low", "ci_high"}`` with a 95 % interval, or None where it cannot be
+A *measure* is ``{"value", "ci_low", "ci_high"}`` with a 95 % interval, or None where it cannot be
 computed. Accuracies, overall and by scenario, have Clopper and Pearson's interval for as many
 independent answers as they are worth (:func:`~phase_ppl.evaluation.bootstrap.proportion`); all
 other intervals are percentiles over resampled events. Accuracy of goals is over both agents'
@@ -71,11 +71,11 @@ import numpy as np
 from phase_ppl.evaluation import arrays
 from phase_ppl.evaluation.arrays import Facts, Said, at_truth, kinds_of, true_answers
 from phase_ppl.evaluation.bootstrap import (
-    Figure,
+    Measure,
     by_event,
     correlation,
     difference,
-    figure,
+    measure,
     proportion,
     resampled,
     weighted_mean,
@@ -101,10 +101,10 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
 from phase_ppl.world.scene import PHASE, World
 
-Place = tuple[str, ...]  # keys under which a figure is found in the metrics
+Place = tuple[str, ...]  # keys under which a measure is found in the metrics
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
-"""Kind -> what the names of figures under ``human`` begin with."""
+"""Kind -> what the names of measures under ``human`` begin with."""
 
 
 def evaluate_predictions(
@@ -158,7 +158,7 @@ def paired_difference(
     Only the questions that both answer count, event by event.
 
     Returns:
-        ``n_events``, the events that both predict, and every figure of
+        ``n_events``, the events that both predict, and every measure of
         :func:`evaluate_predictions` that is about the model, in the same place, as
         ``{"value", "ci_low", "ci_high", "p"}``: one minus other, and a two-sided bootstrap p.
         Of ``js`` lower is better, of everything else higher.
@@ -179,7 +179,7 @@ class Scores:
         self._events, self._seed, self._resamples = events, seed, resamples
         self._facts: dict[tuple[str, ...], tuple[Facts, FloatArray]] = {}
         self._among_people: dict[tuple[str, ...], dict[Place, Any]] = {}
-        self._curves: dict[tuple[tuple[str, ...], bytes], dict[Place, Curve]] = {}
+        self._measures: dict[tuple[tuple[str, ...], bytes], dict[Place, Resampled]] = {}
 
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
         """Return what :func:`evaluate_predictions` does."""
@@ -191,8 +191,8 @@ class Scores:
             "n_events": len(known.ids),
             "n": {"events": len(self._events), "truth": events_with(true_goals), **judged},
         }
-        curves = model_curves(known, model, weights) | people_curves(known, model, weights)
-        put(result, {path: curve.figure() for path, curve in curves.items()})
+        measures = model_measures(known, model, weights) | people_measures(known, model, weights)
+        put(result, {path: one.measure() for path, one in measures.items()})
         if known.ids not in self._among_people:
             self._among_people[known.ids] = _among_people(known, weights, self._seed)
         put(result, self._among_people[known.ids])
@@ -213,8 +213,8 @@ class Scores:
         of_other = self._of(known, weights, second.where_known(first))
         result: dict[str, Any] = {"n_events": len(known.ids)}
         differences = {
-            path: difference(curve.values, of_other[path].values, curve.n, curve.scores is not None)
-            for path, curve in of_one.items()
+            path: difference(one.values, of_other[path].values, one.n, one.scores is not None)
+            for path, one in of_one.items()
         }
         put(result, differences)
         count_scenarios(result, known.scenario)
@@ -231,100 +231,102 @@ class Scores:
             self._facts[ids] = arrays.facts(chosen), weights
         return self._facts[ids]
 
-    def _of(self, known: Facts, weights: FloatArray, said: Said) -> dict[Place, Curve]:
+    def _of(self, known: Facts, weights: FloatArray, said: Said) -> dict[Place, Resampled]:
         key = known.ids, said.content()
-        if key not in self._curves:
-            self._curves[key] = model_curves(known, said, weights)
-        return self._curves[key]
+        if key not in self._measures:
+            self._measures[key] = model_measures(known, said, weights)
+        return self._measures[key]
 
 
 def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Place, Any]:
-    """Return the figures of people's agreement with each other."""
+    """Return the measures of people's agreement with each other."""
     by_participant = known.by_participant
     found: dict[Place, Any] = {}
     for kind, prefix in PREFIX.items():
         questions = kinds_of(known.world)[kind]
         halves = split_half(known.judgments, questions, weights, by_participant, seed)
-        found["human", f"{prefix}split_half_r"] = figure(*halves)
+        found["human", f"{prefix}split_half_r"] = measure(*halves)
     judged = any(one is not None for one in known.judgments)
     by = "participants" if by_participant else "votes"
     found["human", "split_half_by"] = by if judged else None
     return found
 
 
-# --- every metric of a model as a curve: its value, and its values on the resamples ---------------
+# --- every metric of a model as a one: its value, and its values on the resamples ---------------
 
 
-class Curve(NamedTuple):
-    """A figure and its values on the resamples."""
+class Resampled(NamedTuple):
+    """A measure and its values on the resamples."""
 
     values: FloatArray  # (1 + resamples,) its value, then the resampled ones
     n: int  # number of events that count in it
     # (event, answer) what it is the share of, from 0 to 1; None for what is no share
     scores: FloatArray | None = None
 
-    def figure(self) -> Figure | None:
+    def measure(self) -> Measure | None:
         """Return value and 95 % interval: of shares the binomial one, else from the resamples."""
-        return figure(self.values, self.n) if self.scores is None else proportion(self.scores)
+        return measure(self.values, self.n) if self.scores is None else proportion(self.scores)
 
 
-def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Curve]:
-    """Return all figures that are about the model."""
-    curves = accuracy_curves(model.right, known, weights)
-    curves["goal_top3_accuracy",] = mean_curve(weights, model.in_top, of_shares=True)
+def model_measures(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Resampled]:
+    """Return all measures that are about the model."""
+    measures = accuracy_measures(model.right, known, weights)
+    measures["goal_top3_accuracy",] = mean_measure(weights, model.in_top, of_shares=True)
     for kind, prefix in PREFIX.items():
         probabilities, people = model.probabilities[kind], known.people[kind]
         of_truth = at_truth(log_probabilities(probabilities), known.truth[kind])
         for path, chosen in known.parts(kind).items():
             part = np.where(chosen, of_truth, np.nan)
-            curves[*path, f"{kind}_log_score_truth"] = mean_curve(weights, part)
-        curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
+            measures[*path, f"{kind}_log_score_truth"] = mean_measure(weights, part)
+        measures["human", f"{kind}_r"] = _r(weights, probabilities, people)
         agreed, apart = log_score(probabilities, people), jensen_shannon(probabilities, people)
-        curves["human", f"{prefix}log_score"] = mean_curve(weights, agreed)
-        curves["human", f"{prefix}js"] = mean_curve(weights, apart)
-    curves["human", "relation_r_given_truth"] = _r(
+        measures["human", f"{prefix}log_score"] = mean_measure(weights, agreed)
+        measures["human", f"{prefix}js"] = mean_measure(weights, apart)
+    measures["human", "relation_r_given_truth"] = _r(
         weights,
         model.probabilities["relation"],
         known.people["relation"],
         same_truth(known.truth["relation"], len(RELATIONS)),
     )
-    return curves
+    return measures
 
 
-def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
+def _r(
+    weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None
+) -> Resampled:
     of_groups = None if groups is None else by_event(groups)
-    return Curve(correlation(weights, by_event(x), by_event(y), of_groups), events_with(x * y))
+    return Resampled(correlation(weights, by_event(x), by_event(y), of_groups), events_with(x * y))
 
 
-def mean_curve(weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Curve:
+def mean_measure(weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Resampled:
     """Return the mean of (event, answer) values, which may be shares, from 0 to 1."""
     scores = values if of_shares else None
-    return Curve(weighted_mean(weights, values), events_with(values), scores)
+    return Resampled(weighted_mean(weights, values), events_with(values), scores)
 
 
-def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Curve]:
+def people_measures(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Resampled]:
     """Return people's own log scores, on the events on which the model has one."""
-    curves: dict[Place, Curve] = {}
+    measures: dict[Place, Resampled] = {}
     for kind, prefix in PREFIX.items():
         people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
         path = ("human", f"{prefix}log_score_people")
-        curves[path] = mean_curve(weights, negative_entropy(people))
-    return curves
+        measures[path] = mean_measure(weights, negative_entropy(people))
+    return measures
 
 
-def accuracy_curves(
+def accuracy_measures(
     right: Mapping[str, FloatArray], known: Facts, weights: FloatArray
-) -> dict[Place, Curve]:
+) -> dict[Place, Resampled]:
     """Return the accuracies, overall and of each part (:meth:`~Facts.parts`).
 
     From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
     """
-    curves: dict[Place, Curve] = {}
+    measures: dict[Place, Resampled] = {}
     for kind, values in right.items():
         for path, chosen in known.parts(kind).items():
             part = np.where(chosen, values, np.nan)
-            curves[*path, f"{kind}_accuracy"] = mean_curve(weights, part, of_shares=True)
-    return curves
+            measures[*path, f"{kind}_accuracy"] = mean_measure(weights, part, of_shares=True)
+    return measures
 
 
 def events_with(values: FloatArray) -> int:
@@ -442,8 +444,8 @@ def human_accuracy(
     result: dict[str, Any] = {"n_events": len(chosen)}
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
-        curves = accuracy_curves(right, known, weights)
-        put(place, {path: curve.figure() for path, curve in curves.items()})
+        measures = accuracy_measures(right, known, weights)
+        put(place, {path: one.measure() for path, one in measures.items()})
         count_scenarios(place, known.scenario)
     result["majority"] = of_majority
     result["ties"] = count_ties([one for one in known.judgments if one is not None], known.world)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from phase_ppl.evaluation.answer_sets import PEOPLE
-from phase_ppl.evaluation.bootstrap import Figure
-from phase_ppl.evaluation.cells import aligned, figure_text
+from phase_ppl.evaluation.bootstrap import Measure
+from phase_ppl.evaluation.cells import aligned, measure_text
 from phase_ppl.evaluation.comparison import ModelComparison
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Cell(NamedTuple):
 
     printed: Printed  # the paper's
     label: str  # of the model of ours, or what it is of
-    ours: Figure | None  # with its interval; None: not computable
+    ours: Measure | None  # with its interval; None: not computable
     verdict: str  # "inside", "outside" or "not computable"
     missing: str = ""  # what data it would take
     videos: int | None = None  # of one type of scenario, on which ours rests
@@ -163,8 +163,8 @@ class Reproduction(NamedTuple):
         for cell in self.cells:
             p = cell.printed
             printed = {"value": p.value, "ci_low": p.low, "ci_high": p.high}
-            text = ("< " if p.below else "") + figure_text(printed, digits=p.digits)
-            ours = figure_text(cell.ours, digits=p.digits)
+            text = ("< " if p.below else "") + measure_text(printed, digits=p.digits)
+            ours = measure_text(cell.ours, digits=p.digits)
             ours += f" of {cell.videos}" if cell.videos else ""
             said = cell.verdict + ", loosely" * cell.loose
             rows.append([f"{cell.label}: {p.what}", text, ours, said])
@@ -173,14 +173,14 @@ class Reproduction(NamedTuple):
         return "\n".join([*head, *notes, "", *aligned(rows, width=None)])
 
 
-def verdict(printed: Printed, ours: Figure) -> str:
+def verdict(printed: Printed, ours: Measure) -> str:
     """Return "inside" if what is printed and what was found can be the same, else "outside".
 
     They can if either value lies within the other's interval, or both are the same to the digits
     that are printed; a bound holds if our interval does not lie above it.
     """
     value, low, high = ours["value"], ours["ci_low"], ours["ci_high"]
-    assert value is not None, "a figure has a value"
+    assert value is not None, "a measure has a value"
     if printed.below:
         return "inside" if (value if low is None else low) < printed.value else "outside"
     inside = abs(value - printed.value) < 0.005

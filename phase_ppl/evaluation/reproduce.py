@@ -25,7 +25,7 @@ import numpy as np
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import MANIFEST
 from phase_ppl.evaluation.answer_sets import PEOPLE, label_of
-from phase_ppl.evaluation.bootstrap import Figure, proportion
+from phase_ppl.evaluation.bootstrap import Measure, proportion
 from phase_ppl.evaluation.comparison import ModelComparison, compare_models
 from phase_ppl.evaluation.evaluate import evaluate
 from phase_ppl.evaluation.evaluation import Evaluation
@@ -342,9 +342,9 @@ def _data(printed: Printed) -> str:
     return what
 
 
-def _like_people(comparison: ModelComparison, name: str) -> dict[str, Figure]:
+def _like_people(comparison: ModelComparison, name: str) -> dict[str, Measure]:
     """Return kind -> in how many types of scenario a model is no different from people."""
-    found: dict[str, Figure] = {}
+    found: dict[str, Measure] = {}
     for kind in ("goal", "relation"):
         p = [
             row["p"]
@@ -356,8 +356,8 @@ def _like_people(comparison: ModelComparison, name: str) -> dict[str, Figure]:
     return found
 
 
-def _count(n: float) -> Figure:
-    """Return a figure that is known exactly, or not how exactly."""
+def _count(n: float) -> Measure:
+    """Return a measure that is known exactly, or not how exactly."""
     return {"value": float(n), "ci_low": None, "ci_high": None}
 
 
@@ -371,21 +371,21 @@ def _of_people(comparison: ModelComparison) -> dict[str, Any]:
     return {**comparison.people, **by_participant, "human": human}
 
 
-def _of_events(events: Sequence[Event]) -> dict[str, Figure | None]:
+def _of_events(events: Sequence[Event]) -> dict[str, Measure | None]:
     relations = np.array([event.truth.relation for event in events if event.truth is not None], str)
     return {name: proportion((relations == name).astype(float)) for name in RELATIONS}
 
 
-def _of_tags(tags: Tags) -> dict[str, Figure]:
+def _of_tags(tags: Tags) -> dict[str, Measure]:
     table = tags.summary()
     return {"used": _count((table["used"] > 0).sum()),
             "categories": _count((table["percent"] > 0).sum())}  # fmt: skip
 
 
-def _of_likeness(likeness: Likeness) -> dict[str, Figure]:
+def _of_likeness(likeness: Likeness) -> dict[str, Measure]:
     from scipy.special import stdtrit  # slow to import
 
-    found: dict[str, Figure] = {}
+    found: dict[str, Measure] = {}
     pairs = zip(("played", "generated"), likeness.means("videos").values(), strict=True)
     for name, means in pairs:
         value, n = float(means.mean()), len(means)
