@@ -11,10 +11,10 @@ import pytest
 from scipy import stats
 
 from phase_ppl.evaluation.bootstrap import (
-    Figure,
+    Measure,
     clopper_pearson,
     difference,
-    figure,
+    measure,
     proportion,
     resampled,
     weighted_mean,
@@ -329,7 +329,7 @@ def wrong_more_often(k: int) -> np.ndarray:
     return weighted_mean(WEIGHTS, -(np.arange(N)[:, None] < k).astype(float))
 
 
-def of_shares(k: int) -> Figure:
+def of_shares(k: int) -> Measure:
     values = wrong_more_often(k)
     found = difference(values, 0 * values, N, of_shares=True)
     assert found is not None
@@ -372,7 +372,7 @@ def test_means_of_few_events_lie_in_their_intervals_as_often_as_these_say(n: int
         one, other = rng.normal(size=(2, n))
         weights = resampled(n, seed, 400)
         of_one, of_other = weighted_mean(weights, one), weighted_mean(weights, other)
-        found, differ = figure(of_one, n), difference(of_one, of_other, n)
+        found, differ = measure(of_one, n), difference(of_one, of_other, n)
         assert found is not None
         assert differ is not None
         inside += found["ci_low"] < 0 < found["ci_high"]  # type: ignore[operator]
