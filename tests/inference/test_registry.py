@@ -9,7 +9,7 @@ from numpyro.infer import NUTS
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.smc import SMC
-from phase_ppl.inference.registry import KERNELS, described, kernel_info, register_kernel
+from phase_ppl.inference.registry import KERNELS, info_of, kernel_info, register_kernel
 from phase_ppl.inference.settings import SimpleSettings, frames, seconds, simulations
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
@@ -25,7 +25,7 @@ def test_a_kernel_says_what_it_is_and_is_made_by_name_with_its_options(
     program: EventProgram,
 ) -> None:
     info = kernel_info("local_mh")
-    assert described(info.factory) is info
+    assert info_of(info.factory) is info
     assert (info.validity, info.sims_per_step) == ("exact", 1)
     assert info.options == ("rule", "early_reject")
     supplies = {"guide": table_guide(), "settings": SimpleSettings()}
@@ -65,9 +65,9 @@ def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
 
 
 def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram) -> None:
-    assert isinstance(described(PriorMH).make(program), PriorMH)
-    assert isinstance(described(lambda program: PriorMH(program)).make(program), PriorMH)
-    info = described(LocalMH(rule="paper"))
+    assert isinstance(info_of(PriorMH).make(program), PriorMH)
+    assert isinstance(info_of(lambda program: PriorMH(program)).make(program), PriorMH)
+    info = info_of(LocalMH(rule="paper"))
     assert info.name == "local_mh"
     assert info.needs == ("guide", "settings")
     settings = SimpleSettings(window=3)
@@ -76,11 +76,11 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
     assert bound.validity == "approximate"  # its options are kept
     assert LocalMH(rule="window").validity == "exact"
     assert (bound.program, bound.settings) == (program, settings)
-    info, instance = described(SMC), described(SMC())  # whatever is registered of it holds
+    info, instance = info_of(SMC), info_of(SMC())  # whatever is registered of it holds
     same = {"factory": instance.factory, "needs": instance.needs}
     assert instance == dataclasses.replace(info, **same)
     with pytest.raises(InvalidSettingError, match="neither a name nor a kernel"):
-        described(7)  # type: ignore[arg-type]
+        info_of(7)  # type: ignore[arg-type]
 
 
 CONSISTENT = ("enumerate", "importance", "sa", "smc")
@@ -88,8 +88,8 @@ CONSISTENT = ("enumerate", "importance", "sa", "smc")
 
 @pytest.mark.parametrize("name", [*CONSISTENT, "aies", "gibbs"])
 def test_what_is_made_of_a_kernel_counts_its_draws_as_it_does(name: str) -> None:
-    info: Any = described(name)
-    own = described(type("Own", (info.factory,), {}))
+    info: Any = info_of(name)
+    own = info_of(type("Own", (info.factory,), {}))
     for what in ("even_chains", "keeps", "weighted"):
         assert getattr(own, what) == getattr(info, what), what
     assert own.validity == "unknown"  # before it is made
@@ -100,11 +100,11 @@ def test_what_is_made_of_a_kernel_counts_its_draws_as_it_does(name: str) -> None
 def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
     for kernel in (NUTS, NUTS(lambda: None)):
         with pytest.raises(InvalidSettingError, match="kernel NUTS needs a gradient"):
-            described(kernel)
+            info_of(kernel)
     with pytest.raises(InvalidSettingError, match="which makes a NUTS, needs a gradient"):
-        described(lambda program: NUTS(program)).make(program)
+        info_of(lambda program: NUTS(program)).make(program)
     with pytest.raises(InvalidSettingError, match=r"makes None: .*does the function return it"):
-        described(lambda program: None).make(program)  # type: ignore[arg-type,return-value]
+        info_of(lambda program: None).make(program)  # type: ignore[arg-type,return-value]
 
 
 # --- settings ----------------------------------------------------------------------------------
