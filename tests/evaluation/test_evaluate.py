@@ -14,7 +14,7 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import evaluate as module
-from phase_ppl.evaluation.evaluate import Progress
+from phase_ppl.evaluation.evaluate import EventProgress
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -318,7 +318,7 @@ def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture
 
 def test_the_time_left_rests_on_seconds_per_frame_and_workers() -> None:
     events = [still("long", 100), still("short", 40), still("other", 60)]
-    with Progress(events, 0, workers=2, shown=False) as bar:
+    with EventProgress(events, 0, workers=2, shown=False) as bar:
         assert bar.seconds_left() is None
         bar.one_more("long", 50.0)
         assert bar.seconds_left() == pytest.approx((40 + 60) * 0.5 / 2)
