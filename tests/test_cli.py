@@ -8,7 +8,6 @@ import re
 import runpy
 import shlex
 import signal
-import time
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from phase_ppl.world.goals import GOALS
 from tests.analysis.factory import Simulation, hypothesis, make_tree
 from tests.analysis.readings import reading
 from tests.inference.toy import walkers, walking_event
+from tests.simulator.toys import wait_until
 from tests.world.examples import make_event
 
 pytestmark = pytest.mark.usefixtures("unpainted")
@@ -117,7 +117,7 @@ def fails_later(given: Any) -> None:
 
 def is_interrupted(given: Any) -> None:
     signal.raise_signal(signal.SIGINT)
-    time.sleep(1)  # until it is noticed
+    wait_until(lambda: False)  # which the run ends as soon as it has noticed
 
 
 @pytest.mark.parametrize(

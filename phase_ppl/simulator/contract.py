@@ -174,12 +174,15 @@ def in_time(
 
     def serve() -> None:
         try:
-            result = work()
-        except BaseException as error:
-            done.set_exception(error)
-        else:
-            done.set_result(result)
-        with ending:
+            try:
+                result = work()
+            except BaseException as error:
+                done.set_exception(error)
+            else:
+                done.set_result(result)
+            with ending:
+                return
+        except SystemExit:  # it was ended when its work was done
             return
 
     thread = threading.Thread(target=serve, name="phase_ppl-simulation", daemon=True)
@@ -195,10 +198,23 @@ def in_time(
             raise OutOfTime("the time of the run is over")
         return failed(too_long(limit))
     finally:
+        if not done.done():
+            threading.Thread(target=_end, args=(thread, done, ending), daemon=True).start()
+
+
+def _end(thread: threading.Thread, done: Future[Any], ending: threading.Lock) -> None:
+    """End a thread that was given up at its next line of Python.
+
+    That line may be one of a callback, such as of a weak reference, from where nothing gets out:
+    it is tried again.
+    """
+    for patience in (0.05, 0.5, 5.0):
         with ending:
-            if not done.done():
-                number = ctypes.c_ulong(thread.ident or 0)
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
+            if done.done() or not thread.is_alive():
+                return
+            number = ctypes.c_ulong(thread.ident or 0)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
+        wait([done], patience)
 
 
 def simulate_together(

@@ -17,7 +17,8 @@ from phase_ppl.simulator.processes import in_worker
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Truth
 from tests.evaluation.toys import Counted, FailsAt, evaluate, guesses, right, still
-from tests.simulator.test_runner_processes import PATIENCE, is_alive, started, wait_until
+from tests.simulator.test_runner_processes import PATIENCE, is_alive, started
+from tests.simulator.toys import wait_until
 
 
 def test_workers_answer_as_one_process_does_and_get_to_know_no_more(tmp_path: Path) -> None:

@@ -192,7 +192,7 @@ def interrupt_in(call: int) -> Change:
     def change(number: int, runner: Any, results: Results) -> None:
         if number == call:
             _thread.interrupt_main()
-            deadline = time.monotonic() + 10
+            deadline = time.monotonic() + 60
             while not runner.cancelled and time.monotonic() < deadline:
                 time.sleep(0.02)
             assert runner.cancelled
