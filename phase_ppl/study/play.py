@@ -390,10 +390,10 @@ class Lobby:
 
     async def _ready(self, seats: Sequence[Seat], room: Room) -> bool:
         """Wait until both are ready; whether they have become so in time."""
-        until = asyncio.get_running_loop().time() + self.settings.ready_within
-        told: list[bool] = []
+        loop, told = asyncio.get_running_loop(), list[bool]()
+        begun = loop.time()
         while not all(ready := [seat.is_ready for seat in seats]):
-            if room.outcome() == "left" or asyncio.get_running_loop().time() > until:
+            if room.outcome() == "left" or loop.time() - begun > self.settings.ready_within:
                 return False
             if ready != told:
                 told = ready

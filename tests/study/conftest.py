@@ -1,27 +1,19 @@
-"""Studies of tests are not waited for until they are on the disk."""
+"""Clocks of the tests of studies."""
 
 from __future__ import annotations
 
-import functools
-import sqlite3
-import types
-from collections.abc import Iterator
+import time
+from types import SimpleNamespace
 
 import pytest
 
-from phase_ppl.study import store
 
+@pytest.fixture
+def in_a_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long it takes, it is one moment for the limits of rates."""
+    pytest.importorskip("starlette", reason="the extra 'study' is not installed")
+    from phase_ppl.study import server
 
-class Hasty(sqlite3.Connection):
-    def executescript(self, script: str) -> sqlite3.Cursor:
-        return super().executescript(script.replace("synchronous=FULL", "synchronous=OFF"))
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _hasty_databases() -> Iterator[None]:
-    connect = functools.partial(sqlite3.connect, factory=Hasty)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            store, "sqlite3", types.SimpleNamespace(**vars(sqlite3) | {"connect": connect})
-        )
-        yield
+    now = time.monotonic()
+    stopped = SimpleNamespace(monotonic=lambda: now, time=time.time)
+    monkeypatch.setattr(server, "time", stopped)

@@ -65,8 +65,11 @@ class Player(Person):
         given = {"origin": HOST, "cookie": self.cookie, **headers}
         return self.client.websocket_connect("ws://localhost/play/socket", headers=given)
 
-    def play(self, react: React, until: str = "go", most: int = 5000) -> list[Message]:
-        """Answer each message by ``react``, until one of a kind comes; return all."""
+    def play(
+        self, react: React, until: str | Callable[[Message], bool] = "go", most: int = 5000
+    ) -> list[Message]:
+        """Answer each message by ``react``, until one (of a kind) comes; return all."""
+        is_last = until if callable(until) else lambda message: message["t"] == until
         with self.connect() as socket:
             for _ in range(most):
                 try:
@@ -74,7 +77,7 @@ class Player(Person):
                 except WebSocketDisconnect as gone:
                     message = {"t": "closed", "code": gone.code}
                 self.messages.append(message)
-                if message["t"] in (until, "closed"):
+                if message["t"] == "closed" or is_last(message):
                     return self.messages
                 for said in react(message):
                     socket.send_json(said)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +14,21 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
 from phase_ppl.study import play, simulate
+from phase_ppl.study.room import Room
 from phase_ppl.study.study import Study
 from tests.study.players import both_play, drives, make_study, near_goals
 from tests.study.studies import empty_clips, serving, unseen_films
 
 QUICK = ppl.PlannerConfig(particles=6, simulations=8)
+
+
+class Patient(Room):
+    """Begins once all people hold keys down, so that sessions are the same on any machine."""
+
+    async def run(self, *given: Any) -> str:
+        while not all(seat.who is None or seat.controls.pressed() for seat in self.seats):
+            await asyncio.sleep(0.01)
+        return await super().run(*given)
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +40,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ahead = [near_goals(name, start=start, radius=radius) for name, radius in sizes.items()]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(play, "COUNTDOWN", 0)
+        patch.setattr(play, "Room", Patient)
         study = make_study(folder / "study", ahead, trials=2, hold=6, limit=60, steps_per_second=24)
         with serving(study) as client:
             both_play(client, drives("forward"))

@@ -21,7 +21,7 @@ import phase_ppl as ppl
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.study import play
 from phase_ppl.study.exports import played, replayed
-from phase_ppl.study.room import KEYS
+from phase_ppl.study.room import KEYS, Room
 from phase_ppl.study.store import trajectory_sha256
 from phase_ppl.study.study import Study
 from tests.study.players import (
@@ -42,7 +42,7 @@ Made = Callable[..., Study]
 
 @pytest.fixture(autouse=True)
 def _in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, seconds in (("COUNTDOWN", 0), ("_PING", 0.02), ("_SAVED_EVERY", 0.1)):
+    for name, seconds in (("COUNTDOWN", 0), ("_PING", 0.05), ("_SAVED_EVERY", 0.1)):
         monkeypatch.setattr(play, name, seconds)
 
 
@@ -192,10 +192,14 @@ def test_who_waits_in_vain_is_thanked(made: Made) -> None:
 def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(
     made: Made, tmp_path: Path
 ) -> None:
-    study = made(hold=100, limit=200, rejoin_within=0.3)
+    study = made(hold=100, limit=2000, rejoin_within=0.3)
+
+    def after_some_steps(message: Message) -> bool:
+        return message["t"] == "frame" and message["left"] < 33.2  # of 33.3 s
+
     with serving(study) as client:
         stays, leaves = Player(client), Player(client)
-        both = [lambda: stays.play(drives()), lambda: leaves.play(drives(), until="begun")]
+        both = [lambda: stays.play(drives()), lambda: leaves.play(drives(), after_some_steps)]
         told, _ = together(*both)
         assert outcomes([stays, leaves]) == ["partner_left", "left"]
         assert stays.state()["code"]
@@ -203,7 +207,7 @@ def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(
     assert of_kind(told, "end")[0]["outcome"] == "left"
     (session,) = recorded(study)
     assert session["outcome"] == "left"
-    assert 1 < len(session["steps"]) < 200
+    assert 1 < len(session["steps"]) < 2000
     study.export(tmp_path / "out")
     assert not (tmp_path / "out" / "sessions.json").exists()
     study.export(tmp_path / "all", include=["unfinished"])
@@ -211,15 +215,24 @@ def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(
     assert event.observation.n_frames == len(session["steps"]) + 1
 
 
-def test_a_player_who_comes_back_in_time_goes_on(made: Made) -> None:
-    study = made(hold=100, rejoin_within=30, limit=60)
+def test_a_player_who_comes_back_in_time_goes_on(
+    made: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, outcome, is_back = made(hold=100, rejoin_within=30, limit=20), Room.outcome, False
     with serving(study) as client:
+        # no way back takes longer than the session
+        monkeypatch.setattr(Room, "outcome", lambda room: outcome(room) if is_back else None)
         players = [Player(client), Player(client)]
+
+        def drives_on(message: Message) -> Sequence[Message]:
+            nonlocal is_back
+            is_back |= message["t"] == "begun"
+            return drives("forward")(message)
 
         def comes_back() -> list[Message]:
             players[0].play(drives("forward"), until="begun")
             before = len(players[0].messages)
-            return players[0].play(drives("forward"))[before:]
+            return players[0].play(drives_on)[before:]
 
         again, _ = together(comes_back, lambda: players[1].play(drives("forward")))
         assert outcomes(players) == ["finished"] * 2
@@ -229,17 +242,30 @@ def test_a_player_who_comes_back_in_time_goes_on(made: Made) -> None:
 
 
 def test_whoever_does_not_begin_is_out_and_the_other_goes_back(made: Made) -> None:
-    with serving(made(ready_within=0.7, wait_at_most=0.5, limit=300)) as client:
+    with serving(made(ready_within=60, limit=300)) as client:
+        (close,) = client.app.state.site.closing  # type: ignore[attr-defined]
+        lobby, agents = close.__self__, []
+
+        def react(message: Message) -> Sequence[Message]:
+            if message["t"] == "scene":
+                agents.append(message["agent"])
+            elif message["t"] == "ready" and message["players"][agents[-1]]:
+                # the time is over as soon as one of them is ready
+                lobby.settings = dataclasses.replace(
+                    lobby.settings, ready_within=0, wait_at_most=0.1
+                )
+            elif message["t"] == "wait":
+                lobby.settings = dataclasses.replace(lobby.settings, ready_within=60)
+            return drives("forward")(message)
+
         willing, absent = Player(client), Player(client)
-        messages, _ = together(
-            lambda: willing.play(drives("forward")), lambda: absent.play(lambda message: [])
-        )
+        messages, _ = together(lambda: willing.play(react), lambda: absent.play(lambda message: []))
         assert outcomes([willing, absent]) == ["finished", "left"]
     assert [scene["partner"] for scene in of_kind(messages, "scene")] == ["person", "computer"]
 
 
 def test_when_the_server_ends_what_was_played_is_kept(made: Made) -> None:
-    study = made(hold=100, limit=1000)
+    study = made(hold=100_000, limit=100_000)
     with serving(study) as client:
         players = [Player(client), Player(client)]
         (stop,) = client.app.state.site.closing  # type: ignore[attr-defined]
@@ -251,7 +277,7 @@ def test_when_the_server_ends_what_was_played_is_kept(made: Made) -> None:
             return drives("forward")(message)
 
         def stops() -> None:
-            assert moving.wait(30)
+            assert moving.wait(60)
             client.portal.call(stop)  # type: ignore[union-attr]
 
         plays = (lambda one=one: one.play(react, until="error") for one in players)
@@ -349,6 +375,11 @@ def closed_with(player: Player, *said: str | bytes, **headers: str) -> int:
         return close_code(socket)
 
 
+def first_of(socket: WebSocketTestSession) -> Message:
+    """Return what comes first but for pings, of which there may be some before."""
+    return next(message for message in iter(socket.receive_json, None) if message["t"] != "ping")
+
+
 def close_code(socket: WebSocketTestSession) -> int:
     for _ in range(2000):
         try:
@@ -380,12 +411,14 @@ def lobby(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         (['{"t":"key","key":"forward","down":true}', '{"t":"release"}'] * 100, 4429),
     ],
 )
+@pytest.mark.usefixtures("in_a_moment")
 def test_messages_that_are_none_or_too_many_close_the_socket(
     lobby: TestClient, said: list[str | bytes], code: int
 ) -> None:
     assert closed_with(Player(lobby), *said) == code
 
 
+@pytest.mark.usefixtures("in_a_moment")
 def test_too_many_sockets_are_refused(lobby: TestClient) -> None:
     player = Player(lobby)
     codes = [closed_with(player, "{") for _ in range(15)]
@@ -415,13 +448,13 @@ def test_nobody_plays_before_the_introduction_or_answers_a_session_by_hand(
     assert player.post("/api/answer", content).status_code == 409
     player.cookie = ""
     player.enter()
-    assert [message["t"] for message in player.play(drives())] == ["go"]
+    assert [message["t"] for message in player.play(drives()) if message["t"] != "ping"] == ["go"]
 
 
 def test_a_second_window_takes_over(lobby: TestClient) -> None:
     player = Player(lobby)
     with player.connect() as first:
-        assert first.receive_json()["t"] in ("full", "wait")
+        assert first_of(first)["t"] in ("full", "wait")
         with player.connect() as second:
-            assert second.receive_json()["t"] == "wait"
+            assert first_of(second)["t"] == "wait"
             assert close_code(first) == 4409

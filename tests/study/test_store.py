@@ -40,6 +40,14 @@ def videos(n: int) -> list[Stimulus]:
     return [Stimulus(f"event-{k}", file=f"{k}.mp4", sha256=str(k)) for k in range(n)]
 
 
+@pytest.fixture(autouse=True)
+def _by_the_same_chance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is drawn is the same in every run."""
+    chance = random.Random(0)
+    monkeypatch.setattr(store_module.secrets, "choice", chance.choice)
+    monkeypatch.setattr(store_module.secrets, "SystemRandom", lambda: chance)
+
+
 Create = Callable[[str, list[Stimulus]], Store]
 
 
