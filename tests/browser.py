@@ -41,7 +41,11 @@ def running_browser() -> Iterator[Any]:
     else:
         playwright = pytest.importorskip("playwright.sync_api", reason="there is no Playwright")
     with playwright.sync_playwright() as running:
-        # a sandbox is not to be had by root
-        found = running.chromium.launch(executable_path=browser_path(), args=["--no-sandbox"])
+        # a sandbox is not to be had by root, much shared memory not in a container
+        found = running.chromium.launch(
+            executable_path=browser_path(),
+            args=["--no-sandbox", "--disable-dev-shm-usage"],
+            timeout=180_000,
+        )
         yield found
         found.close()

@@ -277,7 +277,14 @@ def test_an_event_that_is_not_there_and_a_damaged_posterior_are_named(
 
 def opened(path: Path, folder: Path) -> tuple[str, str]:
     """Return what the page has become in a browser, and what its console says."""
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0"]
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        "--v=0",
+    ]
     options += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=2000"]
     command = [browser_path(), *options, "--dump-dom", path.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True)
