@@ -28,10 +28,12 @@ class Film {
     this.status = element("span", { role: "status" });
     this.element = element("div", { class: "film" }, this.video, element("p", {}, this.button, this.status));
     const says = (label, text = "") => { this.button.textContent = label; this.status.textContent = text; };
-    this.video.addEventListener("play", () => { if (this.video.currentTime < 0.1) this.plays++; says("Pause"); });
+    let fromTheStart = true; // not by the time of the film, which goes on until the event is heard
+    this.video.addEventListener("play", () => { if (fromTheStart) this.plays++; fromTheStart = false; says("Pause"); });
     this.video.addEventListener("pause", () => { if (!this.video.ended && !this.video.error) says("Play"); });
-    this.video.addEventListener("ended", () => { this.firstEnd ??= Math.round(performance.now() - begun); says("Play again"); });
+    this.video.addEventListener("ended", () => { this.firstEnd ??= Math.round(performance.now() - begun); fromTheStart = true; says("Play again"); });
     this.video.addEventListener("error", () => {
+      fromTheStart = true;
       note("video error", this.video.error?.code);
       says("Try again", "The animation cannot be shown. Please try again, or reload the page.");
     });
