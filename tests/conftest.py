@@ -49,8 +49,10 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 # what is traced fills the heap with objects that stay: it is looked through less often
 gc.set_threshold(50_000, 20, 100)
 
-# how long an example takes is the machine's affair
-settings.register_profile("any_pace", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# how long an example takes is the machine's affair; and they are the same in every run
+settings.register_profile(
+    "any_pace", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("any_pace")
 
 # a shell that runs something in the background has it ignore Ctrl-C, which is then tested in vain
