@@ -163,7 +163,7 @@ def nodes(value: Any) -> list[tuple[Any, Any]]:
     return found
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80, suppress_health_check=list(HealthCheck))
 @given(own=st.booleans(), data=st.data())
 def test_a_damaged_file_is_an_event_or_refused_by_name(
     tmp_path: Path, own: bool, data: st.DataObject
