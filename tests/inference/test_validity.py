@@ -7,6 +7,7 @@ and those that refuse its sites.
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax, random
+from numpy.typing import NDArray
 
 from phase_ppl.inference.kernels.enumerated_gibbs import SIMS_PER_STEP
 from phase_ppl.inference.kernels.metropolis import ParticleKernel
@@ -172,6 +174,9 @@ def test_draws_have_the_posterior_law(name: str) -> None:
     expected = 0.5 * np.sqrt(2 / np.pi) * error.sum()
     assert expected < 0.09
     assert total_variation(share.mean(axis=0), exact.share) < 2 * expected
+    for site, values in z.items():  # none stays where it began, be it as likely as any other
+        still = (values == values[0]).reshape(len(values), CHAINS, -1).all(axis=(0, 2))
+        assert still.mean() < 0.2, site
     for site, mean in exact.means.items():
         means = z[site].mean(axis=0, dtype=float).reshape(CHAINS, -1).mean(axis=1)
         error = means.std(ddof=1) / np.sqrt(CHAINS)
@@ -221,6 +226,36 @@ def test_no_particle_pays_for_more_than_promised_and_records_say_where_it_stoppe
     # even in (0, 1) up to rounding, as what it is compared with
     assert 0.99 < u.max() < 1.001
     assert u.mean() == pytest.approx(0.5, abs=4 * 0.289 / np.sqrt(len(u)))
+
+
+def test_proposals_are_kept_with_the_density_that_they_are_drawn_from(name: str) -> None:
+    states, _, bridge = run(name)
+    log_prior, log_proposal = np.array(
+        [(one.log_prior, one.log_proposal) for one in bridge.records[CHAINS:]]
+    ).T
+    known, n_drawn = ~np.isnan(log_proposal), int((states.window >= 0).sum())
+    if name == "prior_mh":
+        np.testing.assert_array_equal(log_proposal, log_prior)
+    elif not n_drawn:  # a move of one site says nothing of how its hypothesis comes about
+        assert not known.any()
+    else:
+        assert_mean_is_one(np.exp(log_prior - log_proposal)[known], n_drawn)
+
+
+def test_a_start_is_kept_with_the_density_that_it_is_drawn_from() -> None:
+    bridge, keys = SimulatorBridge(TableRunner(ERRORS), N_FRAMES), random.split(KEYS[0], 2000)
+    supplies()
+    start = compiled_quickly(lambda keys, handle: kernel("local_mh", handle).init(keys, 0))
+    jax.block_until_ready(start(keys, jnp.asarray(bridge.handle)))
+    ratio = [math.exp(one.log_prior - one.log_proposal) for one in bridge.records]
+    assert_mean_is_one(np.array(ratio), len(keys))
+
+
+def assert_mean_is_one(ratio: NDArray[np.float64], n_drawn: int) -> None:
+    """Check P / Q of those of ``n_drawn`` draws from Q that P has mass on."""
+    error = np.sqrt((ratio**2).sum()) / n_drawn
+    assert error < 0.05
+    assert ratio.sum() / n_drawn == pytest.approx(1.0, abs=4 * error)
 
 
 def test_gibbs_simulates_every_other_goal_of_an_agent_once_and_one_hypothesis_more() -> None:

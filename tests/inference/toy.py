@@ -196,7 +196,7 @@ def exact_characters(errors: FloatArray) -> Characters:
             "outgoing": float(given @ alpha @ (mass * outgoing)) / 2,
             "sociability": float(given @ sociable @ mass),
             "haste": float(share.sum(axis=(1, 2)) @ np.array(RED_GOALS)) / 10,
-            "strength_red": float(np.mean(STRENGTH_RANGE)),
+            **dict.fromkeys(sites.STRENGTH_SITES, float(np.mean(STRENGTH_RANGE))),
         },
     )
 
