@@ -303,6 +303,8 @@ def test_short_independent_draws_are_worth_about_all_of_them() -> None:
     sizes = [ess(rng.normal(size=(15, 6)), "mean") for _ in range(100)]
     assert np.median(sizes) == pytest.approx(90, rel=0.2)
     assert max(sizes) <= 90 * np.log10(90) + 1e-9
+    for values in rng.gamma(0.5, size=(20, 15, 6)):  # one tail is as good as the other
+        assert ess(values, "tail") == pytest.approx(ess(-values, "tail"))
 
 
 def test_what_does_not_exist_is_not_a_number() -> None:

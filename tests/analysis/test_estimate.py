@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from phase_ppl.analysis.estimate import Estimate, Mode, sets_to_leave_out, widened
+from phase_ppl.analysis.estimate import (
+    Estimate,
+    Mode,
+    doubt,
+    leaving_out,
+    sets_to_leave_out,
+    shares,
+    widened,
+)
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.goals import GOALS
 
@@ -64,6 +72,8 @@ def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> 
     post = posterior_of(hypotheses, [[i] for i in range(4)])
     expected = np.std(strengths, ddof=1) / 2 * widened(4)
     assert post.mean("strength_red").error == pytest.approx(expected)
+    without = [np.std(np.delete(strengths, i)) for i in range(4)]
+    assert post.sd("strength_red").error == pytest.approx(np.sqrt(3) * np.std(without))
     indicator = np.std([1, 1, 0, 0], ddof=1) / 2
     assert post.probability(strength_red=(0, 300)).error == pytest.approx(indicator)
     # all chains say the same, and so nothing of how far off they are
@@ -107,6 +117,11 @@ def test_the_mode_doubts_itself_by_half_in_a_tie_and_little_where_all_agree() ->
     leads = posterior_of((2, 5), [[0]] * 5 + [[1]] * 3).mode("goal_red")
     z = 0.25 / (2 * math.sqrt(15 / 56) / math.sqrt(8))
     by_chains = 0.5 * math.erfc(z / math.sqrt(2))
+    codes, weights = np.repeat([0, 1], [5, 3]), np.full(8, 1 / 8)
+    without = leaving_out(weights, np.arange(8))
+    assert without is not None
+    found = doubt(shares(codes, weights), without, shares(codes, without.weights))
+    assert found == pytest.approx(by_chains)
     # as sure as 7 independent draws would be: sum p (1 - p) / sum of squared errors
     by_draws = beta(7 * 5 / 8 + 0.5, 7 * 3 / 8 + 0.5).cdf(0.5)
     assert leads.error == pytest.approx(max(by_chains, by_draws))
@@ -184,6 +199,25 @@ def test_few_particles_that_agree_leave_room_for_what_they_did_not_show() -> Non
     assert post.probability(goal_red=GOALS[5]).error == pytest.approx(expected)
     assert post.probability(goal_red=GOALS[2]).error == pytest.approx(expected)
     assert float(post.marginal("goal_red").error.sel(goal_red=GOALS[9])) == pytest.approx(expected)
+    # of 16 that are worth 15 half fulfil the condition
+    mean, half = 0.5 / 8.5, posterior_of((2, 5), [[0], [1]] * 8)
+    of_half = half.probability({"goal_red": GOALS[2]}, scenario="independent")
+    assert of_half.error == pytest.approx(math.sqrt(mean * (1 - mean) / 9.5 + mean**2))
+
+
+def test_draws_whose_chains_happen_to_agree_are_worth_no_more_than_their_number() -> None:
+    even, odd = [0, 1, 0, 1, 0, 1, 0, 1], [0, 1, 0, 1, 0, 1, 0, 0]
+    post = posterior_of((2, 5), [even, even, even, odd])
+    # by how little the chains differ, they would be worth more than there are
+    assert post.diagnostics()["effective_size"] == pytest.approx(32)
+
+
+def test_draws_are_worth_what_those_of_the_less_sure_goal_are() -> None:
+    pairs = [hypothesis(red, green) for green in (9, 12) for red in (2, 5)]
+    of_half = [[0, 1], [1, 0], [0, 1], [1, 0]]  # one goal of green, and either of red
+    post = posterior_of(pairs, [*of_half, *(np.array(of_half) + 2).tolist()[:3], [2, 2]])
+    # of green, who never moves, by the jackknife of 8 chains
+    assert post.diagnostics()["effective_size"] == pytest.approx(7)
 
 
 def test_chains_that_still_move_have_larger_errors() -> None:
