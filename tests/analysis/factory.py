@@ -191,10 +191,15 @@ def with_log_weight(tree: xr.DataTree, log_weight: Any) -> xr.DataTree:
 
 
 def with_densities(
-    tree: xr.DataTree, log_proposal: Any, log_bound: Any = np.inf, log_again: Any = -np.inf
+    tree: xr.DataTree,
+    log_proposal: Any,
+    log_bound: Any = np.inf,
+    log_again: Any = -np.inf,
+    n_again: Any = None,
 ) -> xr.DataTree:
     """Return the tree with the densities by which its simulations were proposed, one or of all."""
     given = {"log_proposal": log_proposal, "log_bound": log_bound, "log_again": log_again}
+    given |= {} if n_again is None else {"n_again": n_again}  # as in older files
     shape = (tree["simulations"].sizes["simulation"],)
     columns = {name: np.array(np.broadcast_to(values, shape)) for name, values in given.items()}
     return with_variables(

@@ -131,8 +131,8 @@ TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), itera
             ],
             {"log_proposal": np.log([0.5, 0.4, 0.5, 0.5])},
         ),
-        # completed with probability 0.1 / 0.2, so it counts twice
-        (TENTHS, {"log_bound": [math.inf, -LOG(0.2)]}),
+        # B completed with probability 0.1 / 0.2, so it counts twice; A for certain, so once
+        (TENTHS, {"log_bound": [-LOG(0.05), -LOG(0.2)]}),
         # what was answered again counts again, by its known requests where the first is unknown
         (TENTHS, {"log_proposal": [0.0, math.nan], "log_again": [-math.inf, LOG(2)]}),
         (TENTHS, {"log_again": [-math.inf, 0.0]}),
@@ -151,6 +151,14 @@ def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
     post = stratified(TENTHS, EVEN, 0, log_again=[-math.inf, LOG(0.1)])
     halves = {BLUE_TO_RED: 1 / 2, PINK_TO_BLUE: 1 / 2}
     assert goal_probabilities(post) == pytest.approx(halves)
+    # nor is a simulation cut that answers nine of ten requests: the mean of A's L is 0.22
+    simulations = [
+        Simulation(one, seed, 0.0, LOG(likelihood), iteration=1)
+        for seed, (one, likelihood) in enumerate(((A, 0.2), (A, 0.4), (B, 0.08)))
+    ]
+    again = {"log_again": [LOG(8), -math.inf, -math.inf], "n_again": [8, 0, 0]}
+    found = goal_probabilities(stratified(simulations, EVEN, 0, **again))
+    assert found == pytest.approx({BLUE_TO_RED: 0.22 / 0.3, PINK_TO_BLUE: 0.08 / 0.3})
 
 
 def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood(
@@ -158,20 +166,23 @@ def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood(
 ) -> None:
     monkeypatch.setattr("phase_ppl.analysis.weights.FEWEST_OF_PAIR", 5)
     # A was drawn more often than B, and by proposals of other densities; its mean L is
-    # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 1 : 1, as what was stopped or failed
-    # has none. B and C were proposed less than five times: they share what prior A leaves, by P / Q
+    # (2/6 x 0.2 + 1/6 x 0.4) for shares P / Q of 2 : 1 : 1 : 2, as what was stopped or failed, the
+    # last one twice, has none. B and C were proposed less than five times: they share what prior A
+    # leaves, by P / Q
     simulations = [
         Simulation(A, 0, LOG(0.1), LOG(0.2)),
         Simulation(A, 1, LOG(0.1), LOG(0.4), iteration=1),
         Simulation(A, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
         Simulation(B, 3, LOG(0.1), LOG(0.6), iteration=1),
         Simulation(A, 4, LOG(0.1), LOG(0.9), failed=True, iteration=1),
-        Simulation(A, 5, LOG(0.1), LOG(0.9), failed=True, iteration=1),
         Simulation(C, 6, LOG(0.1), LOG(0.8), iteration=1),
     ]
-    log_proposal = np.log([0.2, 0.4, 0.4, 0.1, 0.4, 0.4, 0.1])
+    densities = {
+        "log_proposal": np.log([0.2, 0.4, 0.4, 0.1, 0.4, 0.1]),
+        "log_again": np.where(np.arange(6) == 4, -LOG(0.4), -math.inf),
+    }
     prior = [(A, 0.6), (B, 0.1), (C, 0.1)]
-    found = goal_probabilities(stratified(simulations, prior, log_proposal=log_proposal))
+    found = goal_probabilities(stratified(simulations, prior, **densities))
     masses = {BLUE_TO_RED: 0.6 * 0.8 / 6, PINK_TO_BLUE: 0.4 / 2 * 0.6, PINK_TO_RED: 0.4 / 2 * 0.8}
     total = sum(masses.values())
     assert found == pytest.approx({goal: mass / total for goal, mass in masses.items()})
@@ -273,7 +284,7 @@ def test_prefixes_worked_out_by_hand() -> None:
     simulations = [
         Simulation(one, 0, np.log(0.6), -3.0),
         Simulation(other, 1, np.log(0.4), -6.0),
-        Simulation(other, 2, np.log(0.4), -2.0, completed=False, frames=2),
+        Simulation(other, 2, np.log(0.4), -2.5, completed=False, frames=2),
     ]
     tree = make_tree(simulations, [[0, 1]], n_frames=3, by_frame=by_frame)
     # the draws are of the posterior of all frames; at frame t those that come are taken out again
@@ -285,6 +296,12 @@ def test_prefixes_worked_out_by_hand() -> None:
     tree.attrs["rivals_from"] = 0  # every pair is a stratum
     mass_one = 0.6 * np.exp([-1.0, -2.0, -3.0])
     parts = np.stack([0.2 * np.exp([0.0, -2.0, -6.0]), 0.2 * np.exp([-1.0, -2.0, -np.inf])])
+    masses = [column[column > 0] for column in np.array([mass_one, *parts]).T]
+    check_by_hand(tree, np.array([truncated(mass / mass.sum())[0] for mass in masses]))
+    # where it might have been stopped before, it counts for those that were: it went on with
+    # probability exp(1.2 + L at best), a frame that was not simulated yet being worth -0.5 at best
+    tree = with_densities(tree, 0.0, [np.inf, np.inf, 1.2])
+    parts[1] *= np.exp([2.0 - 1.2, 2.5 - 1.2, 0.0])
     masses = [column[column > 0] for column in np.array([mass_one, *parts]).T]
     check_by_hand(tree, np.array([truncated(mass / mass.sum())[0] for mass in masses]))
 
