@@ -129,6 +129,12 @@ def test_shares_that_are_all_the_same_have_an_interval() -> None:
     assert found is not None
     assert found["ci_low"] < 0.4 < found["value"] == 0.5 < 0.6 < found["ci_high"]  # type: ignore[operator]
     assert proportion([[np.nan, np.nan]]) is None
+    # those that differ are worth the answers whose normal interval is as wide as Student's
+    found = proportion(np.repeat([[0.4], [0.6]], 5, axis=0))
+    assert found is not None
+    worth = 0.25 * 10 * (stats.norm.ppf(0.975) / (stats.t.ppf(0.975, 9) * 0.1)) ** 2
+    expected = clopper_pearson(worth / 2, worth)
+    assert (found["ci_low"], found["ci_high"]) == pytest.approx(expected)
 
 
 def test_goals_that_go_together_say_no_more_than_one() -> None:
@@ -147,6 +153,10 @@ def test_goals_that_go_together_say_no_more_than_one() -> None:
     exact = stats.binomtest(40, 80).proportion_ci(method="exact")
     assert apart is not None
     assert (apart["ci_low"], apart["ci_high"]) == pytest.approx((exact.low, exact.high))
+    # as often as both answers are there, one says no more: (sum n)^2 / sum n^2 = 25 / 9
+    some = proportion([[1.0, np.nan], [1.0, 1.0], [0.0, 0.0]])
+    assert some is not None
+    assert (some["ci_low"], some["ci_high"]) == pytest.approx(clopper_pearson(15 / 9, 25 / 9))
 
 
 def test_top3_needs_a_probability() -> None:
@@ -366,6 +376,14 @@ def test_models_that_are_equally_good_differ_in_one_of_twenty_cases(n: int, apar
 
 @pytest.mark.parametrize("n", [10, 20])
 def test_means_of_few_events_lie_in_their_intervals_as_often_as_these_say(n: int) -> None:
+    # means of resamples spread by sqrt((n - 1) / n) of what Student's interval goes by
+    t, spread = stats.t.ppf(0.975, n - 1), np.sqrt((n - 1) / n)
+    drawn = np.append(0.0, spread * stats.norm.ppf((np.arange(1e5) + 0.5) / 1e5))
+    ends, moved = measure(drawn, n), difference(drawn + t, 0 * drawn, n)
+    assert ends is not None
+    assert moved is not None
+    assert (ends["ci_low"], ends["ci_high"]) == pytest.approx((-t, t), rel=1e-3)
+    assert moved["p"] == pytest.approx(0.05, rel=0.01)
     rng, runs = np.random.default_rng(1), 1000
     inside = apart = 0
     for seed in range(runs):
