@@ -86,6 +86,14 @@ def test_raters_of_one_law_reach_the_ceiling_of_their_number() -> None:
     assert found["split_half_r"] < found["spearman_brown"]
     assert found["one_out_r"] < found["split_half_r"]
     assert found["split_half_r_given_truth"] < found["split_half_r"]
+    # one with the rest, rater by rater
+    found = ceiling(np.array(VOTES), np.array([0, 0, 0, 1, 1, 1]), rng, 2)
+    answers = [np.repeat(np.eye(3), votes, axis=0) for votes in VOTES]
+    rest = np.concatenate([(one.sum(axis=0) - one) / (len(one) - 1) for one in answers])
+    given = np.concatenate(answers)
+    assert found["one_out_r"] == pytest.approx(np.corrcoef(rest.ravel(), given.ravel())[0, 1])
+    logs = np.log(0.99 * (rest * given).sum(axis=1) + 0.01 / 3)
+    assert found["one_out_log_score"] == pytest.approx(logs.mean())
 
 
 def test_raters_who_agree_more_than_by_chance_are_found() -> None:
