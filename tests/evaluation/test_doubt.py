@@ -12,6 +12,7 @@ from phase_ppl.evaluation.doubt import agreement, calibration, ceiling, doubt_of
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import RELATIONS
 from tests.evaluation.judged import COLLABORATIVE, INDEPENDENT, make_event
 
 VOTES = [[9, 1, 0], [6, 3, 1], [8, 2, 0], [1, 8, 1], [0, 9, 1], [3, 6, 1]]
@@ -104,6 +105,9 @@ def test_raters_who_agree_more_than_by_chance_are_found() -> None:
     assert apart["p"] > 0.01
     assert together["people"] == 1.0
     assert together["p"] < 0.01
+    # of raters who are as the model has them it is even between 0 and 1
+    each = [agreement(p, rng.multinomial(12, p), rng, 100)["p"] for _ in range(100)]
+    assert np.mean(each) == pytest.approx(0.5, abs=0.1)
     assert apart["low"] < 1 / 3 < apart["high"]
     # sums of one and a last bit are taken
     sure = np.array([[np.nextafter(1.0, 2.0), 0.0, 0.0]] * 4)
@@ -121,6 +125,17 @@ def test_people_with_names_are_resampled_as_wholes() -> None:
     found = [doubt(p, given)["relation_r"] for given in (named, split)]
     width = [one["ci_high"] - one["ci_low"] for one in found]
     assert width[0] > width[1]
+    # resampled people agree less than people do, which does not move the interval
+    rng = np.random.default_rng(0)
+    shares = rng.dirichlet(np.full(3, 2.0), 30)
+    judged = []
+    for i, share in enumerate(shares):
+        said = rng.choice(RELATIONS, 6, p=share).tolist()
+        rows = [{"participant": f"p{who}", "relation": one} for who, one in enumerate(said)]
+        judged.append(make_event(f"e{i}", COLLABORATIVE, judgments={"responses": rows}))
+    of_few = doubt(shares, judged)["relation_r"]
+    middle = (of_few["ci_low"] + of_few["ci_high"]) / 2
+    assert middle == pytest.approx(of_few["value"], abs=0.07)
 
 
 @pytest.mark.usefixtures("unpainted")

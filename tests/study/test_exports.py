@@ -126,7 +126,9 @@ def test_exports_replace_exports_alone_and_tell_age_and_gender_only_where_asked(
 
 def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
-    study = edit(study, "[checks]", '[checks]\ncompete = ["adversarial"]')
+    # both answers are right of the first; one of them of the second, who has not attended
+    right = f'compete = {{relation = ["adversarial"], goal_red = ["{JUDGED["goal_red"]}"]}}'
+    study = edit(study, "[checks]", f"[checks]\n{right}")
     come(study, {**JUDGED, "relation": "adversarial"}, {**JUDGED, "relation": "friendly"})
     out = study.export(tmp_path / "out")
     assert [p["checks_missed"] for p in table(out / "participants.csv")] == ["0", "1"]
