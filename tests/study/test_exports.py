@@ -130,8 +130,12 @@ def test_attention_checks_flag_and_are_no_judgments(tmp_path: Path) -> None:
     right = f'compete = {{relation = ["adversarial"], goal_red = ["{JUDGED["goal_red"]}"]}}'
     study = edit(study, "[checks]", f"[checks]\n{right}")
     come(study, {**JUDGED, "relation": "adversarial"}, {**JUDGED, "relation": "friendly"})
+    with study.store() as store:
+        store._db.execute("UPDATE participant SET seen=consented + 150")
     out = study.export(tmp_path / "out")
-    assert [p["checks_missed"] for p in table(out / "participants.csv")] == ["0", "1"]
+    people = table(out / "participants.csv")
+    assert [p["checks_missed"] for p in people] == ["0", "1"]
+    assert [p["minutes"] for p in people] == ["2.5", "2.5"]
     assert {row["video"] for row in table(out / "judgments.csv")} == {"collaborate", "independent"}
     roles = [(row["video"] == "compete", row["role"]) for row in table(out / "viewings.csv")]
     assert set(roles) == {(True, "check"), (False, "main")}

@@ -131,8 +131,10 @@ def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
     assert event.truth == dataclasses.replace(scene.truth, relation="neutral")
     (row,) = table(tmp_path / "out" / "sessions.csv")
     assert (row["session"], row["scene"], row["outcome"]) == (event.id, "near", "time")
-    assert {row["red"], row["green"]} == {player.id for player in players}
+    agents = {of_kind(one.messages, "scene")[0]["agent"]: one.id for one in players}
+    assert (row["red"], row["green"]) == (agents[0], agents[1])
     assert (row["steps"], row["resets_velocity"], row["view"]) == ("18", "1", "own")
+    assert float(row["seconds"]) == 18 / 24
     steps = table(tmp_path / "out" / "steps.csv")
     assert [step["red"] for step in steps] == [ACTION_NAMES[s["red"]] for s in session["steps"]]
     readme = (tmp_path / "out" / "README.md").read_text()
