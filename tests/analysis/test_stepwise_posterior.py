@@ -146,6 +146,11 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows(post: StepwisePosterio
     assert evidence > start == pytest.approx(0, abs=1e-9)
     # frames count in full, although the posterior tempers them
     assert evidence == pytest.approx(np.log(mass_of_each(3, weight=1.0).sum()))
+    # the last one is as surprising as those before, tempered as they are, make it
+    before, of_frame = mass_of_each(2), FOUND["log_likelihood"].values[3][tuple(pairs())]
+    expected = (before.sum(axis=(3, 4)) * np.exp(of_frame)).sum() / before.sum()
+    surprise = FOUND["log_peak"].values[3] - np.log(expected)
+    assert post.surprise()[3] == pytest.approx(surprise)
     tempered = StepwisePosterior(reading(weight=0.1))
     assert tempered.log_evidence == pytest.approx(evidence)
     assert "tempered: a frame counts 0.1 for goals" in str(tempered)
@@ -222,11 +227,13 @@ def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
     lying = diagnosed(trajectory=poses)
     assert lying["overlapping_frames"] == [2]
     assert lying["verdict"].startswith("Bodies lie on each other or in a wall in frame 2,")
-    torn = diagnosed(unexplained=np.array([0.0, 1.0, 40.0, 1.0]), trajectory=poses)
+    unexplained = np.array([0.0, 1.0, 40.0, 1.0])
+    torn = diagnosed(unexplained=unexplained, trajectory=poses)
+    assert torn["surprise_median"] == np.median((post.surprise() - unexplained)[1:])
     assert torn["unexplained_frames"] == [2]
     assert torn["verdict"].startswith("No action explains frame 2:")
     assert "Bodies lie" in torn["verdict"]
-    odd = diagnosed(log_peak=np.full(4, 60.0))
+    odd = diagnosed(log_peak=np.array([0.0, 60.0, 60.0, 60.0]))
     assert odd["surprising_share"] == 1.0
     assert odd["verdict"].startswith("100% of the frames surprise")
     without = FOUND["log_likelihood_without"].values.copy()
