@@ -117,8 +117,16 @@ def test_chance_is_taken_for_a_change_in_one_case_of_twenty_at_most(
     for rows in itertools.combinations_with_replacement((1, -1, 0), n):
         poses = np.stack([both[row] for row in rows], axis=1)
         goals = [alone.goals[0]] * n
-        if "no difference that" not in told(dataclasses.replace(alone, poses=poses, goals=goals)):
+        found = dataclasses.replace(alone, poses=poses, goals=goals)
+        if "no difference that" not in told(found):
             wrong += law.pmf([rows.count(row) for row in both])
+        # errors are as if there had been one more of either sort
+        change = found.difference("red")
+        assert change == pytest.approx(np.mean(rows))
+        assert change.error == pytest.approx(np.std([*rows, 1, -1]) / np.sqrt(n + 2))
+        reached = [row == -1 for row in rows]
+        expected = np.std([*reached, True, False]) / np.sqrt(n + 2)
+        assert found.probability("red")[0].error == pytest.approx(expected)
     assert wrong <= 0.05  # it was 0.50, 0.07, 0.22
 
 
