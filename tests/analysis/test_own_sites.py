@@ -12,6 +12,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.models.sites import OneOf
 from phase_ppl.world.errors import InvalidSettingError, QueryError
 from phase_ppl.world.goals import GOALS
 from tests.analysis.readings import reading
@@ -42,6 +43,15 @@ def friendly() -> None:
 def tired() -> None:
     """Strengths come first, and what is seen of them afterwards is a further site."""
     red, _ = ppl.sites.strengths()
+    numpyro.sample("effort", dist.Normal(red, 30.0))
+    ppl.sites.goals()
+    ppl.sites.alpha()
+
+
+def tired_of_five() -> None:
+    """The same with few strengths, three of them nearest to one level."""
+    red = numpyro.sample("strength_red", OneOf((150.0, 250.0, 300.0, 350.0, 600.0)))
+    numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
     numpyro.sample("effort", dist.Normal(red, 30.0))
     ppl.sites.goals()
     ppl.sites.alpha()
@@ -121,6 +131,7 @@ def test_sites_that_depend_on_another_or_on_strengths_are_drawn(drawn: StepwiseP
         (start, "P('spared ones'=4)", 0.25, 0.02),
         (start, "P(hits=4)", 1 / 64, 0.02),
         (post.at(0), "E[effort]", 375, 5),  # evenly between 150 and 600 N
+        (post.at(0).with_prior(tired_of_five), "E[effort]", 330, 5),
     ):
         found = at.query(question)
         assert 0 < found.error < most

@@ -83,6 +83,8 @@ def test_sites_of_ones_own_are_averaged_out_where_they_have_many_values() -> Non
 
     masses = np.exp(prior_table(moody, LEVELS)).sum(axis=(0, 1, 3, 4))
     np.testing.assert_allclose(masses, [0.925, *[0.075 / 4] * 4], rtol=0.02)
+    (density,) = np.exp(log_prior([(BLUE_TO_RED, PINK_TO_RED)], moody) + PER_NEWTON)
+    assert density == pytest.approx(0.925 / 34**2, rel=0.02)
 
 
 @pytest.mark.parametrize(
