@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.stats import binom
 
 import phase_ppl as ppl
 from phase_ppl.analysis.design import checked
@@ -57,16 +58,17 @@ def test_information_of_an_answer_is_the_jensen_shannon_divergence() -> None:
 
 
 def test_several_answers_say_what_all_their_counts_say() -> None:
-    p, q, n = 0.9, 0.4, 3
-    by_hand = 0.0
-    for k in range(n + 1):
-        shares = [math.comb(n, k) * x**k * (1 - x) ** (n - k) for x in (p, q)]
-        mean = sum(shares) / 2
-        by_hand += sum(s * math.log(s / mean) for s in shares) / 2
-    found = checked(TWO, "relation", lapse=0.0, answers=n)
-    assert found.information.values[2] == pytest.approx(by_hand)
-    drawn = found.joint(["e2"])
-    assert abs(drawn - by_hand) < 4 * drawn.error
+    n, k = 3, np.arange(4)
+    shares = np.array([binom.pmf(k, n, x) for x in (0.9, 0.4)])
+    for share in (0.5, 0.8):  # of the first model beforehand
+        prior = {"m0": share, "m1": 1 - share}
+        weights = np.array([*prior.values()])[:, None]
+        by_hand = (weights * shares * np.log(shares / (weights * shares).sum(axis=0))).sum()
+        found = checked(TWO, "relation", lapse=0.0, answers=n, prior=prior)
+        assert found.information.values[2] == pytest.approx(by_hand)
+        drawn = found.joint(["e2"])
+        assert abs(drawn - by_hand) < 4 * drawn.error < 0.05
+        assert found.attributed({}) == pytest.approx(prior)
     # too many outcomes to be summed are drawn
     many = np.random.default_rng(0).dirichlet(np.ones(36), (2, 1))
     two = checked(table(many), "goal_red", answers=2)
@@ -97,6 +99,10 @@ def test_the_best_events_are_chosen_for_what_they_say_together() -> None:
     assert max(given, key=lambda name: given[name]) == "m1"
     counted = found.attributed({"e0": {"a0": 1}, "e2": {"a1": 2}})
     assert counted == pytest.approx(given)
+    # of events that are all alike the best are not said to be better
+    alike = checked(table([[[0.7, 0.3]] * 60, [[0.5, 0.5]] * 60]), "relation")
+    chosen, any_five = alike.best(5).iloc[-1], alike.joint(alike.events[:5])
+    assert abs(chosen["information"] - any_five) < 3 * chosen["error"]
 
 
 # --- priors over the closed loop: cheap models with real machinery --------------------------------
