@@ -17,6 +17,7 @@ from phase_ppl.analysis.comparison import distances
 from phase_ppl.inference import entries as entries_module
 from phase_ppl.inference.compare import (
     Reference,
+    _halves_of,
     enumerate_goals,
     error_of,
     of_masses,
@@ -30,6 +31,7 @@ from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import ALPHAS, RELATION_TABLE, RELATIONS, Hypothesis
 from phase_ppl.world.scene import Scene
+from tests.analysis.factory import posterior_of
 from tests.inference.runs import EVENT, MODEL, infer
 from tests.inference.toy import (
     ALPHA_CODES,
@@ -374,3 +376,11 @@ def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
         stated.append(error["tv_goals"])
     assert np.mean(np.less(true, stated)) >= 0.7
     assert np.mean(true) < np.mean(stated) < 2.5 * np.mean(true)
+
+
+def test_halves_of_a_long_run_are_the_first_chains_and_every_other_one() -> None:
+    # red's goal is another in every other chain; the first two have both, as the last two
+    post = posterior_of((2, 5), [[0, 0], [1, 1], [0, 0], [1, 1]])
+    error = error_of(_halves_of(post))
+    assert error is not None
+    assert error["tv_goals"] == pytest.approx((0 + 1 / 2) / 2)
