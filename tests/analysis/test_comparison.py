@@ -193,6 +193,14 @@ def test_kernels_are_ranked_as_far_as_the_reference_can_tell() -> None:
     # one between two that differ shares a rank with both
     c = made_up({**three, "far": 0.4}, error=0.13)
     assert places(c) == {"near": (1, 2), "middle": (1, 3), "far": (2, 3)}
+    # two standard errors of the difference come on top of the reference's own
+    (near, far), (one, other) = made_up(two := {"near": 0.2, "far": 0.3}).table["tv_goals"].values.T
+    errors = 2 * np.hypot(one, other)
+    for more, apart in ((1.1, True), (0.9, False)):
+        c = made_up(two, error=far - near - more * errors)
+        assert places(c) == (
+            {"near": (1, 1), "far": (2, 2)} if apart else dict.fromkeys(two, (1, 2))
+        )
 
 
 def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() -> None:
