@@ -71,9 +71,9 @@ def test_several_answers_say_what_all_their_counts_say() -> None:
         assert found.attributed({}) == pytest.approx(prior)
     # too many outcomes to be summed are drawn
     many = np.random.default_rng(0).dirichlet(np.ones(36), (2, 1))
-    two = checked(table(many), "goal_red", answers=2)
+    three = checked(table(many), "goal_red", answers=3)
     single = checked(table(many), "goal_red").information.values[0]
-    assert single < two.information.values[0] < 2 * single + 0.05
+    assert single < three.information.values[0] < 3 * single + 0.05
 
 
 def test_errors_of_the_models_are_errors_of_the_information() -> None:
@@ -83,6 +83,10 @@ def test_errors_of_the_models_are_errors_of_the_information() -> None:
     assert found["error"].values[0] < 1e-9
     assert math.isnan(found["error"].values[1])
     assert 0.01 < found["error"].values[2] < 0.1
+    # of more answers than can be summed over they are taken to add up
+    many = table(np.random.default_rng(0).dirichlet(np.ones(36), (2, 1)), np.full((2, 1, 36), 1e-3))
+    one, some = (checked(many, "goal_red", answers=n).information["error"].values for n in (1, 3))
+    assert some == pytest.approx(3 * one)
 
 
 def test_the_best_events_are_chosen_for_what_they_say_together() -> None:

@@ -68,6 +68,16 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
         np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
 
 
+def test_the_prior_of_a_simulation_is_that_of_all_that_would_be_simulated_alike(
+    post: ppl.Posterior,
+) -> None:
+    found = post.tree["simulations"].dataset
+    of_pairs = post.tree["constant_data"]["prior_of_pairs"].values
+    mass = of_pairs[found["goal_red"], found["goal_green"]]  # strengths are even on 450 N
+    np.testing.assert_allclose(found["log_prior_effective"], np.log(mass / 450**2), rtol=1e-5)
+    assert (found["log_prior"] < found["log_prior_effective"] - 1e-3).any()
+
+
 def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:
     simulations = post.tree["simulations"].dataset
     assert len(simulations["seed"]) == post.cost["simulations"] > CHAINS * (1 + ITERATIONS)
@@ -278,6 +288,12 @@ def test_wrong_setting_is_refused_before_anything_is_simulated(
     model = ppl.Model(simulator=never_called)
     with pytest.raises(error, match=message):
         ppl.infer(EVENT, model, **{"workers": 1, "progress": False, **wrong})
+
+
+def test_a_quarter_of_a_long_run_does_not_count_unless_it_is_told_otherwise() -> None:
+    # a chain has as many draws as iterations
+    assert (infer(iterations=19).burn_in, infer(iterations=20).burn_in) == (0, 5)
+    assert infer(iterations=4, burn_in=1).burn_in == 1
 
 
 def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Posterior) -> None:
