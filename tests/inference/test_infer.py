@@ -299,6 +299,9 @@ def test_a_quarter_of_a_long_run_does_not_count_unless_it_is_told_otherwise() ->
 def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Posterior) -> None:
     found = post.diagnostics()
     assert (found["weights"], found["untried_rivals"]) == ("stratified", 0)
+    simulations = post.tree["simulations"].dataset
+    # none is so much worse that it is given up
+    assert simulations["completed"].values[simulations["iteration"] >= 3].all()
     counted = infer(weights="count")
     assert "rivals_from" not in counted.tree.attrs
     assert counted.cost["simulations"] == CHAINS * (1 + ITERATIONS)
