@@ -12,6 +12,8 @@ import pytest
 from numpyro import handlers
 
 import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.evaluation.observers.answers import evidence_of
 from phase_ppl.models import observers
 from phase_ppl.models.observers import (
     CUES,
@@ -24,6 +26,8 @@ from phase_ppl.models.observers import (
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.hypothesis import RELATIONS
+from tests.analysis.readings import reading
+from tests.world.examples import make_event
 
 
 def evidence(log_likelihood: list[list[float]], **cues: float) -> Evidence:
@@ -105,6 +109,13 @@ def test_relations_and_goals_follow_from_one_belief_about_pairs() -> None:
     assert evidence_of([event]).log_likelihood.shape == (3, 1, 1, len(RELATIONS))
     with pytest.raises(InvalidSettingError, match="made nothing of the event 'collaborate'"):
         evidence_of([event], {})
+
+
+def test_an_observer_knows_no_frame_that_its_evidence_does_not_count() -> None:
+    post, event = StepwisePosterior(reading()), make_event(id="a")
+    for frame in range(4):
+        shares = answers(Observer(), evidence_of([event], {"a": post.at(frame)}))[0]
+        assert shares == pytest.approx(post.at(frame).marginal("relation").values, abs=1e-4)
 
 
 def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:

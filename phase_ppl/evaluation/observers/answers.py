@@ -306,7 +306,8 @@ def _table(event_id: str, made: Made) -> tuple[FloatArray, FloatArray]:
 
 
 def _of_frames(post: StepwisePosterior) -> tuple[FloatArray, FloatArray]:
-    frames = post.dataset["log_likelihood"].values.reshape(post.dataset.sizes["time"], -1)
+    seen = post.dataset["log_likelihood"].values[: post.frame + 1]
+    frames = seen.reshape(len(seen), -1)
     age = np.arange(len(frames))[::-1, None]
     found = float(post.dataset.attrs["weight"]) * np.array(
         [(0.5 ** (age / half_life) * frames).sum(axis=0) for half_life in HALF_LIVES]
