@@ -279,7 +279,10 @@ class Perception:
 
 
 def leak(belief: Belief, evidence: Evidence) -> Belief:
-    """What was seen fades: between tables of :data:`HALF_LIVES`, by ``leak`` from 0 to 2."""
+    """What was seen fades: between tables of :data:`HALF_LIVES`, by ``leak`` from 0 to 2.
+
+    It takes the tables as they are, and so is the first part of an observer.
+    """
     most = len(HALF_LIVES) - 1
     place = numpyro.sample("leak", dist.Uniform(0, most))
     shares = jnp.maximum(0.0, 1 - jnp.abs(place - jnp.arange(most + 1)))
@@ -375,7 +378,7 @@ class Observer:
     model does. A part is a function ``(belief, evidence) -> belief`` that may sample parameters.
 
     Raises:
-        InvalidSettingError: a part is no function.
+        InvalidSettingError: a part is no function, or ``leak`` is not the first.
     """
 
     parts: tuple[Part, ...]
@@ -384,6 +387,10 @@ class Observer:
         for part in parts:
             if not callable(part):
                 raise InvalidSettingError(f"part {shown(part)} is no function (belief, evidence)")
+        if leak in parts[1:]:
+            raise InvalidSettingError(
+                "leak comes first: it takes all evidence anew, whatever parts before it made of it"
+            )
         object.__setattr__(self, "parts", parts)
 
     def __call__(self, evidence: Evidence) -> Responses:

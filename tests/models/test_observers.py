@@ -151,6 +151,11 @@ def test_what_is_no_observer_is_refused() -> None:
         (lambda: observer_named("companie"), UnknownNameError, "observer 'companie'"),
         (lambda: observers.cues(distanze="neutral"), UnknownNameError, "cue 'distanze'"),
         (lambda: observers.cues(distance="hostile"), UnknownNameError, "relation 'hostile'"),
+        (
+            lambda: Observer(observers.weight, observers.leak),
+            InvalidSettingError,
+            "leak comes first",
+        ),
         (lambda: Observer("lapse"), InvalidSettingError, "no function"),  # type: ignore[arg-type]
     ]
     for make, error, message in wrong:
