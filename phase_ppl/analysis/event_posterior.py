@@ -135,8 +135,8 @@ class EventPosterior(Hypotheses):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything to ``path`` as NetCDF, whole or not at all.
 
-        The weighting and the burn-in in use become the file's defaults; what was defined in words
-        is kept.
+        The weighting and the burn-in in use, or the last frame that is counted, become the file's
+        defaults; what was defined in words is kept.
 
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.

@@ -71,6 +71,8 @@ SURPRISING: Final = 0.1
 _TOO_SURPRISING: Final = 0.5
 """Share of such frames from which on the agents are said not to do what any goals make likely."""
 
+_FRAME: Final = "frame"  # attribute of files: the last frame that is counted
+
 DISAGREE: Final = 0.1
 """Standard error of a leading probability from which on the sets of searches disagree."""
 
@@ -438,7 +440,9 @@ class StepwisePosterior(EventPosterior):
         return np.asarray(self._found["trajectory"].values, np.float64)[: self._frame + 1]
 
     def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
-        return {"/": self._found.copy()}, {"zlib": True, "complevel": 4}
+        found = self._found.copy()
+        found.attrs |= {_FRAME: self._frame}
+        return {"/": found}, {"zlib": True, "complevel": 4}
 
     @classmethod
     def load(
@@ -455,7 +459,9 @@ class StepwisePosterior(EventPosterior):
                 f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
             )
         try:
-            return cls(read_netcdf(source)["/"], scenario=scenario)
+            found = read_netcdf(source)["/"]
+            frame = found.attrs.pop(_FRAME, None)
+            return cls(found, None if frame is None else int(frame), scenario=scenario)
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 

@@ -204,6 +204,9 @@ def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> 
         for asked in (("goal_red", "relation"), ("alpha",)):
             np.testing.assert_array_equal(again.joint(*asked), post.joint(*asked))
         assert str(again) == str(post)
+    early = ppl.load_posterior(post.at(1).save(tmp_path / "early.nc"))
+    assert str(early) == str(post.at(1))  # what came later is still there, and counts for nothing
+    assert str(ppl.load_posterior(early.at(3).save(tmp_path / "late.nc"))) == str(post)
     with pytest.raises(InvalidEventError, match="read step by step: load_posterior"):
         ppl.Posterior.load(file)
     with pytest.raises(InvalidSettingError, match="no draws"):
