@@ -100,6 +100,8 @@ class Said:
     in_top: FloatArray
     # kind -> (event, question, answer), NaN where none are given
     probabilities: Mapping[str, FloatArray]
+    # kind -> (event, question) probability of the answer given, which need not be the most probable
+    sure: Mapping[str, FloatArray]
     scenario: IntArray  # (event,) index of the scenario of both goals answered, -1 where unknown
 
     def where_known(self, other: Said) -> Said:
@@ -167,6 +169,7 @@ def said(known: Facts, predictions: Mapping[str, Prediction]) -> Said:
         },
         in_top=_in_top(probabilities["goal"], known.truth["goal"]),
         probabilities=probabilities,
+        sure={kind: at_truth(probabilities[kind], given) for kind, given in answered.items()},
         scenario=_scenarios(one.scenario for one in made),
     )
 

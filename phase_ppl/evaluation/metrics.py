@@ -358,7 +358,7 @@ def calibration(model: Said) -> dict[str, dict[str, Any]]:
     """Return how often answers are true that the model is sure of (``calibration``, above)."""
     found: dict[str, dict[str, Any]] = {}
     for kind, right in model.right.items():
-        sure = model.probabilities[kind].max(axis=-1, initial=-np.inf)
+        sure = model.sure[kind]
         found[kind] = {}
         for least in SURE:
             chosen = (sure >= least) & ~np.isnan(right)

@@ -200,6 +200,11 @@ def test_log_score_of_the_truth_has_a_lapse_of_one_in_a_hundred() -> None:
     of_sure = {least: one["n"] for least, one in sure.items()}
     assert of_sure == {"0": 2, "0.5": 2, "0.8": 1, "0.95": 1}
     assert sure["0.8"]["accuracy"]["value"] == 0
+    # an answer that is given beside probabilities has its own, whatever is more probable
+    given = Prediction("a", {"relation": [0.1, 0.9, 0.0]}, {"relation": "friendly"})
+    sure = evaluate_predictions(events[:1], {"a": given})["calibration"]["relation"]
+    assert list(sure) == ["0"]
+    assert (sure["0"]["probability"], sure["0"]["accuracy"]["value"]) == (0.1, 1)
 
 
 def test_only_what_is_answered_counts() -> None:
