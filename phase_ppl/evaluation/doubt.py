@@ -13,8 +13,8 @@ else:
                             the mean, and are too wide, up to twofold
 ``log_score_gap``           people's own log score minus the model's [nats]. Theirs is in-sample: a
                             model that knew how people answer would be some 1 / n behind n raters
-``brier``                   mean over people of the squared distance of the model's probabilities
-                            from their answer, 0 to 2
+``brier``                   mean over events, and over the people of each, of the squared distance
+                            of the model's probabilities from their answer, 0 to 2
 ``ece``                     expected calibration error: mean distance of the model's probabilities
                             from the share of people, over ten bins of probability
 ``calibration``             of each bin that has any: ``probability``, ``share``, ``n``
@@ -88,12 +88,13 @@ def doubt(known: Facts, model: Said, seed: int = 0, resamples: int = 1000) -> di
     bins = calibration(p, people)
 
     def r(groups: IntArray | None) -> Measure | None:
+        n = len(p) if groups is None else int((groups[:, 0] >= 0).sum())
         if drawn is None:  # an event's ratings are its own, and resampled with it
-            return measure(correlation(weights, p, people, groups), len(p))
+            return measure(correlation(weights, p, people, groups), n)
         value = correlation(weights[:1], p, people, groups)
         among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
         moved = correlation(weights[1:], p, drawn, groups) + value - _mean(among_raters)
-        return measure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
+        return measure(np.concatenate([value, np.clip(moved, -1, 1)]), n)
 
     return {
         "relation_r": r(None),

@@ -295,7 +295,9 @@ def _r(
     weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None
 ) -> Resampled:
     of_groups = None if groups is None else by_event(groups)
-    return Resampled(correlation(weights, by_event(x), by_event(y), of_groups), events_with(x * y))
+    values = correlation(weights, by_event(x), by_event(y), of_groups)
+    known = x * y if groups is None else np.where(groups < 0, np.nan, x * y)
+    return Resampled(values, events_with(known))
 
 
 def mean_measure(weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Resampled:
