@@ -34,8 +34,9 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
-from phase_ppl.world.goals import goal_index, goal_literal, is_true
+from phase_ppl.world.goals import goal_index, goal_literal, is_true, planned_as
 from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, Roles, checked_strength
+from phase_ppl.world.names import Literal, Predicate
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
 from phase_ppl.world.space import HypothesisSpace, space_of
@@ -94,7 +95,7 @@ class WhatIf(Printed):
         """Return in which simulations an agent's goal is reached, and when.
 
         A goal to get something somewhere is reached when that is true for the first time; one to
-        get or keep it away, if it is away at the end.
+        get or keep it away, if it is away at the end. What was removed is near nothing.
 
         Args:
             agent: its name, such as "red agent", or the first word of that.
@@ -112,12 +113,24 @@ class WhatIf(Printed):
             scene, frames = self.scenes[world], self.poses[world, row]
             wanted = self.goals[row][holder] if goal is None else goal_index(goal, self.world)
             literal = goal_literal(wanted, holder, self.world)
-            when = [t for t, one in enumerate(frames) if is_true(literal, one, scene)]
+            near = self._wanted_near(literal, holder) if world else None
+            if near is None:
+                when = [t for t, one in enumerate(frames) if is_true(literal, one, scene)]
+            else:
+                when = [] if near else list(range(len(frames)))
             if when and (literal.positive or when[-1] == len(frames) - 1):
                 frame = when[0] if literal.positive else when[-1]
                 found[world, row] = (self.begin + frame) / FRAMES_PER_SECOND
         coords = {"world": list(WORLDS[: len(found)])}
         return xr.DataArray(found, coords, ("world", "simulation"), "seconds")
+
+    def _wanted_near(self, literal: Literal, holder: int) -> bool | None:
+        """Return whether what was removed is to be near something; None: it is about the rest."""
+        planned = planned_as(literal, holder, self.scenes[0])
+        bodies = {planned.subject}
+        if planned.predicate is Predicate.TOUCH:
+            bodies.add(planned.target)
+        return None if bodies.isdisjoint(self.removed) else planned.positive
 
     def probability(self, agent: str, goal: str | None = None) -> list[Estimate]:
         """Return in each world the probability that an agent's goal is reached."""
@@ -178,7 +191,7 @@ class WhatIf(Printed):
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
             return f"{words}; no difference that so few simulations would show ({change})"
-        if not self.removed:
+        if self.change != _removal(self.world, self.removed):  # it may be due to something else
             return f"{words}: {'more' if change > 0 else 'less'} often ({change})"
         names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
         role = "in its way" if change > 0 else "of help"
@@ -186,6 +199,11 @@ class WhatIf(Printed):
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"
+
+
+def _removal(world: World, removed: Sequence[int]) -> str:
+    """Return in words that entities were removed; "" of none."""
+    return ", ".join(f"the {world.entities[entity]} removed" for entity in removed)
 
 
 def _entity(name: object, among: Sequence[str]) -> int:
@@ -254,7 +272,7 @@ class Change:
             words.append(f"alpha = {alpha}")
         names = [remove] if isinstance(remove, str) else remove
         removed = tuple(_entity(name, world.entities) for name in names)
-        words += [f"the {world.entities[entity]} removed" for entity in removed]
+        words += [_removal(world, removed)] if removed else []
         words += [] if walls is None else ["other walls"]
         return cls(world, sites, goals, removed, walls, ", ".join(words))
 

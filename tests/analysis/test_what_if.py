@@ -25,6 +25,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.what_if import Change, WhatIf, _drawn
 from phase_ppl.closed_loop.hidden_state import reconstructed
 from phase_ppl.models.effective import prior_of_pairs, prior_table
+from phase_ppl.physics import pymunk_world
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -96,6 +97,9 @@ def test_without_who_is_in_its_way_an_agent_reaches_its_goal(alone: WhatIf) -> N
     poses = np.concatenate([alone.poses] * 2, axis=1)
     twice = dataclasses.replace(alone, poses=poses, goals=[*alone.goals] * 2)
     assert "the green agent was in its way" in told(twice)
+    more = dataclasses.replace(twice, change=f"{twice.change}, other walls")
+    assert "was in its way" not in told(more)  # it may have been the walls
+    assert "the green agent removed, other walls: more often" in told(more)
     assert "the green agent reaches" not in told(alone)
     for row, seconds in enumerate(alone.reached("red").sel(world="changed").values):
         pose = alone.poses[1, row, round(seconds * 12), 2, :2]
@@ -172,6 +176,33 @@ def test_walls_are_moved_and_items_removed(contested: ppl.Posterior) -> None:
     assert shut.scenes[1].rooms.door_width[2] == pytest.approx(0)
     assert told(shut).count("other walls") == 2
     assert shut.tracks.sel(world="changed", entity="pink item").isnull().all()
+
+
+def test_what_was_removed_is_in_no_room_and_near_nothing() -> None:
+    world = ppl.World(
+        ["anna"],
+        ["ball", "doll"],
+        {"home": (4, 4)},
+        arena=(0, 24, 0, 20),
+        walls=[((12, 0), (12, 7)), ((12, 13), (12, 20))],
+        predicates=[
+            ppl.Predicate("ball in the den", "ball", room=(4, 4)),
+            ppl.Predicate("toys together", "ball", "doll", within=4),
+            ppl.Predicate("toys apart", "ball", "doll", beyond=4),
+        ],
+    )
+    where = world.scene({"anna": (6, 16), "ball": (4, 10), "doll": (7, 10)})
+    poses = np.repeat(where.start[None, None, None], 2, axis=0)
+    poses[1, :, :, 1:, :2] = pymunk_world.AWAY
+    found = WhatIf("", "", 0, (where, where), [(0,)], poses, (1, 2))
+    for goal, expected in {
+        **{"ball in the den": [0, np.inf], "not ball in the den": [np.inf, 0]},
+        **{"toys together": [0, np.inf], "not toys together": [np.inf, 0]},
+        **{"toys apart": [np.inf, 0], "not toys apart": [0, np.inf]},
+        **{"Get ball to home": [np.inf, np.inf], "get away from ball": [0, 0]},
+        **{"Get anna to home": [np.inf, np.inf], "Get anna away from home": [0, 0]},
+    }.items():
+        assert found.reached("anna", goal).values[:, 0].tolist() == expected, goal
 
 
 def test_a_film_shows_both_worlds(alone: WhatIf, tmp_path: Path) -> None:
