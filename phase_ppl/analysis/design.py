@@ -190,10 +190,12 @@ class Design(Printed):
     def joint(self, events: Iterable[str]) -> Estimate:
         """Return what answers about several events say together, nats, with its error.
 
+        One that is named twice counts once.
+
         Raises:
             UnknownNameError: there is no such event.
         """
-        places = [self._place(event) for event in events]
+        places = [self._place(event) for event in dict.fromkeys(events)]
         value, error, _ = self._expected(self._simulated[:, places].sum(axis=1))
         return Estimate(float(value), float(error))
 
@@ -254,6 +256,7 @@ class Design(Printed):
 
         Raises:
             UnknownNameError: there is no such event or answer.
+            InvalidSettingError: all models have it that these answers cannot be.
         """
         labels, log_mass = self.labels, np.log(self.prior)
         for event, given in answers.items():
@@ -261,8 +264,10 @@ class Design(Printed):
             counted = given if isinstance(given, Mapping) else {}
             for answer in counted or ([given] if isinstance(given, str) else given):
                 check_name("answer", answer, labels)
-                times = counted.get(answer, 1)
-                log_mass = log_mass + times * self._log_shares[:, place, labels.index(answer)]
+                if times := counted.get(answer, 1):  # what nobody said may be impossible
+                    log_mass = log_mass + times * self._log_shares[:, place, labels.index(answer)]
+        if np.isneginf(log_mass).all():
+            raise InvalidSettingError("no model can give these answers, without lapses")
         shares = np.exp(log_mass - logsumexp(log_mass))
         return dict(zip(self.models, shares.tolist(), strict=True))
 

@@ -107,6 +107,15 @@ def test_the_best_events_are_chosen_for_what_they_say_together() -> None:
     alike = checked(table([[[0.7, 0.3]] * 60, [[0.5, 0.5]] * 60]), "relation")
     chosen, any_five = alike.best(5).iloc[-1], alike.joint(alike.events[:5])
     assert abs(chosen["information"] - any_five) < 3 * chosen["error"]
+    assert found.joint(["e0", "e0"]) == found.joint(["e0"])
+
+
+def test_an_answer_that_cannot_be_says_nothing_where_nobody_gave_it() -> None:
+    never = checked(table([[[0.8, 0.2, 0]], [[0.4, 0.6, 0]]]), "relation", lapse=0.0)
+    given = never.attributed({"e0": {"a0": 1, "a2": 0}})
+    assert given == pytest.approx({"m0": 2 / 3, "m1": 1 / 3})
+    with pytest.raises(InvalidSettingError, match="no model can give these answers"):
+        never.attributed({"e0": "a2"})
 
 
 # --- priors over the closed loop: cheap models with real machinery --------------------------------
