@@ -246,6 +246,23 @@ def test_people_who_come_with_the_package_see_what_a_model_makes_of_a_video(tmp_
         ppl.evaluate([event], "majority", observer="people")
 
 
+def test_all_readings_of_a_video_are_paid_for() -> None:
+    event = ppl.load_event("independent")
+    asked = []
+
+    def counting(scene: ppl.Scene, observation: ppl.Observation, seed: int) -> ppl.Prediction:
+        asked.append(len(asked) + 1)
+        shares = {"relation": [1 / 3] * 3}
+        return ppl.Prediction("", shares, cost={"searches": asked[-1], "cached": True})
+
+    people = dataclasses.replace(
+        observer_of("people", "chance"), perception=ppl.Perception(percepts=4)
+    )
+    seen = ppl.evaluate([event], counting, observer=people, progress=False)
+    cost = seen.predictions[event.id].cost
+    assert (cost["searches"], cost["cached"]) == (sum(asked), True) == (10, True)
+
+
 def test_commands_fit_and_ask_an_observer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -344,7 +344,7 @@ class Observed:
             "",
             {**{q: own.probabilities[q] for q in kept if q in own.probabilities}, **fitted},
             kept,
-            own.cost,
+            _summed([as_prediction(one.given).cost for one in answers]),
             {q: e for q, e in own.errors.items() if q in kept},
         )
         return Answer(prediction, answers[0].artefacts)
@@ -352,6 +352,16 @@ class Observed:
     def warm_up(self) -> None:
         """Prepare what all processes share."""
         getattr(self.model, "warm_up", lambda: None)()
+
+
+def _summed(costs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what all readings of a video cost; what is no number is that of the first."""
+    return {
+        name: value
+        if isinstance(value, bool) or not isinstance(value, int | float)
+        else sum(cost.get(name, 0) for cost in costs)
+        for name, value in costs[0].items()
+    }
 
 
 def seen_through(model: ReadyModel, given: str | os.PathLike[str] | FittedObserver) -> ReadyModel:
