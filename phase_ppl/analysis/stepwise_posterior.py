@@ -486,7 +486,7 @@ class StepwisePosterior(EventPosterior):
         lines += wrapped("evidence", evidence)
         if self.tempering:
             lines += wrapped("weight", f"{self.tempering} in the probabilities above")
-        steps = max(1, found["frames"] - 1)
+        steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
         words = f"{cost['searches']} searches, {cost['searches'] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "
