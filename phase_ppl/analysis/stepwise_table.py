@@ -25,7 +25,7 @@ from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, effective_pairs, effective_table
 from phase_ppl.world.scene import PHASE, World
@@ -412,7 +412,12 @@ class PolicyTable(Table):
                 now = np.bincount(place[:, agent], mass, len(levels))
                 with np.errstate(divide="ignore", invalid="ignore"):
                     mass = mass * np.nan_to_num(prior[agent] / now)[place[:, agent]]
-        return np.asarray(mass / mass.sum())[None]
+        if not (total := mass.sum()) > 0:
+            raise InvalidSettingError(
+                "the prior is sure of strengths that are not followed together: of three agents "
+                "and more only some combinations are"
+            )
+        return np.asarray(mass / total)[None]
 
     def _so_far(self, frame: int) -> FloatArray:
         if self._at > frame or self._at < 0:

@@ -298,6 +298,18 @@ def test_it_answers_in_the_names_of_its_world() -> None:
     assert alone.query("P(alpha_red_green=1)") == 0
 
 
+def strong_and_weak(world: ppl.World) -> None:
+    ppl.roles.goals(world)
+    ppl.roles.company(world)
+    for key, low in zip(world.keys, (550.0, 150.0, 150.0), strict=True):
+        numpyro.sample(f"strength_{key}", dist.Uniform(low, low + 50))
+
+
+def test_a_prior_that_is_sure_of_strengths_that_nobody_followed_is_refused() -> None:
+    with pytest.raises(InvalidSettingError, match="strengths that are not followed together"):
+        of_three().with_prior(strong_and_weak)
+
+
 def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     post, table = of_three(), of_three()._table
     (mass,), combinations = table.prior_of_strengths, table.combinations
