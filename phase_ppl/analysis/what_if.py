@@ -17,7 +17,7 @@ from scipy.special import bdtr
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.estimate import Estimate, cautious
 from phase_ppl.analysis.weights import Rows
-from phase_ppl.closed_loop.hidden_state import reconstructed
+from phase_ppl.closed_loop.hidden_state import Tracking, reconstructed
 from phase_ppl.physics.pymunk_world import AWAY
 from phase_ppl.render.video import Film, video
 from phase_ppl.simulator.contract import Simulator, random_generator, simulate_trajectory
@@ -368,7 +368,9 @@ def simulated(
         walls = {} if change.walls is None else {"walls": change.walls}
         worlds.append((dataclasses.replace(scene, **walls), removed))
         hypotheses.append([change.hypothesis(sites) for sites in drawn])
-    past = reconstructed(scene, post.observed[: at + 1]) if at else None
+    followed = post.settings.get("likelihood", {}).get("tracking")  # of what was read step by step
+    tracking = None if followed is None else Tracking(**followed)
+    past = reconstructed(scene, post.observed[: at + 1], tracking) if at else None
     seeds = np.random.SeedSequence([seed, n]).generate_state(n).tolist()
     tasks = [
         (simulator, where, h, int(one), frames, past, gone)

@@ -23,7 +23,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis import what_if
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.what_if import Change, WhatIf, _drawn
-from phase_ppl.closed_loop.hidden_state import reconstructed
+from phase_ppl.closed_loop.hidden_state import Tracking, reconstructed
 from phase_ppl.models.effective import prior_of_pairs, prior_table
 from phase_ppl.physics import pymunk_world
 from phase_ppl.world.errors import (
@@ -67,10 +67,10 @@ def contested() -> Iterator[ppl.Posterior]:
     tree.attrs["settings"] = json.dumps({"model": {"planner": PLANNER.to_dict()}})
     found: dict[bytes, Any] = {}
 
-    def remembered(where: ppl.Scene, observed: np.ndarray) -> Any:
+    def remembered(where: ppl.Scene, observed: np.ndarray, tracking: None) -> Any:
         key = observed.tobytes()
         if key not in found:
-            found[key] = reconstructed(where, observed)
+            found[key] = reconstructed(where, observed, tracking)
         return found[key]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -151,7 +151,7 @@ def test_from_a_frame_on_what_was_seen_has_happened(contested: ppl.Posterior) ->
     with pytest.raises(InvalidSettingError, match="nothing was changed"):
         following.difference("red")
 
-    past = what_if.reconstructed(contested.scene, observed)  # what it goes on from
+    past = what_if.reconstructed(contested.scene, observed, None)  # what it goes on from
     assert len(past.states) == len(past.actions) + 1 == LAST + 1
     poses = np.array([state.pose[:, :2] for state in past.states])
     assert np.abs(poses - observed[..., :2]).max() < 0.7
@@ -167,6 +167,20 @@ def test_the_same_seeds_give_the_same_worlds(contested: ppl.Posterior) -> None:
     np.testing.assert_array_equal(nothing.poses[0], nothing.poses[1])
     assert nothing.difference("red") == 0
     assert "no difference" in told(nothing)
+
+
+def test_what_was_read_step_by_step_goes_on_from_the_past_as_it_was_followed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    likelihood = ppl.StepwiseLikelihood(tracking=Tracking(LEVELS, noise=0.02))
+    settings = {"likelihood": likelihood.to_dict(), "model": {"planner": PLANNER.to_dict()}}
+    followed: list[Any] = []
+    monkeypatch.setattr(
+        what_if, "reconstructed", lambda *given: followed.append(given[2]) or reconstructed(*given)
+    )
+    post = StepwisePosterior(reading(settings=json.dumps(settings)))
+    assert post.predict(0.25, n=2, workers=1).poses.shape[:2] == (1, 2)
+    assert followed == [likelihood.tracking]
 
 
 def test_walls_are_moved_and_items_removed(contested: ppl.Posterior) -> None:
