@@ -234,7 +234,8 @@ def leaving_out(
     draws if these are compared; of rows in strata whose mass does not depend on who is left out
     the stratum of each (row,) and the share of each group in it (stratum, group).
     """
-    n_groups = int(groups.max()) + 1
+    # in strata there are groups too that have no row, as none of their simulations was completed
+    n_groups = int(groups.max()) + 1 if strata is None else strata[1].shape[1]
     if n_groups < 2:
         return None
     sets, factor = sets_to_leave_out(n_groups, share)

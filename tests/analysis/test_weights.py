@@ -219,6 +219,22 @@ def test_a_stratum_keeps_its_mass_whichever_chains_are_left_out() -> None:
         assert weights[of_a].sum() == pytest.approx(0.5)
 
 
+def test_a_chain_of_which_nothing_was_completed_has_a_part_in_errors() -> None:
+    shares = (0.2, 0.2), (0.2, 0.1), (0.3, 0.4)
+    simulations = [
+        Simulation(h, 2 * chain + i, LOG(0.5), LOG(p), chain < 2, chain=chain, iteration=i)
+        for chain, of_both in enumerate(shares)
+        for i, (h, p) in enumerate(zip((A, B), of_both, strict=True))
+    ]
+    post = stratified(simulations, EVEN, 0, draws=[[0], [2], [2]])
+    without = post._jackknife(0.0)
+    assert without is not None
+    of_a = post.table.values["goal_red"] == A.effective_goals[0]
+    # with each chain left out in turn, and the last one counted as without likelihood
+    found = [weights[of_a].sum() for weights in without.weights]
+    assert found == pytest.approx([0.2 / 0.3, 0.2 / 0.4, 0.4 / 0.7])
+
+
 def test_weights_by_proposals_need_their_densities_and_the_prior_of_pairs() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
     for given, said in (
