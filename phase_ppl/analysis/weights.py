@@ -300,11 +300,15 @@ def _strata_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
     stopped = (unknown > 0) & np.isfinite(total)
     perfect = ((total - so_far[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
     perfect = perfect if np.isfinite(perfect) else np.inf
+    # where one was stopped, its last frame is the first that the probability does not allow for
+    cut = np.isfinite(simulations["log_bound"].values) & ~simulations["completed"].values
+    n_known = np.where(cut, simulations["frames_simulated"].values - 1, known.shape[1])
     weights, used = np.zeros(known.shape), np.zeros(len(known), bool)
     for t, left in enumerate(reversed(range(known.shape[1]))):
         at_best = so_far[:, t] + (left * perfect if left else 0.0)
         log_weight = log_mass + so_far[:, t] + _log_reciprocal_proposal(tree, at_best)
-        usable = known[:, t] & ~simulations["failed"].values & np.isfinite(log_weight)
+        usable = known[:, t] & (t < n_known) & ~simulations["failed"].values
+        usable &= np.isfinite(log_weight)
         weights[usable, t] = truncated(normalised(log_weight[usable]), n_requests[usable])
         used |= usable
     return np.flatnonzero(used), weights[used]

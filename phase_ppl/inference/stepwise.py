@@ -321,6 +321,7 @@ class TableRunner:
     """
 
     workers, on_failure, retries = 1, "reject", 0
+    stops_early = False
 
     def __init__(self, found: xr.Dataset) -> None:
         likelihood = found["log_likelihood"].values

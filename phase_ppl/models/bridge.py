@@ -26,7 +26,10 @@ _Columns = dict[str, NDArray[Any]]
 
 
 class RunsSimulations(Protocol):
-    """What the bridge needs of a runner (:class:`phase_ppl.simulator.runner.Runner`)."""
+    """What the bridge needs of a runner (:class:`phase_ppl.simulator.runner.Runner`).
+
+    One that never stops a simulation at its ceiling has an attribute ``stops_early`` that is False.
+    """
 
     def run(
         self, hypotheses: Sequence[Any], seeds: Sequence[int], error_ceilings: Sequence[float]
@@ -84,6 +87,7 @@ class SimulatorBridge:
         self.iteration = 0
         self.failure: BaseException | None = None
         self._runner = runner
+        self._stops_early: bool = getattr(runner, "stops_early", True)
         self._n_frames = n_frames
         self._space = space_of(PHASE) if space is None else space
         self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
@@ -111,6 +115,8 @@ class SimulatorBridge:
     def _simulate(self, columns: _Columns, *numbers: NDArray[Any]) -> NDArray[np.float32]:
         batch = numbers[1].shape
         log_prior, seed, ceiling, log_proposal, log_bound = map(np.ravel, numbers)
+        if not self._stops_early:  # then every simulation is complete for certain
+            ceiling = log_bound = np.full(seed.shape, np.inf, np.float32)
         n_rows = len(seed)
         rows_per_chain = n_rows // batch[0] if batch else 1
         flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}
@@ -139,6 +145,9 @@ class SimulatorBridge:
             # the first that would have completed it answers those after it, as in batches of one
             ends = [r for r in alike if result.completed and result.total_error <= ceiling[r]]
             row = ends[0] if ends else longest
+            if result.completed and not ends:
+                # its last frame took it beyond the ceiling: one frame more, and it had been stopped
+                result = dataclasses.replace(result, completed=False)
             sites = {name: values[row] for name, values in flat.items()}
             place = len(self.records)
             self.remember(

@@ -128,6 +128,7 @@ class Runner:
             one is begun: it has failed then.
         deadline: time at which ``run`` raises :class:`~phase_ppl.simulator.contract.OutOfTime`.
         retries: 0 without "retry".
+        stops_early: whether simulations are stopped at their ceilings: not those of a batch.
 
     Raises:
         InvalidSettingError: ``workers`` or ``retries`` is out of range, or the simulator cannot be
@@ -161,6 +162,7 @@ class Runner:
         self.scene = scene
         self._work = Work(simulator, scene, np.array(observation.positions))
         self._together = hasattr(simulator, "simulate_batch") and executor is None
+        self.stops_early = not self._together
         self._stop: Future[None] = Future()
         self._one_run = threading.Lock()
         self._attempts_left = self.retries
