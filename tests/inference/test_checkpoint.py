@@ -88,6 +88,25 @@ def test_an_interrupted_run_goes_on_bit_for_bit(
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_population_goes_on_from_its_initial_particles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, options = tmp_path / "run.ckpt", {"kernel": "smc", "move": "prior_mh", "iterations": 1}
+    settings = ppl.SimpleSettings(proposal="learned")
+    with monkeypatch.context() as patch:
+        patch.setattr(sampler, "Runner", stops_at(1))
+        with pytest.raises(ppl.Interrupted) as caught:
+            infer(**options, settings=settings, checkpoint=path)
+    first = caught.value.posterior
+    assert first is not None
+    stats = first.tree["sample_stats"].dataset
+    # what importance sampling makes of them
+    weights, n = stats["log_weight"].values.ravel(), EVENT.observation.n_frames
+    expected = np.log(np.exp(weights).mean()) + n * ppl.RadialLikelihood().log_prob(0.0)
+    np.testing.assert_allclose(stats["log_evidence"], expected, rtol=1e-5)
+    assert_same_draws(infer(**options, settings=settings).tree, resume(path).tree)
+
+
 def test_a_complete_run_gives_its_posterior_without_simulating(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

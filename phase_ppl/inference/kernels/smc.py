@@ -227,9 +227,16 @@ class SMC(ParticleKernel):
             particle=particle,
             temperature=zero,
             log_weight=jnp.where(jnp.isfinite(log_likelihood), log_weight, -jnp.inf),
-            log_evidence=zero + jnp.nan,
+            log_evidence=zero,
             log_evidence_so_far=zero,
             rng_key=key,
+        )
+
+    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> SMCState:
+        state: SMCState = super()._start(keys, sites)
+        # until it is cooled, that of importance sampling
+        return state._replace(
+            log_evidence=jnp.full_like(state.log_evidence, self._log_mean(state.log_weight))
         )
 
     def step_one(self, state: SMCState) -> SMCState:
@@ -253,17 +260,20 @@ class SMC(ParticleKernel):
         particle = jax.vmap(mover.step_one)(particle)
 
         log_weight = powered(self._log_likelihood(particle), 1 - temperature)
-        without_error = self.program.log_likelihood(jnp.zeros(self.program.n_frames)).sum()
-        left = logsumexp(log_weight) - np.log(len(weights))
         return SMCState(
             i=state.i + 1,
             particle=particle,
             temperature=jnp.full_like(state.temperature, temperature),
             log_weight=log_weight,
-            log_evidence=so_far + left + without_error,
+            log_evidence=so_far + self._log_mean(log_weight),
             log_evidence_so_far=so_far,
             rng_key=keys[:, 2],
         )
+
+    def _log_mean(self, log_weight: jax.Array) -> jax.Array:
+        """Return the log of the mean weight, with what the weights leave out of the likelihood."""
+        without_error = self.program.log_likelihood(jnp.zeros(self.program.n_frames)).sum()
+        return logsumexp(log_weight) - np.log(len(log_weight)) + without_error
 
     def _log_likelihood(self, particle: Any) -> jax.Array:
         return jax.vmap(self.program.relative_log_likelihood)(particle.step_error)
