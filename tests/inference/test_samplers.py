@@ -205,6 +205,28 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(
         assert post.cost["simulations"] == np.isfinite(weight).sum() == 44
 
 
+def test_the_grid_has_the_mass_of_strengths_that_go_together() -> None:
+    levels = np.array([150.0, 300.0, 450.0, 600.0])
+    grid = hypothesis_grid(Model(prior="correlated_strengths"), levels.tolist())
+    place = [np.searchsorted(levels, grid.sites[f"strength_{key}"]) for key in ("red", "green")]
+    found = np.zeros((4, 4))
+    np.add.at(found, tuple(place), np.exp(grid.log_prior))
+    rng = np.random.default_rng(0)
+    scores = rng.multivariate_normal([0, 0], [[1, 0.8], [0.8, 1]], 200_000)
+    # quantiles of the normal distribution at 225, 375 and 525 N
+    cells = np.searchsorted([-0.9674, 0.0, 0.9674], scores)
+    expected = np.bincount(cells @ [4, 1], minlength=16).reshape(4, 4) / len(scores)
+    np.testing.assert_allclose(found, expected, atol=0.004)
+    # a strength that is given twice has its mass once
+    twice = hypothesis_grid(Model(prior="correlated_strengths"), [600.0, 150, 150])
+    weak = (twice.sites["strength_red"] == 150) & (twice.sites["strength_green"] == 150)
+    whole = hypothesis_grid(Model(prior="correlated_strengths"), [150.0, 600])
+    once = (whole.sites["strength_red"] == 150) & (whole.sites["strength_green"] == 150)
+    assert np.exp(twice.log_prior)[weak].sum() == pytest.approx(
+        np.exp(whole.log_prior)[once].sum(), rel=1e-3
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",

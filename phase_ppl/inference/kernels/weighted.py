@@ -23,6 +23,7 @@ from phase_ppl.models.effective import (
     cells,
     drawn_stated,
     log_prior_of_effective,
+    prior_table,
     stated_hypotheses,
     upstream,
     within_support,
@@ -33,6 +34,7 @@ from phase_ppl.models.roles import WorldPrior, masses_of, space_of_prior
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, whole_number
+from phase_ppl.world.hypothesis import STRENGTH_RANGE
 
 
 class WeightedState(NamedTuple):
@@ -167,9 +169,9 @@ class Grid(NamedTuple):
 def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SIMULATIONS) -> Grid:
     """Return all effective goals of all agents with prior mass, times all strengths [N].
 
-    A strength weighs the prior's density times the newtons that are nearer to it than to any other.
-    In other worlds than PHASE as many hypotheses as ``most``; each way to help or hinder counts by
-    itself.
+    A strength stands for all that are nearer to it than to any other, and has their prior mass; in
+    other worlds than PHASE, and of a grid beyond the range of strengths, by the density at it.
+    In other worlds as many hypotheses as ``most``; each way to help or hinder counts by itself.
     """
     space = space_of_prior(model.prior)
     own = [name for name in model.sites if name not in space.sites]
@@ -196,17 +198,36 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     # strengths vary slowest: a run that is cut short has seen every pair of goals
     which = np.tile(np.arange(len(pairs)), len(forces))
     force = np.repeat(forces, len(pairs), axis=0)
-    columns = dict(zip(STRENGTH_SITES, force.T.astype(np.float64), strict=True))
-    log_prior = log_prior_of_effective(prior, pairs[which], columns)
     trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
-    depends = upstream(prior)
-    for name in STRENGTH_SITES:
-        law = trace[name]["fn"]
-        log_prior = log_prior + _log_newtons(law, columns[name], cut=not depends[name])
+    laws = [trace[name]["fn"] for name in STRENGTH_SITES]
+    low, high = STRENGTH_RANGE
+    within = low <= min(strengths) and max(strengths) <= high
+    if within and not any(law.support.is_discrete for law in laws):
+        log_prior = _log_cells(prior, pairs, strengths).ravel()
+    else:
+        columns = dict(zip(STRENGTH_SITES, force.T.astype(np.float64), strict=True))
+        log_prior = log_prior_of_effective(prior, pairs[which], columns)
+        depends = upstream(prior)
+        for name, law in zip(STRENGTH_SITES, laws, strict=True):
+            log_prior = log_prior + _log_newtons(law, columns[name], cut=not depends[name])
     stated, _ = drawn_stated(prior, pairs[which], force)
     sites = dict(zip((*GOAL_SITES, ALPHA_SITE), stated.T.astype(np.int32), strict=True))
     sites |= dict(zip(STRENGTH_SITES, force.T, strict=True))
     return _with_mass(prior, sites, log_prior, strengths)
+
+
+def _log_cells(prior: Any, pairs: NDArray[np.int64], strengths: tuple[float, ...]) -> FloatArray:
+    """Return (strength, strength, pair) log prior masses of effective goals and strengths.
+
+    They are integrated: where strengths depend on each other, a density may rise without bounds.
+    """
+    levels, place, count = np.unique(strengths, return_inverse=True, return_counts=True)
+    masses = np.exp(prior_table(prior, tuple(levels.tolist())))
+    stated = [stated_hypotheses()[red, green] for red, green in pairs.tolist()]
+    by_pair = np.stack([masses[tuple(one.T)].sum(axis=0) for one in stated], axis=-1)
+    each = (by_pair / np.multiply.outer(count, count)[..., None])[place[:, None], place]
+    with np.errstate(divide="ignore"):  # of what the prior cannot have
+        return np.asarray(np.log(each))
 
 
 @functools.lru_cache(8)
@@ -292,9 +313,9 @@ class Enumeration(ParticleKernel):
     "exact". The particles share the work; the seeds vary slowest.
 
     Args:
-        strengths: grid of each agent's strength, newtons. Each weighs the prior's density times the
-            newtons that are nearer to it than to another: with strengths alike between 150 and
-            600 N, the four by default 1/6, 1/3, 1/3 and 1/6.
+        strengths: grid of each agent's strength, newtons. Each stands for those nearer to it than
+            to another: with strengths alike between 150 and 600 N, the four by default weigh 1/6,
+            1/3, 1/3 and 1/6. See :func:`hypothesis_grid`.
         noise_seeds: simulations of each hypothesis, with seeds of their own.
         max_simulations: more than these are refused.
 
