@@ -49,6 +49,13 @@ def drawn(n: int) -> tuple[list[list[Plans]], NDArray[np.float64]]:
     return [plans(rng) for _ in range(n)], rng.random((N_ACTIONS, N_ACTIONS))
 
 
+def test_an_agent_does_what_was_tried_most_or_anything_whatever() -> None:
+    found = RootStatistics(np.array([2, 5]), np.array([3, 1]), np.zeros(2), Action(2))
+    anything, powers = 0.3 / N_ACTIONS, {2: 9 / 10, 5: 1 / 10}  # of 3 and 1 visits, squared
+    expected = [anything + 0.7 * powers.get(action, 0.0) for action in range(N_ACTIONS)]
+    assert CONDUCT.policy(found) == pytest.approx(expected)
+
+
 def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:
     all_sets, relative = drawn(3)
     found, without = frame_log_likelihood(all_sets, EVERYTHING, relative, FLAT, CONDUCT)
