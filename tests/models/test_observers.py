@@ -25,8 +25,9 @@ from phase_ppl.models.observers import (
 )
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
-from tests.analysis.readings import reading
+from tests.analysis.readings import BLUE_NOT_TO_RED, BLUE_TO_RED, reading
 from tests.world.examples import make_event
 
 
@@ -116,6 +117,18 @@ def test_an_observer_knows_no_frame_that_its_evidence_does_not_count() -> None:
     for frame in range(4):
         shares = answers(Observer(), evidence_of([event], {"a": post.at(frame)}))[0]
         assert shares == pytest.approx(post.at(frame).marginal("relation").values, abs=1e-4)
+
+
+def test_frames_of_the_closed_loop_fade_by_their_age_and_count_as_it_counts_them() -> None:
+    event, read = ppl.load_event("collaborate"), StepwisePosterior(reading())
+    logs = evidence_of([event], {event.id: read}).log_likelihood.reshape(3, N_GOALS, N_GOALS)
+    frames = read.dataset["log_likelihood"].values
+    one, other = (BLUE_TO_RED, BLUE_TO_RED), (BLUE_NOT_TO_RED, BLUE_TO_RED)
+    for found, half_life in zip(logs, (np.inf, 40.0, 10.0), strict=True):
+        assert found.max() == 0
+        ages = zip((3, 2, 1, 0), frames, strict=True)
+        expected = sum(0.5 * 0.5 ** (age / half_life) * (f[one] - f[other]) for age, f in ages)
+        assert found[one] - found[other] == pytest.approx(expected)
 
 
 def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:
