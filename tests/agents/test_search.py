@@ -17,7 +17,16 @@ from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.scene import Scene
-from tests.agents.scenes import agent_in, model_of, scene, state_of
+from tests.agents.scenes import (
+    FULL_WALL_UP,
+    HALF_WALL_LEFT,
+    HALF_WALL_RIGHT,
+    NARROW_WALL_DOWN,
+    agent_in,
+    model_of,
+    scene,
+    state_of,
+)
 
 CONFIG = PlannerConfig(simulations=400, full_observation=True)
 GOALS = (goal_index("Get red agent to red lm"), goal_index("Get green agent to green lm"))
@@ -48,6 +57,16 @@ def search(
 )  # fmt: skip
 def test_an_agent_does_what_leads_to_its_goal(where: Scene, subgoal: Literal, best: Action) -> None:
     assert search(where, subgoal).best is best
+
+
+def test_an_action_is_worth_the_mean_of_its_discounted_rewards() -> None:
+    walls = [FULL_WALL_UP, HALF_WALL_LEFT, NARROW_WALL_DOWN, HALF_WALL_RIGHT]
+    opposite = Literal(Predicate.CLOSE, 0, 2)  # to be in a room as far as can be: -1 a step
+    ten = dataclasses.replace(CONFIG, simulations=10, early_stop=False)
+    found = search(scene(walls=walls), opposite, ten)
+    np.testing.assert_array_equal(found.visits, [2] * 5)  # a step in the tree, then two
+    lasting = [-(1 - 0.95 ** (steps + 10)) / 0.05 for steps in (1, 2)]
+    assert found.values == pytest.approx([np.mean(lasting)] * 5)
 
 
 @pytest.mark.parametrize("paired", [False, True])
