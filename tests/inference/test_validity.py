@@ -202,6 +202,8 @@ def test_a_particle_stays_with_its_simulation_until_it_accepts_another(name: str
     # a sum, which may be computed anew, and compiled so that it rounds otherwise
     joint = states.log_joint
     np.testing.assert_allclose(joint[1:][stayed], joint[:-1][stayed], 1e-6)
+    of_frames = RadialLikelihood().log_prob(states.step_error).sum(axis=-1)
+    np.testing.assert_allclose(states.log_prior, joint - of_frames, atol=1e-3)
     assert (states.sim_seed[1:] != states.sim_seed[:-1])[~stayed].all()
     np.testing.assert_array_equal(states.n_accepted[-1], states.accepted.sum(axis=0))
 
