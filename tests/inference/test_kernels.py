@@ -9,11 +9,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpyro
+import numpyro.distributions as dist
 import pytest
 from jax import random
 from numpy.typing import NDArray
 from numpyro.infer import MCMC
 
+import phase_ppl as ppl
 from phase_ppl.inference.kernels.generic_mh import MixtureMH, PriorMH, RandomWalkMH
 from phase_ppl.inference.kernels.local_mh import (
     EXACT_RULES,
@@ -33,6 +36,7 @@ from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import (
     SETTINGS,
     TableRunner,
+    run,
     table_errors,
     table_program,
     total_variation,
@@ -171,6 +175,25 @@ def test_no_simulation_adds_more_to_the_ratio_than_early_rejection_allows() -> N
         for window in (0, TIME - LENGTH - 1):
             after = log_after(rule, window, log_q, log_windows)
             assert after <= log_after_bound(rule, log_q) + 1e-5
+
+
+VALUES, SHARES = (150.0, 300.0, 620.5), (0.2, 0.5, 0.3)
+
+
+def unequal_strengths() -> None:
+    ppl.sites.goals()
+    ppl.sites.alpha()
+    numpyro.sample("strength_red", ppl.sites.OneOf(VALUES, SHARES))
+    numpyro.sample("strength_green", dist.Gamma(4.0, 0.02))
+
+
+def test_strengths_of_few_values_and_of_no_upper_end_are_walked_as_the_prior_has_them() -> None:
+    runner = TableRunner(np.zeros_like(ERRORS))  # nothing is known but the prior
+    program, _bridge = table_program(runner, unequal_strengths)
+    states = run(RandomWalkMH(program, scale=100.0), 60, random.split(KEYS[0], 500))
+    red, green = (np.asarray(states.z[name])[30:] for name in ("strength_red", "strength_green"))
+    assert [(red == value).mean() for value in VALUES] == pytest.approx(SHARES, abs=0.04)
+    assert (green.mean(), green.std()) == pytest.approx((200.0, 100.0), rel=0.08)
 
 
 # --- options and what NumPyro asks for ------------------------------------------------------------
