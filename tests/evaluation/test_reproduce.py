@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
@@ -25,6 +26,7 @@ from phase_ppl.evaluation.paper import (
 )
 from phase_ppl.evaluation.reproduce import Asked, expected_seconds, models_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
+from phase_ppl.world.hypothesis import SCENARIOS
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
 from tests.models.walks import eight, make_set
 from tests.test_cli import fails
@@ -81,6 +83,19 @@ def test_the_mean_rating_of_few_videos_has_the_interval_of_student() -> None:
     found = module._of_likeness(ppl.Likeness(pd.DataFrame(rows)))["played"]
     half = 4.3027 / 3**0.5
     assert found == pytest.approx({"value": 4, "ci_low": 4 - half, "ci_high": 4 + half}, abs=1e-4)
+
+
+def test_a_model_is_like_people_where_nothing_shows_that_they_differ() -> None:
+    given = {("goal", "ours"): (0.5, 0.04, 0.05, 0.2), ("relation", "ours"): (0.01, 0.5, 0.5, None),
+             ("goal", "theirs"): (0.01, 0.01, 0.01, 0.01)}  # fmt: skip
+    rows = [
+        {"model": model, "measure": f"{kind}_accuracy", "scenario": scenario, "p": p}
+        for (kind, model), all_p in given.items()
+        for scenario, p in [*zip(SCENARIOS, all_p, strict=True), (None, 0.9)]
+    ]
+    comparison: Any = SimpleNamespace(equivalence=rows)
+    assert module._like_people(comparison, "ours") == {"goal": ours(3.0)}
+    assert module._like_people(comparison, "theirs") == {"goal": ours(0.0)}
 
 
 def test_profiles_ask_more_and_more() -> None:
