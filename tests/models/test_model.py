@@ -100,12 +100,13 @@ def test_radial_density_integrates_to_one(beta: float, n_entities: int) -> None:
     assert found == pytest.approx(1, abs=1e-4)
 
 
-def test_mean_distance_of_samples_is_d_over_beta() -> None:
+def test_distances_of_samples_have_the_law_of_the_radial_density() -> None:
     predicted = np.broadcast_to(np.arange(3 * 8.0).reshape(3, 4, 2), (2000, 3, 4, 2))
     samples = RadialLikelihood(0.7).replicate(predicted, np.random.default_rng(0))
     distance = np.sqrt(((samples - predicted) ** 2).sum(axis=(-2, -1)))
     # d = 8 coordinates; the standard deviation of a Gamma(8) distance is its mean / sqrt(8)
     assert distance.mean() == pytest.approx(8 / 0.7, rel=4 / math.sqrt(8 * distance.size))
+    assert distance.std() == pytest.approx(math.sqrt(8) / 0.7, rel=0.05)
 
 
 def test_density_in_numpy_and_jax_and_the_error_at_which_it_reaches_a_floor() -> None:
