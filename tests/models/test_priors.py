@@ -9,6 +9,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpyro
+import numpyro.distributions as dist
 import pytest
 from jax import random
 
@@ -131,6 +133,14 @@ def test_density_is_zero_outside_the_support() -> None:
     strengths = [(149.0, 300.0), (300.0, 601.0), (np.nan, 300.0)]
     assert (density("uniform", codes, STRENGTHS) == 0).all()
     assert (density("uniform", REFERENCE, strengths) == 0).all()
+
+
+def test_density_of_several_numbers_is_a_product_and_zero_where_one_cannot_be() -> None:
+    def pair() -> None:  # of a law that does not look at its support
+        numpyro.sample("pair", dist.Uniform(0.0, 4.0, validate_args=False).expand([2]))
+
+    found = [log_density(pair, {"pair": jnp.array([1.0, last])}) for last in (3.0, 5.0)]
+    assert found == pytest.approx([-2 * np.log(4), -np.inf])
 
 
 def test_relation_first_is_the_papers_prior_given_relations_of_a_third_each() -> None:
