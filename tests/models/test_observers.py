@@ -13,7 +13,7 @@ from numpyro import handlers
 
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.evaluation.observers.answers import evidence_of
+from phase_ppl.evaluation.observers.answers import FLOOR, evidence_of
 from phase_ppl.models import observers
 from phase_ppl.models.observers import (
     CUES,
@@ -100,12 +100,12 @@ def test_readings_of_a_video_are_averaged_as_answers() -> None:
 
 
 def test_relations_and_goals_follow_from_one_belief_about_pairs() -> None:
-    from phase_ppl.evaluation.observers.answers import evidence_of
-
     event = ppl.load_event("collaborate")
     told = ppl.Prediction(event.id, {"relation": [0.2, 0.3, 0.5]})
     empty = evidence_of([event], {event.id: told})
     assert answers(Observer(), empty)[0] == pytest.approx([0.2, 0.3, 0.5], abs=0.01)
+    never = evidence_of([event], {event.id: ppl.Prediction(event.id, {"relation": [0, 0.5, 0.5]})})
+    assert answers(Observer(), never)[0, 0] == pytest.approx(FLOOR / 3, rel=1e-3)
     assert set(empty.answers) == {"relation"}
     assert evidence_of([event]).log_likelihood.shape == (3, 1, 1, len(RELATIONS))
     with pytest.raises(InvalidSettingError, match="made nothing of the event 'collaborate'"):
@@ -121,7 +121,8 @@ def test_an_observer_knows_no_frame_that_its_evidence_does_not_count() -> None:
 
 def test_frames_of_the_closed_loop_fade_by_their_age_and_count_as_it_counts_them() -> None:
     event, read = ppl.load_event("collaborate"), StepwisePosterior(reading())
-    logs = evidence_of([event], {event.id: read}).log_likelihood.reshape(3, N_GOALS, N_GOALS)
+    given = evidence_of([event], {event.id: read})
+    logs = given.log_likelihood.reshape(3, N_GOALS, N_GOALS)
     frames = read.dataset["log_likelihood"].values
     one, other = (BLUE_TO_RED, BLUE_TO_RED), (BLUE_NOT_TO_RED, BLUE_TO_RED)
     for found, half_life in zip(logs, (np.inf, 40.0, 10.0), strict=True):
@@ -129,6 +130,8 @@ def test_frames_of_the_closed_loop_fade_by_their_age_and_count_as_it_counts_them
         ages = zip((3, 2, 1, 0), frames, strict=True)
         expected = sum(0.5 * 0.5 ** (age / half_life) * (f[one] - f[other]) for age, f in ages)
         assert found[one] - found[other] == pytest.approx(expected)
+    for goals, name in zip(other, ("goal_red", "goal_green"), strict=True):
+        assert given.answers[name].reshape(N_GOALS, N_GOALS)[other] == goals
 
 
 def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:
