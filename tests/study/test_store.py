@@ -195,6 +195,19 @@ def test_an_excluded_person_is_replaced(store: Store) -> None:
     enter(store, raters=1)
 
 
+def test_videos_that_too_many_have_seen_take_no_places_from_others(store: Store) -> None:
+    seen: dict[str, list[int]] = {}
+    for _ in range(4):  # after three every video has been seen once
+        who = enter(store)
+        seen[who] = assigned(store, who)
+        store.end(who, "finished")
+    *first, last = seen
+    store.exclude(next(who for who in first if not {*seen[who]} & {*seen[last]}), "slept")
+    enter(store, raters=1)
+    with pytest.raises(Refused, match="full"):
+        enter(store, raters=1)
+
+
 def test_entries_are_limited_by_minute_and_in_total(store: Store, clock: Clock) -> None:
     enter(store, entries_per_minute=2)
     enter(store, entries_per_minute=2)
