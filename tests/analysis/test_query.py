@@ -37,6 +37,7 @@ def small() -> Posterior:
     ]
     post = posterior_of(hypotheses, [[0, 1], [2, 3]])
     post.define("same_goal", lambda h: h.goal_red == h.goal_green)
+    post.define("aim", lambda h: h.goal_green)  # the labels of goals in an order of its own
     return post.define("mood", lambda h: "keen, or not" if h.same_goal else "it's = {fine}")
 
 
@@ -63,6 +64,8 @@ NUMBERS = {
     "P(strength_green >= strength_red | relation = friendly)": 1.0,
     "P(goal_red = goal_green)": 1 / 2,
     "P(goal_red != goal_green, strength_red < 500)": 1 / 4,
+    "P(goal_red = aim)": 1 / 2,
+    "P(aim != goal_green)": 0.0,
     "P(relation=friendly or strength_red > 500)": 3 / 4,
     "P(relation=friendly and strength_red > 200 or strength_red > 500)": 1 / 2,
     "P(relation=friendly and (strength_red > 200 or strength_red > 500))": 1 / 4,
