@@ -14,7 +14,7 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
-from phase_ppl.inference.kernels.smc import SMC
+from phase_ppl.inference.kernels.smc import SMC, Tempered
 from phase_ppl.inference.kernels.weighted import (
     Enumeration,
     Importance,
@@ -23,6 +23,7 @@ from phase_ppl.inference.kernels.weighted import (
 )
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models.density import compiled_quickly
+from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, Hypothesis
@@ -112,6 +113,14 @@ def test_a_population_is_cooled_to_the_posterior_and_estimates_the_evidence(move
     expected = -left * 0.05 * np.asarray(first.particle.step_error).sum(axis=1)
     np.testing.assert_allclose(first.log_weight, expected, atol=1e-3)
     assert float(last.log_evidence[0]) == pytest.approx(exact_log_evidence(ERRORS), abs=0.1)
+
+
+def test_a_tempered_likelihood_allows_the_error_at_which_it_reaches_the_floor() -> None:
+    for temperature in (0.25, 1.0):
+        tempered = Tempered(RadialLikelihood(), jnp.array(temperature))
+        error = tempered.max_total_error(-200.0, 4)
+        assert tempered.log_prob(np.full(4, error / 4)).sum() == pytest.approx(-200, rel=1e-4)
+    assert Tempered(RadialLikelihood(), jnp.array(0.0)).max_total_error(-200.0, 4) == np.inf
 
 
 def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
