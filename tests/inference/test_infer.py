@@ -252,6 +252,9 @@ def test_particle_whose_first_simulation_failed_starts_where_another_does(
     assert np.isfinite(found.tree["sample_stats"]["log_joint"]).all()
     assert found.tree["simulations"]["failed"].sum() == 2
     assert found.diagnostics()["simulations"]["failed"] == 2
+    disturb(monkeypatch, failing([1, 2]))
+    weighted = infer(kernel="importance").tree["sample_stats"]["log_weight"].values
+    assert np.isneginf(weighted[:, 0]).tolist() == [False, True, True, False], "it counts once"
     disturb(monkeypatch, failing(range(CHAINS)))
     with pytest.raises(ppl.SimulationError, match=r"seed \d+: ValueError: no luck"):
         infer()
