@@ -460,10 +460,9 @@ class StepwisePosterior(EventPosterior):
             )
         try:
             found = read_netcdf(source)["/"]
-            frame = found.attrs.pop(_FRAME, None)
-            return cls(found, None if frame is None else int(frame), scenario=scenario)
-        except InvalidEventError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
+            return cls(found, found.attrs.pop(_FRAME, None), scenario=scenario)
+        except (InvalidEventError, InvalidSettingError) as error:
+            raise type(error)(f"{source}: {error}") from None
 
     def _judged(self) -> dict[str, Any]:
         return {"log_evidence": self.log_evidence, **super()._judged(), "frame": self.frame}

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
@@ -209,6 +210,12 @@ def test_definitions_hold_at_every_frame_in_why_and_in_files(tmp_path: Path) -> 
     early = ppl.load_posterior(post.at(1).save(tmp_path / "early.nc"))
     assert str(early) == str(post.at(1))  # what came later is still there, and counts for nothing
     assert str(ppl.load_posterior(early.at(3).save(tmp_path / "late.nc"))) == str(post)
+    for frame in (4, -1, 1.5, "last", [0, 1]):
+        with h5py.File(early.save(tmp_path / "edited.nc"), "r+") as edited:
+            edited.attrs["frame"] = frame
+            del edited.attrs["sha256"]
+        with pytest.raises(InvalidSettingError, match=r"edited.nc: frame=.*expected"):
+            ppl.load_posterior(tmp_path / "edited.nc")
     with pytest.raises(InvalidEventError, match="read step by step: load_posterior"):
         ppl.Posterior.load(file)
     with pytest.raises(InvalidSettingError, match="no draws"):
