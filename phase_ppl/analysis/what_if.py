@@ -62,6 +62,7 @@ class WhatIf(Printed):
         goals: (simulation, agent) the effective goals of the hypotheses as they are.
         poses: (world, simulation, time, entity, [x, y, angle]).
         removed: entities that the last world does without.
+        is_removal: whether that is all that is changed.
     """
 
     event_id: str
@@ -71,6 +72,7 @@ class WhatIf(Printed):
     goals: Sequence[tuple[int, ...]]
     poses: FloatArray
     removed: tuple[int, ...] = ()
+    is_removal: bool = False
 
     @property
     def world(self) -> World:
@@ -191,7 +193,7 @@ class WhatIf(Printed):
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
             return f"{words}; no difference that so few simulations would show ({change})"
-        if self.change != _removal(self.world, self.removed):  # it may be due to something else
+        if not self.is_removal:
             return f"{words}: {'more' if change > 0 else 'less'} often ({change})"
         names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
         role = "in its way" if change > 0 else "of help"
@@ -199,11 +201,6 @@ class WhatIf(Printed):
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"
-
-
-def _removal(world: World, removed: Sequence[int]) -> str:
-    """Return in words that entities were removed; "" of none."""
-    return ", ".join(f"the {world.entities[entity]} removed" for entity in removed)
 
 
 def _entity(name: object, among: Sequence[str]) -> int:
@@ -230,6 +227,11 @@ class Change:
     removed: tuple[int, ...]  # entities that are there no more
     walls: Any  # others; None: as they are
     words: str  # all of this
+
+    @property
+    def is_removal(self) -> bool:
+        """Whether entities are removed and nothing else is changed."""
+        return bool(self.removed) and not self.sites and not self.goals and self.walls is None
 
     @classmethod
     def of(
@@ -272,7 +274,7 @@ class Change:
             words.append(f"alpha = {alpha}")
         names = [remove] if isinstance(remove, str) else remove
         removed = tuple(_entity(name, world.entities) for name in names)
-        words += [_removal(world, removed)] if removed else []
+        words += [f"the {world.entities[entity]} removed" for entity in removed]
         words += [] if walls is None else ["other walls"]
         return cls(world, sites, goals, removed, walls, ", ".join(words))
 
@@ -389,6 +391,7 @@ def simulated(
         [h.effective_goals for h in hypotheses[0]],
         poses.reshape(len(worlds), n, *poses.shape[1:]),
         removed,
+        change is not None and change.is_removal,
     )
 
 
