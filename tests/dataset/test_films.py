@@ -99,7 +99,7 @@ def test_a_small_film_of_another_world_is_read_by_its_scene_or_its_world(tmp_pat
 
 
 def test_a_rate_that_is_rounded_takes_no_frame_for_the_one_before(
-    phase: tuple[Event, Path], monkeypatch: pytest.MonkeyPatch
+    phase: tuple[Event, Path],
 ) -> None:
     event, path = phase
     whole, rounded = (
@@ -109,6 +109,12 @@ def test_a_rate_that_is_rounded_takes_no_frame_for_the_one_before(
     np.testing.assert_array_equal(
         rounded.event.observation.trajectory, whole.event.observation.trajectory
     )
+
+
+def test_a_film_that_does_not_say_how_fast_it_is_needs_to_be_told(
+    phase: tuple[Event, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    event, path = phase
 
     class Unknown(Film):
         def __init__(self, path: Any) -> None:
