@@ -89,7 +89,7 @@ class Condition(NamedTuple):
 
 
 class Junction(NamedTuple):
-    """Events of which all hold, or any, or one that does not."""
+    """Statements of which all hold, or any, or one that does not."""
 
     kind: Literal["and", "or", "not"]
     parts: tuple[Statement, ...]
@@ -102,7 +102,7 @@ class Query(NamedTuple):
     """What is asked, one of :data:`QUESTIONS`: of quantities by name, or for P of an event.
 
     The number is that of ``top`` and ``hdi``, a share for ``hdi``; None: the default. Of an event
-    and of what is given all parts hold.
+    and of what is given all statements hold.
     """
 
     question: str
@@ -117,7 +117,7 @@ Columns: TypeAlias = Mapping[str, NDArray[Any]]  # quantity -> (row,) codes or n
 
 
 class Clause(NamedTuple):
-    """An event that can be looked up, and the quantity that it alone is about, if it is."""
+    """A statement that can be looked up, and the quantity that it alone is about, if it is."""
 
     holds: Callable[[Columns], NDArray[np.bool_]]
     quantity: str | None = None

@@ -261,7 +261,7 @@ def _check_several(
 ) -> None:
     """Find out what is wrong before the first model is asked."""
     from phase_ppl.evaluation.answer_sets import reference_label
-    from phase_ppl.evaluation.comparison import check_names, named_among
+    from phase_ppl.evaluation.comparison import check_names, chosen_references
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.evaluation import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.prediction import reference_predictions
@@ -274,7 +274,7 @@ def _check_several(
         if options.resume and holds_predictions(options.out / label):
             settings = settings_of(asked, options.seed or 0, chosen, options.shard)
             ResultsFolder.open(options.out / label).check_same(settings)
-    references = named_among(named_references(options.stored), reference_predictions(chosen))
+    references = chosen_references(named_references(options.stored), reference_predictions(chosen))
     known = [*models, *(reference_label(name, models) for name in references)]
     if options.against is not None:
         check_name("model to compare with", options.against, known)

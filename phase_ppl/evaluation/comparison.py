@@ -459,12 +459,12 @@ def entries(
         for name, one in found.items()
     ]
     references = reference_predictions(events)
-    for name in named_among(stored, references):
+    for name in chosen_references(stored, references):
         made.append(Entry(reference_label(name, found), "reference", references[name]))
     return made
 
 
-def named_among(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
+def chosen_references(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
     """Return the names of the reference models that are wanted."""
     known = list(references)
     if isinstance(stored, str):

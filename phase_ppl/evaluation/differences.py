@@ -64,7 +64,7 @@ def differences(
     rows: list[Row] = []
     for one, other in pairs:
         found = paired.difference(models[one], models[other])
-        for path, value in _figures(found):
+        for path, value in _measures(found):
             scenario, n = None, found["n_events"]
             if path[0] == "by_scenario":
                 _, scenario, *path = path
@@ -74,13 +74,13 @@ def differences(
     return _corrected(rows, "p")
 
 
-def _figures(found: Mapping[str, Any], *above: str) -> Iterator[tuple[list[str], dict[str, Any]]]:
+def _measures(found: Mapping[str, Any], *above: str) -> Iterator[tuple[list[str], dict[str, Any]]]:
     """Yield path and measure of all that :class:`Scores` found."""
     for name, value in found.items():
         if isinstance(value, dict) and "value" in value:
             yield [*above, name], value
         elif isinstance(value, dict):
-            yield from _figures(value, *above, name)
+            yield from _measures(value, *above, name)
 
 
 def equivalence(

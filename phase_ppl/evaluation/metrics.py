@@ -252,7 +252,7 @@ def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Place, A
     return found
 
 
-# --- every metric of a model as a one: its value, and its values on the resamples ---------------
+# --- every measure of a model: its value, and its values on the resamples -------------------------
 
 
 class Resampled(NamedTuple):
