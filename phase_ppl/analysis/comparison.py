@@ -11,11 +11,13 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import ess, total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.tree import array
+from phase_ppl.analysis.quantities import Vocabulary
+from phase_ppl.analysis.tree import array, effective_goals, log_weight_of_draws, space_of_tree
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, check_name
 from phase_ppl.world.event import Truth
@@ -38,7 +40,9 @@ MEASURES: Final[Mapping[str, str]] = {
     "acceptance": "acceptance",
     "moves": "moves",
     "distinct": "distinct",
+    "r_hat": "R-hat",
     "ess_per_simulation": "ESS per simulation",
+    "ess_per_second": "ESS a second",
     "simulations": "simulations",
     "frames": "frames",
     "seconds": "seconds",
@@ -173,15 +177,23 @@ class Comparison(Printed):
         )
         named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
         columns = {MEASURES[n]: [_cell(*row) for row in table[n].to_numpy(float)] for n in named}
+        proposals = settings.get("proposals", {})
+        if any(proposals.values()):
+            columns = {"proposals": [proposals.get(k) or "-" for k in table.index], **columns}
         cells = pd.DataFrame(columns, index=list(table.index))
-        starts = range(0, len(named), _PRINTED_COLUMNS)
+        starts = range(0, len(columns), _PRINTED_COLUMNS)
         blocks = [words, *(cells.iloc[:, i : i + _PRINTED_COLUMNS].to_string() for i in starts)]
         known = [name for name in DISTANCES if self.runs[name].notna().any()]
-        blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in known))
+        if len(table) > 1 and known:  # a single kernel has no rank
+            blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in known))
         return "\n\n".join(blocks)
 
     def _error_in_words(self) -> str:
         errors = {name: self.reference_error(name) for name in DISTANCES}
+        if self.settings["reference"].get("marginals") is None:
+            return "so there are no distances, and no ranks"
+        if not any(errors.values()) and None not in errors.values():
+            return "which is exact"
         known = [f"{MEASURES[n]} {e:.2f}" for n, e in errors.items() if e is not None]
         if not known:
             return "its own error is not known, so kernels are not ranked by it"
@@ -192,7 +204,7 @@ class Comparison(Printed):
 
     def _ranking(self, measure: str) -> str:
         ranks = self.ranks(measure)
-        if len(ranks) > 1 and (ranks["best"] == 1).all() and (ranks["worst"] == len(ranks)).all():
+        if (ranks["best"] == 1).all() and (ranks["worst"] == len(ranks)).all():
             by = "this reference" if (self.table["runs", "n"] > 1).all() else "a single run"
             return f"not told apart by {by}: {', '.join(ranks.index)}"
         parts = []
@@ -206,9 +218,10 @@ class Comparison(Printed):
 
 
 def _frame(columns: Mapping[str, Any], expected: tuple[str, ...]) -> pd.DataFrame:
-    if missing := [name for name in expected if name not in columns]:
+    later = ("r_hat", "ess_per_second")  # not in files of earlier versions
+    if missing := [name for name in expected if name not in columns and name not in later]:
         raise ValueError(f"it lacks {missing}")
-    frame = pd.DataFrame(columns)[list(expected)]
+    frame = pd.DataFrame(columns).reindex(columns=list(expected))
     numbers = [name for name in expected if name not in ("kernel", "validity")]
     return frame.astype({n: int if n in ("repeat", "seed") else float for n in numbers})
 
@@ -228,8 +241,12 @@ Marginals = Mapping[str, FloatArray]  # goals and relations -> probabilities of 
 
 def marginals(post: EventPosterior) -> dict[str, FloatArray]:
     """Return the marginals that are compared: of all goals and relations."""
-    names = (*post.goals_of.values(), *post.relations_of.values())
-    return {name: np.asarray(post.marginal(name).values, float) for name in names}
+    return {name: np.asarray(post.marginal(name).values, float) for name in marginals_of(post)}
+
+
+def marginals_of(post: EventPosterior) -> tuple[str, ...]:
+    """Return the names of all goals and relations."""
+    return (*post.goals_of.values(), *post.relations_of.values())
 
 
 def _means(measure: str, values: Mapping[str, float]) -> dict[str, float]:
@@ -242,13 +259,15 @@ def _means(measure: str, values: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def distances(found: Marginals, reference: Marginals) -> dict[str, float]:
+def distances(found: Marginals, reference: Marginals | None) -> dict[str, float]:
     """Return ``tv_goals`` and ``tv_relation`` of marginals; see :func:`accuracy`."""
+    if reference is None:
+        return dict.fromkeys(DISTANCES, np.nan)
     return _means("tv", {n: total_variation(p, reference[n]) for n, p in found.items()})
 
 
 def accuracy(
-    post: Posterior, reference: Marginals, truth: Truth | Roles | None
+    post: Posterior, reference: Marginals | None, truth: Truth | Roles | None
 ) -> dict[str, float]:
     """Return how near a posterior is to a reference and to the truth; NaN where there is none.
 
@@ -261,11 +280,21 @@ def accuracy(
     * ``map_goals``: share of the agents whose most probable goal is the true one;
       ``map_relation``: of the pairs whose most probable relation is.
     """
-    found, pair = marginals(post), np.nan
+    pair = np.nan
     if truth is not None:
-        goals, codes = post.world.goals, _true_codes(truth).items()
-        pair = post.probability(**{n: goals[code] for n, code in codes if n.startswith("goal_")})
+        pair = float(post.probability(**_true_goals(post, truth)))
+    return _accuracy(marginals(post), pair, reference, truth)
+
+
+def _accuracy(
+    found: Marginals, pair: float, reference: Marginals | None, truth: Truth | Roles | None
+) -> dict[str, float]:
     return distances(found, reference) | {"p_pair": pair} | of_truth(found, truth)
+
+
+def _true_goals(post: Posterior, truth: Truth | Roles) -> dict[str, str]:
+    goals, codes = post.world.goals, _true_codes(truth).items()
+    return {name: goals[code] for name, code in codes if name.startswith("goal_")}
 
 
 def _true_codes(truth: Truth | Roles) -> dict[str, int]:
@@ -299,13 +328,18 @@ def efficiency(post: Posterior) -> dict[str, float]:
     * ``acceptance``, ``moves``: share of proposals accepted, and of iterations in which
       effective goals changed.
     * ``distinct``: hypotheses among the draws.
+    * ``r_hat``: the worst of the log joint, strengths, goals and relations.
     * ``ess_per_simulation``: effective sample size of the log joint
       (:func:`phase_ppl.analysis.diagnostics.ess`), per simulation; of weighted draws, 1 / the
-      sum of their squared weights.
-    * ``simulations``, their ``frames``, and ``seconds`` of wall time.
+      sum of their squared weights. ``ess_per_second``: the same by ``seconds``.
+    * ``simulations``, their ``frames``, and ``seconds`` of wall time, in which reading the video
+      before the first simulation counts, where proposals need it.
     """
     found, weight = post.diagnostics(), post.table.weights
-    simulations, moves = found["simulations"]["total"], found["move_rate"]
+    simulations, moves = int(post.cost["simulations"]), found["move_rate"]
+    by_label = [one for labels in found["categories"].values() for one in labels.values()]
+    r_hats = [one["r_hat"] for one in (*found["scalars"].values(), *by_label)]
+    known = [value for value in r_hats if value is not None]
     if np.allclose(weight, weight[0]):
         size = ess(array(post.tree, "sample_stats", "log_joint").astype(float), "mean")
     else:
@@ -314,14 +348,18 @@ def efficiency(post: Posterior) -> dict[str, float]:
         "acceptance": found["acceptance_rate"],
         "moves": np.nan if moves is None else moves,
         "distinct": float(found["distinct_hypotheses"]),
+        "r_hat": max(known, default=np.nan),
         "ess_per_simulation": size / simulations,
+        "ess_per_second": size / float(post.cost["seconds"]),
         "simulations": float(simulations),
         "frames": float(array(post.tree, "simulations", "frames_simulated").sum()),
         "seconds": float(post.cost["seconds"]),
     }
 
 
-def curve(post: Posterior, reference: Marginals, truth: Truth | Roles | None) -> pd.DataFrame:
+def curve(
+    post: Posterior, reference: Marginals | None, truth: Truth | Roles | None
+) -> pd.DataFrame:
     """Return :func:`accuracy` of what a run had after ever more simulations.
 
     Of the first draws of all chains, with the simulations made until then; nothing is simulated.
@@ -334,19 +372,49 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | Roles | None) ->
     frames = array(tree, "simulations", "frames_simulated")
     # draws are those after the last iterations: a run can have more of these, or one fewer
     first = int(iteration.max(initial=0)) - n_draws + 1
-    if n_draws == 1 or first not in (0, 1):
+    is_table, total = "log_likelihood_without" in tree["simulations"], int(post.cost["simulations"])
+    if n_draws == 1 or (first not in (0, 1) and not is_table):
         lengths = np.array([n_draws])
     else:
         lengths = np.unique(np.linspace(1, n_draws, CURVE_POINTS).round().astype(int))
     rows = []
     for length in lengths.tolist():
-        done, part = np.ones(len(iteration), bool), post
-        if length < n_draws:
-            done = iteration < first + length
-            prefix = tree.isel(draw=slice(length), simulation=np.flatnonzero(done))
-            burn_in = int(tree.attrs.get("burn_in", 0) * (length / n_draws))
-            prefix.attrs = {**tree.attrs, "burn_in": burn_in}
-            part = Posterior(prefix, post.weights)
-        paid = {"simulations": float(done.sum()), "frames": float(frames[done].sum())}
-        rows.append({**paid, **accuracy(part, reference, truth)})
+        done = iteration < first + length if length < n_draws else np.ones(len(iteration), bool)
+        # what is looked up in a table is not recorded one by one
+        n = total * length / n_draws if is_table else float(done.sum())
+        paid = {"simulations": n, "frames": float(frames[done].sum())}
+        rows.append({**paid, **_of_first(post, length, done, reference, truth)})
     return pd.DataFrame(rows)
+
+
+def _of_first(
+    post: Posterior,
+    length: int,
+    done: NDArray[np.bool_],
+    reference: Marginals | None,
+    truth: Truth | Roles | None,
+) -> dict[str, float]:
+    """Return :func:`accuracy` of the first draws, and of the simulations done until then."""
+    tree, n_draws = post.tree, post.tree["posterior"].sizes["draw"]
+    if length == n_draws:
+        return accuracy(post, reference, truth)
+    burn_in = int(post.burn_in * (length / n_draws))
+    if post.weights != "count" or np.ptp(log_weight_of_draws(tree)) > 0:
+        prefix = tree.isel(draw=slice(length), simulation=np.flatnonzero(done))
+        prefix.attrs = {**tree.attrs, "burn_in": burn_in}
+        return accuracy(Posterior(prefix, post.weights), reference, truth)
+    counted = slice(burn_in, length)  # the same, much faster, for thousands of draws
+    draws = effective_goals(tree, "posterior")[:, counted].reshape(-1, len(post.goals_of))
+    codes = dict(zip(post.goals_of.values(), draws.T, strict=True))
+    codes |= Vocabulary(space_of_tree(tree)).relation_codes(codes)
+    shares = {
+        name: np.bincount(codes[name], minlength=len(labels)) / len(draws)
+        for name, labels in post.quantities.items()
+        if name in marginals_of(post) and labels is not None
+    }
+    pair = np.nan
+    if truth is not None:
+        wanted = _true_codes(truth)
+        true = [codes[name] == wanted[name] for name in post.goals_of.values()]
+        pair = float(np.logical_and.reduce(true).mean())
+    return _accuracy(shares, pair, reference, truth)

@@ -201,6 +201,8 @@ class Posterior(EventPosterior):
         That of :meth:`map` if a chain accepted it. Only trajectories of draws are kept, so
         otherwise that of the draw with the highest log joint. Nothing is simulated again.
         """
+        if "trajectory" not in self._tree[SIMULATED].dataset:
+            return self.observed()  # what was read is conditioned on it, frame by frame
         is_best = simulation_of_draw(self._tree) == self._best_simulation()
         draws = array(self._tree, "sample_stats", "log_joint")
         chain, draw = np.argwhere(is_best if is_best.any() else draws == draws.max())[0]

@@ -227,6 +227,11 @@ class StepwisePosterior(EventPosterior):
         return self._found
 
     @property
+    def prior(self) -> Callable[..., object] | None:
+        """The program of the prior, as far as it is known; None after :meth:`load`."""
+        return self._prior
+
+    @property
     def frame(self) -> int:
         """The last frame that is counted."""
         return self._frame

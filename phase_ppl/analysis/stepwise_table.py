@@ -168,6 +168,17 @@ class Table:
             rows.log_prior - rows.log_drawn + of_strengths + weight * self._so_far(frame)
         )
 
+    def log_masses_within(self, first: int, last: int) -> FloatArray:
+        """Return (row,) log masses given the frames after ``first`` up to ``last`` alone.
+
+        With all sets of searches; of strengths these frames say nothing here.
+        """
+        rows = self.hypotheses
+        seen = self._so_far(last)[0] - self._so_far(first)[0]
+        # what has become impossible before stays so
+        seen = np.where(np.isnan(seen), -np.inf, seen)
+        return np.asarray(rows.log_prior - rows.log_drawn + self._weight * seen)
+
     def weights(self, frame: int) -> FloatArray:
         """Return (table, row) :meth:`log_masses` as probabilities."""
         masses = self.log_masses(frame)

@@ -39,7 +39,7 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
         **dict.fromkeys(("frames_simulated", "sim_seed"), DRAW),
         "step_error": (*DRAW, "time"),
     },
-    SIMULATED: {"trajectory": (*DRAW, *FRAME)},
+    SIMULATED: {},
     "observed_data": {"trajectory": FRAME},
     "simulations": dict.fromkeys(
         (
@@ -55,9 +55,15 @@ simulations have: ``HypothesisSpace.columns`` of the world."""
 
 OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), DRAW),
-    "simulations": {"step_log_likelihood": ("simulation", "time")},
+    SIMULATED: {"trajectory": (*DRAW, *FRAME)},
+    "simulations": {
+        "step_log_likelihood": ("simulation", "time"),
+        "log_likelihood_without": ("planner_seed", "simulation"),
+    },
 }
-"""Group -> further variable -> dimensions: not all files and kernels have them."""
+"""Group -> further variable -> dimensions: not all files and kernels have them. Where simulations
+were looked up in what the closed loop has read there are no trajectories, but log likelihoods
+without each of its sets of searches, less those with all."""
 
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "kernel", "validity", "weights", "schema")
 

@@ -284,7 +284,7 @@ def arguments(
 
 
 PRESET: Final = (
-    "as_printed, as_intended, default or learned: kernel, proposal, planner, weights, prior "
+    "simple, guided, as_printed or as_intended: kernel, proposal, planner, weights, prior "
     "and thresholds in one word; what else is given goes before it"
 )
 """What ``--preset`` does."""

@@ -58,8 +58,9 @@ def add_to(commands: Any) -> None:
     says = "an event file, a folder of event files, or a bundled event's name"
     cli.add(parser, "events EVENTS", says, nargs="?")
     says = (
-        "simple (the default), last_frame or another; given several times, all are evaluated, "
-        "each in a folder of its name in --out, and compared; LABEL=NAME gives another name"
+        "stepwise, the closed loop (the default), simple or another; given several times, all are "
+        "evaluated, each in a folder of its name in --out, and compared; LABEL=NAME gives another "
+        "name"
     )
     cli.add(parser, "--model NAME", says, action="append")
     cli.add(parser, "--out DIR", "for predictions, metrics, figures and pages", Path)
@@ -109,9 +110,9 @@ def _option(text: str) -> tuple[str, Any]:
 
 
 def models_of(given: Sequence[str] | None) -> dict[str, str]:
-    """Return label -> model of ``--model NAME`` or ``LABEL=NAME``, ``simple`` by default."""
+    """Return label -> model of ``--model NAME`` or ``LABEL=NAME``; the closed loop by default."""
     found: dict[str, str] = {}
-    for text in given or ["simple"]:
+    for text in given or ["stepwise"]:
         label, equals, name = text.partition("=")
         if label in found:
             raise InvalidSettingError(

@@ -40,16 +40,16 @@ def add_to(commands: Any) -> None:
     )
     cli.share(infer, "planner")
     infer.set_defaults(planner=None)  # the preset's
-    cli.add(infer, "--preset NAME", cli.PRESET, default="default")
+    cli.add(infer, "--preset NAME", cli.PRESET)
     says = (
-        "simple: whole simulations, sampled (the default in PHASE); stepwise: every frame given "
-        "those before it, over all hypotheses (the default in other worlds)"
+        "stepwise, the closed loop: every frame given those before it, summed over all hypotheses "
+        "(the default); simple: whole simulations, sampled, as with --kernel local_mh"
     )
     cli.add(infer, "--model", says, choices=("simple", "stepwise"))
     own.add_model(infer)
     says = "of the stepwise model: show what it believes as the video plays, and film it"
     cli.add(infer, "--watch", says)
-    says = f"default local_mh; of the stepwise model none, no sampling; {own.FILE}"
+    says = f"sample by it; local_mh is SIMPLE; default none, nothing is sampled; {own.FILE}"
     cli.add(infer, "--kernel NAME", says)
     cli.add(infer, "--chains M", "default 15", cli.whole(1))
     cli.add_options(
@@ -104,12 +104,14 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 def _infer(options: argparse.Namespace) -> int:
     event = cli.load(options)
-    told = options.model, options.likelihood, options.kernel, phase_ppl.preset(options.preset)
-    if event.scene.world != PHASE and not any(told):
-        options.model = "stepwise"
-    stepwise = _is_stepwise(options)
-    if options.watch and (not stepwise or options.kernel is not None):
-        raise InvalidSettingError("--watch needs --model stepwise, and no kernel")
+    if options.model == "simple":
+        options.preset = options.preset or "simple"
+    samples = options.kernel is not None or options.preset is not None
+    stepwise = _is_stepwise(options, samples)
+    if options.watch and samples:
+        raise InvalidSettingError(
+            "--watch shows the closed loop: no kernel, preset or --model simple"
+        )
     kept = None if options.out is None else options.out / CHECKPOINT
     if kept is not None and kept.exists():
         raise OutputError(
@@ -119,25 +121,28 @@ def _infer(options: argparse.Namespace) -> int:
     with cli.results_folder(options.out, _RESULTS, options.overwrite) as out:
         if options.watch:
             return _watched(event, out, options)
-        exact = stepwise and options.kernel is None
         model, of_kernel = _model_of(options, stepwise)
-        own_ones = {"event": event, "model": model, "checkpoint": None if exact else kept}
+        own_ones = {"event": event, "model": model, "checkpoint": None if stepwise else kept}
         given = cli.arguments(phase_ppl.infer, options, **own_ones, **of_kernel, **_kernel(options))
-        run = functools.partial(phase_ppl.infer, **completed(options.preset, given))
+        given = completed(options.preset, given) if options.preset else given
+        run = functools.partial(phase_ppl.infer, **given)
         return _finish(run, event, out, kept, options)
 
 
-def _is_stepwise(options: argparse.Namespace) -> bool:
+def _is_stepwise(options: argparse.Namespace, samples: bool) -> bool:
+    """Return whether the video is read by the closed loop, be it for a kernel to sample from."""
     named = own.is_stepwise(options.likelihood)
     if named and options.model == "simple":
         raise InvalidSettingError("--likelihood stepwise is not that of --model simple")
-    if options.model == "stepwise" and options.likelihood is None:
+    reads = options.model == "stepwise" or not samples
+    if reads and options.likelihood is None:
         options.likelihood = "stepwise"
-    elif options.model == "stepwise" and not named:
+    elif reads and not named:
         raise InvalidSettingError(
-            f"--likelihood {options.likelihood} is not that of --model stepwise"
+            f"--likelihood {options.likelihood} compares whole simulations with the video: name a "
+            "kernel that samples, as in --kernel local_mh"
         )
-    return named or options.model == "stepwise"
+    return named or reads
 
 
 def _model_of(
@@ -220,7 +225,7 @@ def _finish(
     if out is None:
         print("\nNothing was saved; --out DIR keeps the posterior, a figure and a video.")
     else:
-        told = {"preset": options.preset} if "preset" in options else {}
+        told = {"preset": options.preset} if getattr(options, "preset", None) else {}
         _write_results(post, event, out, **told)
     if kept is not None and kept.exists():
         if code:
@@ -358,8 +363,8 @@ def _add_compare(commands: Any) -> None:
         "--budget 500 --repeats 8 --out out",
     )
     says = (
-        "names, with options as NAME:OPTION=VALUE:OPTION=VALUE; as_printed, as_intended and "
-        "default are SIMPLE by a preset, on this planner and these weights; " + own.FILE
+        "names, with options as NAME:OPTION=VALUE:OPTION=VALUE; simple, guided, as_printed and "
+        "as_intended are SIMPLE by a preset; " + own.FILE
     )
     cli.add(parser, "--kernels A,B", says, required=True)
     cli.add(parser, "--budget B", f"{cli.BUDGET}; default 500", cli.budget)

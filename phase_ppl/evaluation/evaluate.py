@@ -72,7 +72,7 @@ class EvaluationInterrupted(KeyboardInterrupt):
 
 def evaluate(
     events: str | os.PathLike[str] | Event | Sequence[Event],
-    model: str | Model | Predict = "simple",
+    model: str | Model | Predict = "stepwise",
     *,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
@@ -101,8 +101,9 @@ def evaluate(
     Args:
         events: an event file, a folder of event files or of a generated data set, the name of a
             bundled event, or events; all of one world.
-        model: a name (:func:`phase_ppl.available_models`); a :class:`phase_ppl.Model`, for SIMPLE
-            with that prior, simulator and likelihood; or a function ``(scene, observation, seed)``
+        model: a name (:func:`phase_ppl.available_models`), by default the closed loop; a
+            :class:`phase_ppl.Model`, explained as by :func:`phase_ppl.infer`, by the closed loop or
+            with a ``kernel`` among the options; or a function ``(scene, observation, seed)``
             that returns a :class:`phase_ppl.Prediction` or a mapping such as
             ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In another
             world than PHASE the answers are to ``goal_<agent>`` and ``relation_<one>_<other>``,

@@ -196,7 +196,8 @@ class ReadyModel:
 def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyModel:
     """Return a model given by name with its options, or as a callable, ready to be asked.
 
-    A :class:`phase_ppl.Model` is explained by SIMPLE.
+    A :class:`phase_ppl.Model` is explained as by :func:`phase_ppl.infer`: by the closed loop, or
+    sampled where the options name a kernel or a preset.
     """
     if not isinstance(model, str) and not callable(model):
         from phase_ppl.models.model import Model
@@ -206,7 +207,8 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
                 f"model={shown(model)} is neither a name, a phase_ppl.Model nor a function "
                 "(scene, observation, seed)"
             )
-        model, options = "simple", {"program": model, **options}
+        samples = not {"kernel", "preset"}.isdisjoint(options)
+        model, options = "simple" if samples else "stepwise", {"program": model, **options}
     source: Callable[..., Any]
     if isinstance(model, str):
         info = model_info(model)

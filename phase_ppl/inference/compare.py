@@ -20,7 +20,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison import (
     CURVE_COLUMNS,
+    DISTANCES,
     RUN_COLUMNS,
     Comparison,
     Marginals,
@@ -45,10 +46,9 @@ from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import relation_codes
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.entries import Entry, Spec, entries, entry_of
-from phase_ppl.inference.infer import CHAINS
+from phase_ppl.inference.infer import CHAINS, infer
 from phase_ppl.inference.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
-from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
@@ -75,6 +75,9 @@ from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import PHASE, check_is_phase
 from phase_ppl.world.shards import SHARD, Shard
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
 SPLITS: Final = 3  # ways in which the simulations of a pair are parted into halves
@@ -191,19 +194,23 @@ def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) 
 
 Halves: TypeAlias = tuple[Marginals, Marginals]  # what two halves of the same simulations say
 ENUMERATION: Final = "enumeration"
+NONE: Final = "none"  # in place of a reference: there is none
 LONG: Final = 10  # how many times the budget a reference may take
-LONG_RUN: Final = "local_mh"  # kernel of the reference where enumeration takes too much
+LONG_RUN: Final = "smc"  # kernel of the reference where enumeration takes too much
+POPULATIONS: Final = 4  # independent ones of that kernel; how they differ is its error
+_LARGER: Final = 4  # times as many particles as a kernel that is compared
 
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """The reference that was asked for."""
+    """The reference that was asked for: one of these, or none."""
 
-    given: Posterior | None  # a posterior, or None
-    enumeration: bool  # whether goals may be enumerated
-    kernel: Entry | None  # of a long run, or None
-    budget: Budget  # what the reference may take
-    weights: str  # of the draws of a long run
+    budget: Budget  # what it may take
+    weights: str  # of the draws of a run
+    given: Posterior | None = None
+    enumeration: bool = False  # whether goals are enumerated, if the budget suffices
+    at_any_cost: bool = False  # whether they are even if it does not
+    kernel: Entry | None = None  # of a run
     per_pair: int = PER_PAIR  # simulations of each pair of goals, where these are enumerated
 
     @classmethod
@@ -215,25 +222,43 @@ class Reference:
         chains: int,
         settings: SimpleSettings,
         weights: str,
+        compared: Sequence[Entry],
     ) -> Reference:
-        """Return what the argument ``reference`` of a comparison means."""
+        """Return what the argument ``reference`` of a comparison means.
+
+        It is none of the kernels that are compared, which it would favour.
+        """
         if isinstance(reference, Posterior):
             if not np.array_equal(reference.observed(), event.observation.trajectory):
                 raise InvalidEventError(
                     f"the reference is of {reference.event_id}, another event than {event.id}"
                 )
-            return cls(reference, False, None, budget, weights)
+            return cls(budget, weights, given=reference)
+        if reference == NONE:
+            return cls(budget, weights)
         given = reference if isinstance(reference, tuple) else (reference, {"per_pair": PER_PAIR})
         if given[:1] == (ENUMERATION,):
             what = 'a reference by enumeration (the kernel "enumerate" is another)'
             check_is_phase(event.scene.world, what)
-            return cls(None, True, None, budget, weights, _per_pair(given))
+            each = _per_pair(given)
+            return cls(budget, weights, enumeration=True, at_any_cost=True, per_pair=each)
         long = dataclasses.replace(budget, amount=LONG * budget.amount)
-        spec = LONG_RUN if reference is None else reference
-        run = entry_of("reference", spec, chains, settings, own_length=True)
+        populations = LONG_RUN, {"chains": _LARGER * chains}
+        spec = populations if reference is None else reference
+        run: Entry | None = entry_of("reference", spec, chains, settings, own_length=True)
+        assert run is not None
+        same = [
+            one.label for one in compared if (one.kernel, one.options) == (run.kernel, run.options)
+        ]
+        if same and reference is not None:
+            raise InvalidSettingError(
+                f"the reference is {same[0]!r}, which is compared, and which it would favour: "
+                f"expected {ENUMERATION!r}, {NONE!r}, a posterior or a kernel that is not compared"
+            )
         if not run.length:
-            run = dataclasses.replace(run, length={"budget": long})
-        return cls(None, reference is None and event.scene.world == PHASE, run, long, weights)
+            run = dataclasses.replace(run, own={**run.own, "budget": long})
+        enumerated = reference is None and event.scene.world == PHASE
+        return cls(long, weights, enumeration=enumerated, kernel=None if same else run)
 
     def record(self) -> Any:
         """Return what was asked for, as a file keeps it."""
@@ -242,10 +267,11 @@ class Reference:
             for probabilities in marginals(self.given).values():
                 digest.update(probabilities.round(9).tobytes())
             return {"posterior": digest.hexdigest()[:16]}
-        if self.kernel is None:
+        if self.at_any_cost:
             more = {} if self.per_pair == PER_PAIR else {"per_pair": self.per_pair}
             return [ENUMERATION, more] if more else ENUMERATION
-        return {"enumeration if affordable": self.enumeration, "kernel": self.kernel.record()}
+        run = NONE if self.kernel is None else self.kernel.record()
+        return {"enumeration if affordable": True, "else": run} if self.enumeration else run
 
 
 def _per_pair(reference: tuple[Any, ...]) -> int:
@@ -267,6 +293,7 @@ def reference_of(
     asked: Reference,
     event: Event,
     model: Model,
+    read: StepwisePosterior | None,
     seed: int,
     workers: int | None,
     executor: Executor | None = None,
@@ -274,29 +301,35 @@ def reference_of(
     """Return the reference: ``description``, ``marginals``, ``simulations``, ``error``.
 
     The last says how far the marginals can be trusted: the total variation between what two halves
-    of the simulations, or of the chains, say; ``tv_goals`` (mean of both agents) and
-    ``tv_relation``. The whole is nearer than this to what it estimates: at half of it
+    of the simulations, of the populations or of the chains say; ``tv_goals`` (mean of both agents)
+    and ``tv_relation``. The whole is nearer than this to what it estimates: at half of it
     where errors are small, and at three quarters where single simulations decide. It knows nothing
-    of what all chains have in common, such as what none of them has found. None where there are no
-    halves.
+    of what all of them have in common, such as what none has found. None where there are no
+    halves; marginals are None where there is no reference. ``read`` is what the closed loop has
+    read, where its table is what kernels sample: then the reference is exact.
     """
 
     def said(
-        description: str, found: Mapping[str, Any], simulations: int, halves: Sequence[Halves]
+        description: str,
+        found: Mapping[str, Any] | None,
+        simulations: int,
+        halves: Sequence[Halves],
+        exact: bool = False,
     ) -> dict[str, Any]:
         return {
             "description": description,
-            "marginals": dict(found),
+            "marginals": None if found is None else dict(found),
             "simulations": simulations,
-            "error": error_of(halves),
+            "error": dict.fromkeys(DISTANCES, 0.0) if exact else error_of(halves),
         }
 
-    if asked.enumeration and is_stepwise(model.likelihood):
-        table = filter_event(event, model, seed=seed, threads=workers, progress=False)
-        return said("the sum over a table of all hypotheses", marginals(table), 0, [])
+    if asked.enumeration and read is not None:
+        exact = read.with_prior(model.prior)
+        words = "the exact sum over the table that the closed loop has read"
+        return said(words, marginals(exact), 0, [], exact=True)
     if asked.enumeration:
         plan, each = plan_enumeration(model, seed), asked.per_pair
-        if asked.kernel is None or _affordable(plan, asked, event):
+        if asked.at_any_cost or _affordable(plan, asked, event):
             options: dict[str, Any] = {"seed": seed, "workers": workers, "executor": executor}
             found = enumerate_goals(event, model, plan, per_pair=each, **options)
             words = f"enumeration of {len(plan.pairs)} pairs of goals, {each} simulations each"
@@ -305,17 +338,48 @@ def reference_of(
     if asked.given is not None:
         post = asked.given
         words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
-    else:
-        assert asked.kernel is not None
-        run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
-        post = asked.kernel.run(event, model, asked.budget, run_seed, workers, executor)
-        post = Posterior(post.tree, asked.weights)
-        length = ", ".join(str(value) for value in asked.kernel.length.values())
-        words = (
-            f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as "
-            "far as its chains have mixed"
-        )
-    return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+        return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+    if asked.kernel is None:
+        return said("none", None, 0, [])
+    seeds = np.random.SeedSequence([seed, 2**31]).generate_state(POPULATIONS).tolist()
+    length = ", ".join(str(value) for value in asked.kernel.length.values())
+    words = f"{asked.kernel.info.name}, {length}, weights {asked.weights}"
+
+    def run(entry: Entry, number: int) -> Posterior:
+        of_run = model, asked.budget, number, workers, executor
+        return Posterior(entry.run(event if read is None else read, *of_run).tree, asked.weights)
+
+    if not asked.kernel.info.weighted:
+        post = run(asked.kernel, seeds[0])
+        words += "; its error is known as far as its chains have mixed"
+        return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+    # chains of one population depend on each other, whole populations do not
+    whole = asked.kernel.length.get("budget", asked.budget)
+    share = dataclasses.replace(whole, amount=max(1, int(whole.amount / POPULATIONS)))
+    own = asked.kernel.own if "iterations" in asked.kernel.own else {"budget": share}
+    posts = [run(dataclasses.replace(asked.kernel, own=own), number) for number in seeds]
+    evidence = np.array([_log_evidence(post) for post in posts])
+    weight = np.exp(evidence - evidence.max())
+    parts = [marginals(post) for post in posts]
+
+    def together(chosen: Sequence[int]) -> dict[str, FloatArray]:
+        shares = weight[list(chosen)] / weight[list(chosen)].sum()
+        return {
+            name: sum(w * parts[k][name] for w, k in zip(shares, chosen, strict=True))
+            for name in parts[0]
+        }
+
+    pairs = [((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2))]
+    halves = [(together(one), together(two)) for one, two in pairs]
+    simulations = sum(int(post.cost["simulations"]) for post in posts)
+    words += f", as {POPULATIONS} independent populations weighed by their evidence"
+    return said(words, together(range(POPULATIONS)), simulations, halves)
+
+
+def _log_evidence(post: Posterior) -> float:
+    """Return the log evidence that a population has estimated; 0 of a kernel without one."""
+    stats = post.tree["sample_stats"].dataset
+    return float(stats["log_evidence"].values[0, -1]) if "log_evidence" in stats else 0.0
 
 
 def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
@@ -387,7 +451,7 @@ class ComparisonInterrupted(KeyboardInterrupt):
 
 
 def compare(
-    event: Event,
+    event: Event | StepwisePosterior,
     model: Model | None = None,
     *,
     kernels: Iterable[Spec] | Mapping[str, Spec] = ("local_mh", "prior_mh"),
@@ -411,13 +475,18 @@ def compare(
     if one of the kernels cannot run.
 
     Args:
-        event: what to explain. Its truth, where it has one, is used to judge the results.
+        event: what to explain. Its truth, where it has one, is used to judge the results. Or what
+            the closed loop has read of one, ``compare(infer(event), kernels=[...])``: kernels then
+            sample its table, of which the exact posterior is known, and ten thousand draws take
+            seconds. The same holds where the model's likelihood is a ``StepwiseLikelihood``: the
+            video is read once, for all kernels and repeats.
         model: prior, simulator and likelihood; by default the paper's.
         kernels: names, or label -> name; instead of a name also ``(name, options)``, a kernel
             class, or a function that makes a kernel; or a preset of SIMPLE such as "as_printed",
-            whose planner and weights are the comparison's here. Options are the kernel's own, and
+            which is kept whole, its planner and length included. Options are the kernel's own, and
             ``chains`` and ``settings``, as in
-            ``{"as printed": ("local_mh", {"rule": "paper"})}``.
+            ``{"as printed": ("local_mh", {"rule": "paper"})}``. Kernels that take bottom-up
+            proposals get the same ones, unless such options say otherwise; the table shows which.
         budget: of every single run; ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``,
             the initial ones included, or ``phase_ppl.seconds(t)``, compiling included. A run ends
             with the iteration that spends it, whatever its kernel declares that one may cost.
@@ -426,15 +495,15 @@ def compare(
         seed: a whole number >= 0.
         reference: what the results are compared with: a posterior of the same event and model,
             "enumeration" in PHASE (:mod:`phase_ppl.inference.compare`), with more than 4
-            simulations of each pair of goals as ``("enumeration", {"per_pair": 16})``, or a
-            kernel as in ``kernels``, whose options may have a ``budget`` or ``iterations``;
-            without, it has ten times the budget. By default enumeration, if ten times the budget
-            suffices for it, else ``local_mh``. A reference has an error of its own, which is
-            measured and printed; kernels are not ranked within it.
+            simulations of each pair of goals as ``("enumeration", {"per_pair": 16})``, "none", or a
+            kernel as in ``kernels`` that is not compared, whose options may have a ``budget`` or
+            ``iterations``; without, it has ten times the budget. By default enumeration, if ten
+            times the budget suffices for it, else four populations of ``smc`` that share that
+            budget, and none where ``smc`` is compared. A reference has an error of its own, which
+            is measured and printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
-        settings: of SIMPLE; by default the paper's numbers, with proposals of goals by the closed
-            loop. A budget does not count that it reads the video, which takes some CPU seconds;
-            ``SimpleSettings(proposal="learned")`` does without.
+        settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
+            Where these take a reading of the video, its time counts, also if it was read before.
         workers: processes; by default one per usable core. With an ``executor``, how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
@@ -453,9 +522,16 @@ def compare(
             work.
         ComparisonInterrupted: Ctrl-C; it carries what was finished.
     """
-    check_event(event)
-    model = Model() if model is None else model
-    settings = SimpleSettings() if settings is None else settings
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
+    read, model = None, Model() if model is None else model
+    if isinstance(event, StepwisePosterior):
+        from phase_ppl.inference.table_run import event_of, model_of
+
+        read, model = event, model_of(event, None if model.likelihood is None else model)
+        event = event_of(event)
+    event = check_event(event)
+    model = model.for_sampling()
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
     slots_of(workers, executor)
@@ -463,7 +539,7 @@ def compare(
         raise unknown_name("weights", weights, WEIGHTINGS)
     instance_of("budget", budget, Budget, BUDGETS)
     chosen = entries(kernels, chains, settings)
-    wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
+    wanted = Reference.asked_for(reference, event, budget, chains, settings, weights, chosen)
     for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
         entry.check(event, model, budget)
     share = None if shard is None else Shard.named(shard)
@@ -477,6 +553,7 @@ def compare(
                 "observed": event_salt(event.scene, event.observation),
                 "model": model.fingerprint(),
                 "kernels": {entry.label: entry.record() for entry in chosen},
+                "proposals": {entry.label: entry.proposals(event.scene.world) for entry in chosen},
                 "budget": str(budget),
                 "chains": chains,
                 "repeats": repeats,
@@ -493,17 +570,22 @@ def compare(
             versions_so_far([record.settings["versions"]], checkpoint)
         try:
             with Bar(len(waiting) + 1, 0, progress, "run", "reference") as bar:
+                if read is None and is_stepwise(model.likelihood):
+                    read = infer(event, model, seed=seed, workers=workers, progress=progress)
                 if record.reference is None:
-                    found = reference_of(wanted, event, model, seed, workers, executor)
-                    found["truth"] = of_truth(found["marginals"], event.truth)
+                    found = reference_of(wanted, event, model, read, seed, workers, executor)
+                    if found["marginals"] is not None:
+                        found["truth"] = of_truth(found["marginals"], event.truth)
                     record.keep_reference(found)
                 bar.update()
-                marginals = {name: np.array(p) for name, p in record.reference["marginals"].items()}
+                known = record.reference["marginals"]
+                marginals = known and {name: np.array(p) for name, p in known.items()}
                 for repeat, entry in waiting:
                     bar.set_description(f"{entry.label}, repeat {repeat + 1}")
                     run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
-                    post = entry.run(event, model, budget, run_seed, workers, executor)
-                    post = Posterior(post.tree, weights)
+                    source = event if read is None else read
+                    post = entry.run(source, model, budget, run_seed, workers, executor)
+                    post = Posterior(post.tree, entry.own.get("weights", weights))
                     columns = {
                         "kernel": entry.label,
                         "repeat": repeat,

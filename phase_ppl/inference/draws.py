@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
+import jax
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -14,6 +16,9 @@ from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, 
 from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
+from phase_ppl.models.density import log_density
+from phase_ppl.models.effective import log_prior_of_hypotheses, strengths_apart
+from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import kept_prior, log_prior_of_effective, space_of_prior
@@ -38,6 +43,9 @@ _PARTICLE: Final = {
     "log_evidence": (np.nan, np.float64),
 }
 """Column of particles -> its value where a kernel's state has no such field, and its type."""
+
+FIELDS: Final = tuple(_PARTICLE)
+"""Fields that a kernel's state may have beside its hypothesis and its seed."""
 
 PARTICLE_COLUMNS: Final = ("sim_seed", *_PARTICLE)
 
@@ -90,7 +98,8 @@ def build_tree(
     steps = [particles[i] for i in iterations]
     space = space_of_prior(model.prior)
     own = [name for name in records[0].sites if name not in space.sites]
-    table = _hypothesis_columns(records, own, space)
+    raw = {name: np.array([r.sites[name] for r in records]) for name in (*space.sites, *own)}
+    table = _hypothesis_columns(raw, space)
     sites = list(table)
     errors = np.array([record.result.errors for record in records])
     simulated = np.isfinite(errors)
@@ -143,6 +152,125 @@ def build_tree(
     return tree
 
 
+class Table(Protocol):
+    """What was read, in which every hypothesis can be looked up."""
+
+    def errors_of(self, goals: NDArray[Any], strengths: NDArray[Any]) -> NDArray[np.float64]:
+        """Return (row, time) the errors, nats, of goals (row, 2) and strengths (row, 2)."""
+        ...
+
+    def log_likelihood_without(self, goals: NDArray[Any]) -> NDArray[np.float64]:
+        """Return (set, row) log likelihoods less those with all sets, of goals (row, 2)."""
+        ...
+
+
+def table_tree(
+    event: Event,
+    model: Model,
+    kernel: KernelInfo,
+    steps: Columns,
+    found: Table,
+    attrs: Mapping[str, Any],
+) -> xr.DataTree:
+    """Return the tree of draws of a run whose simulations were looked up in a table.
+
+    ``steps`` are the particles (iteration, chain, ...). What the tree has as simulations are the
+    hypotheses at which its chains were, in order.
+    """
+    space, n_iterations = space_of_prior(model.prior), len(steps["sim_seed"]) - 1
+    iterations = kept_iterations(n_iterations, kernel)
+    drawn = {name: np.moveaxis(values[list(iterations)], 0, 1) for name, values in steps.items()}
+    shape = drawn["sim_seed"].shape
+    moved = np.zeros(shape, np.bool_)
+    moved[:, 0] = True
+    sites = {k.removeprefix(SITE): v for k, v in drawn.items() if k.startswith(SITE)}
+    for values in sites.values():
+        changed = values[:, 1:] != values[:, :-1]
+        moved[:, 1:] |= changed.reshape(*changed.shape[:2], -1).any(axis=2)
+    index = np.cumsum(moved.ravel()).reshape(shape) - 1
+    raw = {name: values[moved] for name, values in sites.items()}
+    table = _hypothesis_columns(raw, space)
+    names = list(table)
+    goals = np.stack([table[name] for name in space.goal_sites], axis=1).astype(np.int64)
+    strengths = {name: table[name] for name in space.strength_sites}
+    errors = found.errors_of(goals, np.stack(list(strengths.values()), axis=1))
+    chain, draw = np.nonzero(moved)
+    n = len(chain)
+    log_prior, effective = _log_priors(model, raw, goals, strengths)
+    table |= {
+        "seed": drawn["sim_seed"][moved].astype(np.int64),
+        "chain": chain,
+        "iteration": np.asarray(iterations)[draw],
+        "log_prior": log_prior,
+        "log_prior_effective": effective,
+        "log_likelihood": -errors.sum(axis=1),
+        "total_error": errors.sum(axis=1),
+        "completed": np.isfinite(errors).all(axis=1),
+        "frames_simulated": np.zeros(n, np.int64),
+        "failed": np.zeros(n, np.bool_),
+    }
+    stats: dict[str, Any] = {
+        "log_joint": (table["log_prior"] + table["log_likelihood"])[index],
+        "total_error": table["total_error"][index],
+        "frames_simulated": np.zeros(shape, np.int64),
+        "sim_seed": table["seed"][index],
+    }
+    for name, (default, dtype) in _PARTICLE.items():
+        values = drawn.get(name, np.full(shape, default))
+        if name != "log_evidence" or name in drawn:
+            stats[name] = values.astype(dtype)
+    time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
+    coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
+    frame = {"time": time, "entity": list(space.world.entities), "coord": ["x", "y", "angle"]}
+    tree = xr.DataTree.from_dict(
+        {
+            "posterior": xr.Dataset(
+                {name: _variable(name, DRAW, table[name][index], space) for name in names}, coords
+            ),
+            "sample_stats": xr.Dataset(
+                {name: (DRAW, values) for name, values in stats.items()}
+                | {"step_error": ((*DRAW, "time"), errors.astype(np.float32)[index])},
+                {**coords, "time": time},
+            ),
+            SIMULATED: xr.Dataset(attrs=_tempering(model.likelihood)),
+            "observed_data": xr.Dataset(
+                {"trajectory": (FRAME, event.observation.trajectory)}, frame
+            ),
+            "simulations": xr.Dataset(
+                {name: _variable(name, SIMULATION, values, space) for name, values in table.items()}
+                | {
+                    "step_log_likelihood": ((*SIMULATION, "time"), -errors),
+                    "log_likelihood_without": (
+                        ("planner_seed", *SIMULATION), found.log_likelihood_without(goals)
+                    ),
+                },
+                {"time": time},
+            ),
+            "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
+        }
+    )  # fmt: skip
+    counted = 0 if kernel.weighted else burn_in(shape[1])
+    tree.attrs = {"event_id": event.id, "weights": "count", "burn_in": counted, "schema": SCHEMA}
+    tree.attrs |= attrs
+    return tree
+
+
+def _log_priors(
+    model: Model, raw: Columns, goals: NDArray[np.int64], strengths: Columns
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (row,) log priors of hypotheses as they are, and of their effective goals."""
+    density = Hosted(jax.vmap(functools.partial(log_density, model.prior)))
+    log_prior = np.asarray(density(raw), np.float64)
+    if not strengths_apart(model.prior):
+        return log_prior, log_prior_of_effective(model.prior, goals, strengths)
+    # of few pairs of goals, as strengths are a factor of their own
+    pairs, of_pair = np.unique(goals, axis=0, return_inverse=True)
+    typical = {name: np.full(len(pairs), values[0]) for name, values in strengths.items()}
+    by_pair = log_prior_of_effective(model.prior, pairs, typical)
+    of_strengths = log_prior_of_hypotheses(model.prior, strengths)
+    return log_prior, by_pair[of_pair.reshape(-1)] + of_strengths - of_strengths[0]
+
+
 def _tempering(likelihood: object) -> dict[str, float]:
     """Return as attributes what tempers a likelihood of this package."""
     if is_stepwise(likelihood):
@@ -188,11 +316,8 @@ def _results(
     }
 
 
-def _hypothesis_columns(
-    records: Sequence[Record], own: Sequence[str], space: HypothesisSpace
-) -> Columns:
+def _hypothesis_columns(raw: Mapping[str, NDArray[Any]], space: HypothesisSpace) -> Columns:
     """Return effective and stated goals, company, strengths and own sites as they are stored."""
-    raw = {name: np.array([r.sites[name] for r in records]) for name in (*space.sites, *own)}
     effective = space.effective(raw).astype(np.int16)
     columns: Columns = {name: effective[:, i] for i, name in enumerate(space.goal_sites)}
     for name, stated in zip(space.goal_sites, space.stated_sites, strict=True):
@@ -200,7 +325,7 @@ def _hypothesis_columns(
     way = raw[space.company_site]
     columns[space.company_site] = way.astype(np.int8 if len(space.ways) < 128 else np.int16)
     columns |= {name: raw[name].astype(np.float64) for name in space.strength_sites}
-    return columns | {name: raw[name] for name in own}
+    return columns | {name: values for name, values in raw.items() if name not in space.sites}
 
 
 def _records_of_draws(steps: Sequence[Columns], records: Sequence[Record]) -> NDArray[np.int64]:

@@ -6,7 +6,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
@@ -16,14 +16,21 @@ from phase_ppl.inference.settings import PRESETS, SimpleSettings, completed
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, instance_of, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.scene import World
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]  # A kernel, or a kernel and its options
 
 _TAKEN: Final = (
     *("event", "model", "kernel", "seed", "workers", "executor", "progress", "planner"),
-    *("budget", "iterations", "checkpoint"),
+    *("budget", "iterations", "checkpoint", "weights"),
 )
 """Arguments of ``infer`` that are the comparison's to give."""
+
+_LENGTHS: Final = ("budget", "iterations")
+_OF_PRESETS: Final = ("planner", "weights")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -35,8 +42,19 @@ class Entry:
     options: Mapping[str, Any]  # of the kernel
     chains: int  # particles M
     settings: SimpleSettings  # of SIMPLE
-    length: Mapping[str, Any]  # ``budget`` or ``iterations`` where they are not the comparison's
+    # ``budget``, ``iterations``, ``planner`` or ``weights`` where they are not the comparison's
+    own: Mapping[str, Any]
     info: KernelInfo  # what is known of the kernel
+
+    @property
+    def length(self) -> dict[str, Any]:
+        """``budget`` or ``iterations``, where these are not the comparison's."""
+        return {name: self.own[name] for name in _LENGTHS if name in self.own}
+
+    def proposals(self, world: World) -> str | None:
+        """Return by what the kernel proposes goals; None of one that asks for no proposals."""
+        settings = self.settings.settled(world)
+        return str(settings.proposal) if "guide" in self.info.needs else None
 
     def record(self) -> dict[str, Any]:
         """Return name and options as a file keeps them."""
@@ -45,13 +63,15 @@ class Entry:
             "options": dict(self.options),
             "chains": self.chains,
             "settings": dataclasses.asdict(self.settings),
-            **({"length": {k: str(v) for k, v in self.length.items()}} if self.length else {}),
+            **({"length": {k: str(v) for k, v in self.own.items()}} if self.own else {}),
         }
 
     def check(self, event: Event, model: Model, budget: Any) -> None:
         """Make the kernel and trace a step of it, with nothing simulated."""
         try:
             length = self.length or {"budget": budget}
+            if "planner" in self.own:
+                model = dataclasses.replace(model, planner=self.own["planner"])
             run = Run(event, model, self.kernel, self.options, self.settings, self.chains, seed=0)
             run.check(length.get("iterations"), length.get("budget"))
         except PhasePPLError as error:
@@ -65,14 +85,14 @@ class Entry:
 
     def run(
         self,
-        event: Event,
-        model: Model,
+        event: Event | StepwisePosterior,
+        model: Model | None,
         budget: Any,
         seed: int,
         workers: int | None,
         executor: Executor | None = None,
     ) -> Posterior:
-        """Return the posterior of one run."""
+        """Return the posterior of one run, of an event or of what the closed loop has read."""
         return infer(
             event,
             model,
@@ -84,6 +104,7 @@ class Entry:
             progress=False,
             settings=self.settings,
             **(self.length or {"budget": budget}),
+            planner=self.own.get("planner"),
             **self.options,
         )
 
@@ -104,25 +125,25 @@ def entry_of(
     options = dict(given)
     if isinstance(kernel, str) and kernel in PRESETS:
         label = label or kernel
-        options = {"kernel": "local_mh", **completed(kernel, options)}
+        options = completed(kernel, options)
         kernel = str(options.pop("kernel"))
-        for name in ("planner", "weights", "iterations"):  # the same for all kernels
-            options.pop(name, None)
+        # a preset is kept whole
+        own = {name: options.pop(name) for name in (*_LENGTHS, *_OF_PRESETS) if name in options}
+    else:
+        own = {name: options.pop(name) for name in _LENGTHS if own_length and name in options}
     info = info_of(kernel)
-    own_lengths = ("budget", "iterations") if own_length else ()
-    length = {name: options.pop(name) for name in own_lengths if name in options}
     for name in options:
         if name in _TAKEN:
             raise InvalidSettingError(
                 f"kernel {info.name!r}: {name} is the same for all kernels; give it to compare()"
             )
-    own = options.pop("settings", settings)
-    if not isinstance(own, SimpleSettings):
-        raise InvalidSettingError(f"settings={shown(own)}, expected SimpleSettings")
-    if own.beta is not None:
+    own_settings = options.pop("settings", settings)
+    if not isinstance(own_settings, SimpleSettings):
+        raise InvalidSettingError(f"settings={shown(own_settings)}, expected SimpleSettings")
+    if own_settings.beta is not None:
         raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
     own_chains = options.pop("chains", chains)
-    return Entry(label or info.name, kernel, options, own_chains, own, length, info)
+    return Entry(label or info.name, kernel, options, own_chains, own_settings, own, info)
 
 
 def entries(

@@ -11,38 +11,39 @@ from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.run import Kernel, Run, check_event, model_again
 from phase_ppl.inference.sampler import RunOptions, sample
-from phase_ppl.inference.settings import Budget, SimpleSettings
+from phase_ppl.inference.settings import KERNEL, Budget, SimpleSettings
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, OutputError, instance_of, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
 from phase_ppl.world.identity import differences, event_digest, versions_so_far
-from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
     from phase_ppl.inference.checkpoint import Checkpoint
-    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
 
 @overload
-def infer(event: Event, model: None = None, **options: Any) -> Posterior: ...
-@overload
-def infer(event: Event, model: Model[Any], *, kernel: Kernel, **options: Any) -> Posterior: ...
-@overload
-def infer(event: Event, model: Model[RadialLikelihood], **options: Any) -> Posterior: ...
-@overload
-def infer(
-    event: Event, model: Model[StepwiseLikelihood], *, kernel: None = None, **options: Any
-) -> StepwisePosterior: ...
-@overload
-def infer(event: Event, model: Model | None, **options: Any) -> Posterior | StepwisePosterior: ...
 def infer(
     event: Event,
+    model: Model | None = None,
+    *,
+    kernel: None = None,
+    seed: int = 0,
+    planner: str | PlannerConfig | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+) -> StepwisePosterior: ...
+@overload
+def infer(
+    event: Event | StepwisePosterior, model: Model | None = None, *, kernel: Kernel, **options: Any
+) -> Posterior: ...
+def infer(
+    event: Event | StepwisePosterior,
     model: Model | None = None,
     *,
     kernel: Kernel | None = None,
@@ -65,11 +66,17 @@ def infer(
 ) -> Posterior | StepwisePosterior:
     """Return the posterior over goals, relation and strengths, given what was seen.
 
-    By sampling, with simulations; or, where the model's likelihood is a
-    :class:`phase_ppl.StepwiseLikelihood` and no kernel is named, summed: the video is read once
-    under all hypotheses, and the result is a :class:`phase_ppl.StepwisePosterior`.
+    Without a kernel the closed loop reads the video once under all hypotheses: every frame is
+    explained given those before it. The result is a :class:`phase_ppl.StepwisePosterior`, which
+    knows every moment of the video.
 
-    In a run that is too short for draws to be counted all its simulations are weighed. Before it
+    With a kernel hypotheses are sampled. ``kernel="local_mh"`` is SIMPLE, the paper's inference:
+    each hypothesis is simulated, and the simulation is compared with the whole video. The result
+    is a :class:`phase_ppl.Posterior`. A kernel can also sample from what the closed loop has read,
+    ``infer(infer(event), kernel="smc")``: nothing is simulated or read again, and the exact answer
+    is known, so that this tells how good the kernel is.
+
+    In a run of simulations that is too short for draws to be counted all are weighed. Before it
     answers, the rivals of the leading goals that none has tried are simulated, those with which one
     agent wants the same thing at another landmark: one simulation or a few more for each particle,
     unless there is a ``budget``, or all were tried. The draws stay as they are.
@@ -88,12 +95,11 @@ def infer(
       so this changes no probability.
 
     Args:
-        event: what to explain.
-        model: prior, simulator and likelihood; by default the paper's. Of an event of another
-            world than PHASE, if neither a kernel nor settings are given, the closed loop's.
-        kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
-            makes a NumPyro kernel from the program of the event, or an instance of one of ours;
-            by default "local_mh", which is SIMPLE, and none for a stepwise likelihood.
+        event: what to explain; with a kernel also what the closed loop has read of it.
+        model: prior, simulator and likelihood; by default the paper's prior and simulator.
+        kernel: None to read by the closed loop. To sample: a name
+            (:func:`phase_ppl.available_kernels`), a kernel class or a function that makes a NumPyro
+            kernel from the program of the event, or an instance of one of ours.
         chains: how many particles, M in the paper; each is a chain.
         iterations: L, the draws per particle; by default 6.
         seed: a whole number >= 0.
@@ -116,8 +122,7 @@ def infer(
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
-        settings: of SIMPLE; by default the paper's numbers, with proposals of goals by the closed
-            loop, which reads the video once before the first simulation.
+        settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
         burn_in: draws at the beginning of each chain that do not count; by default a quarter of
             twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.
@@ -153,26 +158,34 @@ def infer(
             "infer(event, **phase_ppl.preset(...))"
         )
     of_sampling |= {"chains": chains, "settings": settings, **kernel_options}
-    check_event(event)
-    of_simple = kernel is not None or settings is not None
-    settings = SimpleSettings() if settings is None else settings
-    if model is None and not of_simple and event.scene.world != PHASE:
-        from phase_ppl.models.stepwise import StepwiseLikelihood
-
-        model = Model(likelihood=StepwiseLikelihood())
-    model = _complete_model(model, planner, settings)
-    if kernel is None and is_stepwise(model.likelihood):
+    model_is_given = model is not None
+    if kernel is None:
         for name, value in of_sampling.items():
             if value != (CHAINS if name == "chains" else getattr(RunOptions, name, None)):
                 raise InvalidSettingError(
-                    f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
-                    "hypotheses, unless a kernel is named"
+                    f"{name}={shown(value)} is for sampling, and no kernel is named: add "
+                    f'kernel="{KERNEL}", which is SIMPLE, or another; without one the closed loop '
+                    "sums over all hypotheses"
                 )
         from phase_ppl.inference.stepwise import filter_event
 
-        return filter_event(event, model, seed=seed, threads=workers, progress=progress)
-    kernel = "local_mh" if kernel is None else kernel
-    run = Run(event, model, kernel, kernel_options, settings, chains, seed)
+        model = _complete_model(model, planner, None).for_reading()
+        return filter_event(
+            check_event(event), model, seed=seed, threads=workers, progress=progress
+        )
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
+    settings = SimpleSettings() if settings is None else settings
+    model = _complete_model(model, planner, settings)
+    of_run = kernel, kernel_options, settings, chains, seed
+    if is_stepwise(model.likelihood) and not isinstance(event, StepwisePosterior):
+        event = infer(event, model, seed=seed, workers=workers, progress=progress)
+    if isinstance(event, StepwisePosterior):
+        from phase_ppl.inference.table_run import event_of, model_of, sample_table
+
+        given = model if model_is_given else None
+        return sample_table(event, Run(event_of(event), model_of(event, given), *of_run), options)
+    run = Run(check_event(event), model, *of_run)
     if checkpoint is not None:
         from phase_ppl.inference.checkpoint import SUFFIXES
 
@@ -302,16 +315,18 @@ def resume(
 
 
 def _complete_model(
-    model: Model | None, planner: str | PlannerConfig | None, settings: SimpleSettings
+    model: Model | None, planner: str | PlannerConfig | None, settings: SimpleSettings | None
 ) -> Model:
     """Return the model with the planner and the settings' beta, the paper's model by default."""
     model = Model() if model is None else model
     instance_of("model", model, Model, "a phase_ppl.Model")
-    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
     if planner is not None:
         model = dataclasses.replace(model, planner=planner)
+    if settings is None:
+        return model
+    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
     if settings.beta is not None:
-        if not isinstance(model.likelihood, RadialLikelihood):
+        if not isinstance(model.likelihood, RadialLikelihood | None):
             raise InvalidSettingError("beta is of the radial likelihood; the model has another")
         model = dataclasses.replace(model, likelihood=RadialLikelihood(settings.beta))
     return model

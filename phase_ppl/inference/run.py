@@ -24,10 +24,13 @@ from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
+from phase_ppl.inference.strength import estimator_name
 from phase_ppl.inference.tables import (
     BottomUpTables,
+    Reading,
     bottom_up_tables,
     padded,
+    reading_of,
     window_count,
 )
 from phase_ppl.models import priors
@@ -36,7 +39,7 @@ from phase_ppl.models.density import remembered
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import EventProgram, event_salt
+from phase_ppl.models.program import EventProgram, Lookup, event_salt
 from phase_ppl.models.roles import WorldPrior, as_given
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -68,6 +71,7 @@ class Data(NamedTuple):
     salt: jax.Array | int  # a number that stands for it
     bridge: jax.Array | int  # handle of the bridge that simulates
     observed: jax.Array | int | None  # number of frames, where arrays are longer
+    table: Lookup | None = None  # what is looked up in place of a simulation
 
 
 class Recipe(NamedTuple):
@@ -103,9 +107,8 @@ class Run:
         self.info = info_of(self.kernel)
         if is_stepwise(model.likelihood):
             check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
-        self.model = model = model.in_world(world)
-        guided = "guide" in self.info.needs and model.is_joint
-        self.settings = self.settings.settled(world, guided=guided)
+        self.model = model.in_world(world).for_sampling()
+        self.settings = self.settings.settled(world)
         self.chains = whole_number("chains", self.chains)
         self.seed = whole_number("seed", self.seed, minimum=0)
         if self.info.even_chains and self.chains % 2:
@@ -136,6 +139,22 @@ class Run:
             "seed": self.seed,
         }
 
+    def record(self, iterations: int) -> dict[str, Any]:
+        """Return as plain data what determines the result of so many iterations."""
+        assert self.settings.strength is not None, "it is settled"
+        simple = vars(self.settings) | {"strength": estimator_name(self.settings.strength)}
+        del simple["beta"]  # the model's likelihood has it
+        return {
+            "kernel": {"name": self.info.name, **self.kernel_options},
+            "chains": self.chains,
+            "iterations": iterations,
+            "seed": self.seed,
+            "turning": self.event.scene.turning,
+            "resets_velocity": self.event.scene.resets_velocity,
+            "simple": simple,
+            "model": self.model.fingerprint(),
+        }
+
     def again(self) -> dict[str, Any]:
         """Return what makes the run again from a file; None for what is no plain data."""
         model = self.model
@@ -163,6 +182,13 @@ class Run:
             longer = max(_USUAL, 1 << (n_frames - 1).bit_length())
             n_frames = _SHORT if n_frames <= _SHORT else longer
         return Recipe(self.info, options, model, self.settings, n_frames)
+
+    @property
+    def reading(self) -> Reading:
+        """What it cost to read the video before the first simulation, if proposals need that."""
+        if self.settings.proposal != "closed_loop":
+            return Reading()
+        return reading_of(self.event.scene, self.event.observation)
 
     def data(
         self,
@@ -195,10 +221,11 @@ class Run:
         step.shapes(init.shapes(keys, data), data)
 
 
-def check_event(given: object) -> None:
-    """Raise InvalidEventError if something is no event."""
+def check_event(given: object) -> Event:
+    """Return what is an event; raise InvalidEventError if something is none."""
     if not isinstance(given, Event):
         raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
+    return given
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:
@@ -229,8 +256,8 @@ def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
 def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     """Return the kernel for an event."""
     info, options, model, settings, n_frames = recipe
-    tables, salt, bridge, observed = data
-    program = EventProgram(model, bridge, n_frames, salt, observed)
+    tables, salt, bridge, observed, table = data
+    program = EventProgram(model, bridge, n_frames, salt, observed, table)
     supplies: dict[str, Any] = {"settings": settings} if "settings" in info.needs else {}
     if "guide" in info.needs:
         share = settings.prior_share
@@ -238,9 +265,8 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     return info.make(program, **supplies, **dict(options))
 
 
-@remembered(_KEPT_PROGRAMS)
-def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
-    """Return the two compiled functions of a recipe: (keys, data) and (state, data) -> state."""
+def functions(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return the two functions of a recipe: (keys, data) and (state, data) -> state."""
 
     def init(keys: jax.Array, data: Data) -> Any:
         return make_kernel(recipe, data).init(keys, 0, None, (), {})
@@ -252,6 +278,13 @@ def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
+    return init, step
+
+
+@remembered(_KEPT_PROGRAMS)
+def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
+    """Return :func:`functions`, compiled."""
+    init, step = functions(recipe)
     return Hosted(init, _identity(recipe, "init")), Hosted(step, _identity(recipe, "step"))
 
 

@@ -33,11 +33,9 @@ from phase_ppl.inference import run as runs
 from phase_ppl.inference.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
-from phase_ppl.inference.strength import estimator_name
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted
-from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.roles import drawn_stated
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
@@ -47,7 +45,6 @@ from phase_ppl.world.errors import (
     SimulationError,
     check_memory,
     check_name,
-    shown,
     whole_number,
 )
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
@@ -57,7 +54,6 @@ from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.inference.checkpoint import Checkpoint
-    from phase_ppl.inference.stepwise import TableRunner
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES, _FRAME_BYTES = 3000, 104  # of memory that a simulation takes, and each of its frames
@@ -71,7 +67,7 @@ _OVERTIME: Final = 1.1
 """An iteration is given up that goes on for so much of the seconds, and one second."""
 
 _OF_SIMULATIONS: Final = ("executor", "on_failure", "retries", "simulation_seconds")
-"""Options of a run that are of no use where nothing is simulated."""
+"""Options of a run that are the runner's."""
 
 _known_simulators: Final[weakref.WeakSet[Any]] = weakref.WeakSet()
 
@@ -132,7 +128,9 @@ class RunOptions:
 
 def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
     """Do a run, or what is left of it, and return its posterior."""
-    with contextlib.closing(_open_runner(run, options)) as runner:
+    given = {name: getattr(options, name) for name in _OF_SIMULATIONS}
+    place = run.model.build_simulator(), run.event.scene, run.event.observation
+    with contextlib.closing(Runner(*place, workers=options.workers, **given)) as runner:
         sampler = Sampler(run, options, runner, saved)
         try:
             sampler.advance()
@@ -155,22 +153,6 @@ def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Po
     return posterior
 
 
-def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
-    event, model, workers = run.event, run.model, options.workers
-    given = {name: getattr(options, name) for name in _OF_SIMULATIONS}
-    if not is_stepwise(model.likelihood):
-        simulator = model.build_simulator()
-        return Runner(simulator, event.scene, event.observation, workers=workers, **given)
-    for name, value in given.items():
-        if value != getattr(RunOptions, name):
-            raise InvalidSettingError(
-                f"{name}={shown(value)}: a stepwise likelihood simulates nothing"
-            )
-    from phase_ppl.inference.stepwise import TableRunner, filtered_frames
-
-    return TableRunner(filtered_frames(event, model, run.seed, workers, options.progress))
-
-
 _split: Final = Hosted(
     lambda number, chains: random.split(random.key(number), len(chains)), "keys of chains"
 )
@@ -185,7 +167,7 @@ class Sampler:
     """
 
     def __init__(
-        self, run: Run, options: RunOptions, runner: Runner | TableRunner, saved: Checkpoint | None
+        self, run: Run, options: RunOptions, runner: Runner, saved: Checkpoint | None
     ) -> None:
         self._run, self._options, self._runner = run, options, runner
         self._n_frames = run.n_frames
@@ -211,7 +193,10 @@ class Sampler:
             self._go_on(saved)
         try:
             threads = options.workers if options.executor is None else None
+            began = runs.clock()
             self._data = run.data(self._bridge.handle, options.progress, threads)
+            # what was kept of an earlier reading is paid for like any other
+            self._kept_seconds = max(0.0, run.reading.seconds - (runs.clock() - began))
         except KeyboardInterrupt as stop:  # while the closed loop reads the video
             raise Interrupted(None) from stop
 
@@ -388,15 +373,7 @@ class Sampler:
                 f"all initial simulations failed; the first, of [{first.hypothesis}] with seed "
                 f"{first.seed}: {first.failure}"
             )
-        if completed.all():
-            return state
-        source = np.array([next(c for c in np.roll(chain, -i) if completed[c]) for i in chain])
-        copied = jax.tree.map(lambda leaf: leaf[source], state)
-        state = copied._replace(rng_key=state.rng_key)
-        if hasattr(state, "log_weight"):
-            weight = jax.numpy.where(completed, state.log_weight, -np.inf)
-            state = state._replace(log_weight=weight)
-        return state
+        return started_again(state, completed)
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
         def worked() -> Result:
@@ -499,27 +476,17 @@ class Sampler:
         return Posterior(tree)
 
     def _settings(self) -> dict[str, Any]:
-        run = self._run
-        assert run.settings.strength is not None, "it is settled"
-        simple = vars(run.settings) | {"strength": estimator_name(run.settings.strength)}
-        del simple["beta"]  # the model's likelihood has it
         return {
-            "kernel": {"name": run.info.name, **run.kernel_options},
-            "chains": run.chains,
-            "iterations": self._done,  # an interrupted run equals a shorter one
-            "seed": run.seed,
+            **self._run.record(self._done),  # an interrupted run equals a shorter one
             "on_failure": self._runner.on_failure,
             "retries": self._runner.retries,
             "simulation_seconds": self._options.simulation_seconds,
-            "turning": run.event.scene.turning,
-            "resets_velocity": run.event.scene.resets_velocity,
-            "simple": simple,
-            "model": run.model.fingerprint(),
         }
 
     def _cost(self, interrupted: bool) -> dict[str, Any]:
         """Return what the run cost; seconds are of wall time unless they say otherwise."""
-        statistics, seconds = self._runner.statistics, self._pace.seconds
+        statistics, reading = self._runner.statistics, self._run.reading
+        seconds = self._pace.seconds + self._kept_seconds
         wanted = statistics.frames + statistics.frames_saved
         return {
             "budget": self._length.budget and str(self._length.budget),
@@ -527,6 +494,8 @@ class Sampler:
             "frames_saved_share": statistics.frames_saved / wanted if wanted else 0.0,
             "seconds": seconds,
             "seconds_overhead": seconds - statistics.seconds_waiting,
+            "seconds_reading": reading.seconds,
+            "searches": reading.searches,
             "workers": self._runner.workers,
             "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
             "calls": self._calls,
@@ -534,16 +503,28 @@ class Sampler:
         }
 
 
-def _check_once(
-    runner: Runner | TableRunner, simulator: Any, results: Sequence[SimulationResult]
-) -> None:
+def started_again(state: Any, completed: NDArray[np.bool_]) -> Any:
+    """Return a state in which chains that have not ``completed`` start where the next one does."""
+    if completed.all():
+        return state
+    chain = np.arange(len(completed))
+    source = np.array([next(c for c in np.roll(chain, -i) if completed[c]) for i in chain])
+    copied = jax.tree.map(lambda leaf: leaf[source], state)
+    state = copied._replace(rng_key=state.rng_key)
+    if hasattr(state, "log_weight"):
+        weight = jax.numpy.where(completed, state.log_weight, -np.inf)
+        state = state._replace(log_weight=weight)
+    return state
+
+
+def _check_once(runner: Runner, simulator: Any, results: Sequence[SimulationResult]) -> None:
     """Warn of a simulator that does not start where it is told to, or draws not from its seed."""
     first = next((result for result in results if result.completed), None)
     with contextlib.suppress(TypeError):  # of one that cannot be told from others
         if simulator in _known_simulators:
             return
         _known_simulators.add(simulator)
-    if first is None or not isinstance(runner, Runner):
+    if first is None:
         return
     kept = runner.statistics, runner.on_result, runner.on_failure
     runner.statistics, runner.on_result, runner.on_failure = Statistics(), None, "reject"

@@ -31,11 +31,10 @@ class SimpleSettings:
 
     Attributes:
         eta: weight of the errors in the choice of a window, 1 / units.
-        proposal: of goals: "closed_loop", what the closed loop makes of the video, which is read
-            once before the first simulation; "learned", features of what the agents did, with
-            weights learned in PHASE; or "paper", distances alone, to which ``gamma`` and ``sign``
-            apply. None: "closed_loop" where a kernel that proposes from windows simulates with the
-            joint simulator; else "learned" in PHASE, "paper" in other worlds.
+        proposal: of goals: "learned", features of what the agents did, with weights learned in
+            PHASE; "paper", distances alone, to which ``gamma`` and ``sign`` apply; or
+            "closed_loop", what the closed loop makes of a window, for which it reads the video once
+            before the first simulation. None: "learned" in PHASE, "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
         window: Delta T, steps; shorter where the observation is.
         beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,
@@ -80,12 +79,8 @@ class SimpleSettings:
         if self.strength is not None:
             strength_estimator(self.strength)
 
-    def settled(self, world: World, *, guided: bool) -> SimpleSettings:
+    def settled(self, world: World) -> SimpleSettings:
         """Return them with what is None decided for events of a world.
-
-        Args:
-            world: of the events.
-            guided: whether a kernel that proposes from windows simulates with the joint simulator.
 
         Raises:
             InvalidSettingError: what was learned in PHASE is asked for in another world.
@@ -98,7 +93,6 @@ class SimpleSettings:
                     f"{name}={value!r} was learned in PHASE and knows no other world, such as "
                     f"{world.name!r}: expected SimpleSettings({name}={usual[name]!r})"
                 )
-        usual |= {"proposal": "closed_loop"} if guided else {}
         none = {name: value for name, value in usual.items() if getattr(self, name) is None}
         return dataclasses.replace(self, **none)  # type: ignore[arg-type]
 
@@ -160,8 +154,11 @@ def seconds(n: float) -> Budget:
 
 # --- SIMPLE in one word ---------------------------------------------------------------------------
 
+KERNEL: Final = "local_mh"
+"""The kernel that is SIMPLE."""
+
 _OF_THE_PAPER: Final = {
-    "kernel": "local_mh",
+    "kernel": KERNEL,
     "planner": "paper",
     "weights": "count",
     "chains": 15,
@@ -178,11 +175,10 @@ PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
     },
     # the paper's proposal with the sign that its text describes, and Hastings' exact ratio
     "as_intended": {**_OF_THE_PAPER, "settings": SimpleSettings(proposal="paper"), "rule": "exact"},
-    # what ``infer`` does unasked: proposals of goals by the closed loop, which reads the video once
-    # before; the exact rule, the fast planner
-    "default": {},
-    # proposals learned from features of simulated events: nothing is read before
-    "learned": {"settings": SimpleSettings(proposal="learned")},
+    # SIMPLE as it is here: the exact rule, bottom-up proposals of its own, the fast planner
+    "simple": {"kernel": KERNEL},
+    # the same, but the closed loop reads the video first and proposes goals
+    "guided": {"kernel": KERNEL, "settings": SimpleSettings(proposal="closed_loop")},
 }
 """Name -> arguments of :func:`phase_ppl.infer`."""
 
@@ -199,8 +195,8 @@ def preset(name: str) -> dict[str, Any]:
     >>> ppl.evaluate(events, "simple", preset="as_intended")
 
     Args:
-        name: "as_printed", "as_intended", "default" or "learned"; what differs stands in the page
-            of deviations of the documentation.
+        name: "simple", "guided", "as_printed" or "as_intended"; the page of deviations of the
+            documentation says what differs.
 
     Raises:
         UnknownNameError: there is no such preset.

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -17,10 +16,8 @@ import phase_ppl
 from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, summed_by_pair
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import PairFilter, PolicyFilter, SearchSets, stacked
-from phase_ppl.models.effective import place_of_level
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
-from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
@@ -30,7 +27,6 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
-from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
 
@@ -68,7 +64,9 @@ class Watch:
         event_id: str = "",
     ) -> None:
         self._clock = time.perf_counter()
-        self.model = Model(likelihood=StepwiseLikelihood()) if model is None else model
+        model = Model() if model is None else model
+        instance_of("model", model, Model, "a phase_ppl.Model")
+        self.model = model.for_reading()
         likelihood = self._likelihood = _likelihood_of(self.model)
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
         self._scene, self._event_id = scene, event_id
@@ -301,73 +299,3 @@ def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArr
                     file=sys.stderr,
                 )
         yield frame
-
-
-# --- for kernels that sample ----------------------------------------------------------------------
-
-
-class TableRunner:
-    """Answers a kernel's requests from a table over all hypotheses; nothing is simulated.
-
-    The error of a frame is by how many nats, times the likelihood's weight, the best pair of goals
-    explains it better; that of the first frame tells the same of the strengths, each of which
-    counts as the nearest that was followed, as in the prior of the table. The "trajectory" is the
-    observed one, on which every frame is conditioned. Nothing is random, so seeds make no
-    difference, and nothing is stopped early.
-
-    ``found`` is what :func:`filtered_frames` returns. Attributes are as of a
-    :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for ``limit``,
-    ``patience`` and ``deadline`` to matter.
-    """
-
-    workers, on_failure, retries = 1, "reject", 0
-    stops_early = False
-
-    def __init__(self, found: xr.Dataset) -> None:
-        likelihood = found["log_likelihood"].values
-        worst = likelihood.max(axis=(1, 2), keepdims=True) - likelihood
-        self._errors = float(found.attrs["weight"]) * worst
-        self._levels = found["strength_red"].values
-        with np.errstate(divide="ignore"):
-            strengths = np.log(found["strengths"].values[-1])
-        self._strength_errors = strengths.max() - strengths
-        self._trajectory = np.array(found["trajectory"].values)
-        self._cancelled = False
-        self.statistics = Statistics()
-        self.on_result: Callable[[SimulationResult], None] | None = None
-        self.limit = self.patience = self.deadline = math.inf
-
-    def cancel(self) -> None:
-        """Make :meth:`run` raise from now on."""
-        self._cancelled = True
-
-    close = cancel
-
-    def run(
-        self,
-        hypotheses: Sequence[Hypothesis],
-        seeds: Sequence[int],
-        error_ceilings: Sequence[float] | None = None,
-    ) -> list[SimulationResult]:
-        """Return what the table says of each hypothesis, in order; the same of the same."""
-        if self._cancelled:
-            raise Cancelled("the run was cancelled")
-        requests = [(h, int(seed)) for h, seed in zip(hypotheses, seeds, strict=True)]
-        done = {request: self._look_up(*request) for request in dict.fromkeys(requests)}
-        for result in done.values():
-            self.statistics.simulations += 1
-            self.statistics.frames += result.frames_simulated
-            self.statistics.failures += result.failure is not None
-            if self.on_result is not None:
-                self.on_result(result)
-        return [done[request] for request in requests]
-
-    def _look_up(self, hypothesis: Hypothesis, seed: int) -> SimulationResult:
-        red, green = hypothesis.effective_goals
-        errors, n = self._errors[:, red, green].copy(), len(self._errors)
-        errors[0] += self._strength_errors[
-            tuple(place_of_level(hypothesis.strengths, self._levels))
-        ]
-        if np.isfinite(errors).all():
-            return SimulationResult(hypothesis, seed, self._trajectory, errors, n, True)
-        return SimulationResult.failed(hypothesis, seed, n, "impossible given what was seen")

@@ -18,17 +18,19 @@ be *away* it is the distance to the set of places that are away: max(0, R - dist
 leaves many goals at distance 0 that nobody works for.
 
 "closed_loop". The video is read once by the closed loop (:mod:`phase_ppl.closed_loop`), with one
-set of searches and the paper's uniform prior: as good as a bottom-up pass can be. A window proposes
-goals, and who helps or hinders whom, by what is probable given the frames up to its end; the
-initial hypotheses come from the whole. Of the goals of several agents together only their product
-is proposed, given who helps or hinders whom. Hastings' ratio corrects for it, so the posterior is
-still that of simulations; but what the closed loop takes to be improbable is seldom tried.
+set of searches and the paper's uniform prior. A window proposes goals, and who helps or hinders
+whom, by what its own frames show: the prior times the likelihood of these frames, each given those
+before it. The initial hypotheses come from all frames. Of the goals of several agents together only
+their product is proposed, given who helps or hinders whom. Hastings' ratio corrects for it, so the
+posterior is still that of simulations; but what the closed loop takes to be improbable is seldom
+tried.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib.resources
+import json
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import jax
@@ -96,11 +98,11 @@ def bottom_up_tables(
 ) -> BottomUpTables:
     """Return the tables of an event under some settings.
 
-    What these leave open is decided by ``SimpleSettings.settled`` with ``guided=False``.
-    ``progress`` says whether to show a bar where it takes long, as the closed loop does, which
-    searches in so many ``threads``, by default one per usable core.
+    What these leave open is decided by ``SimpleSettings.settled``. ``progress`` says
+    whether to show a bar where it takes long, as the closed loop does, which searches in so many
+    ``threads``, by default one per usable core.
     """
-    settings = settings.settled(scene.world, guided=False)
+    settings = settings.settled(scene.world)
     assert settings.strength is not None, "it is settled"
     n_frames = observation.n_frames
     length = window_length(n_frames, settings.window)
@@ -110,7 +112,7 @@ def bottom_up_tables(
     estimates = estimated_strengths(settings.strength, scene, observation, windows)
     if settings.proposal != "paper":
         if settings.proposal == "closed_loop":
-            goal, alpha = closed_loop_logits(scene, observation, last, progress, threads)
+            goal, alpha = closed_loop_logits(scene, observation, windows, progress, threads)
         else:
             goal, alpha = joint_logits(_scores(scene, observation, first, last))
         # an agent is as strong in one window as in another: the whole observation says it best
@@ -190,26 +192,26 @@ _EVENTS_KEPT: Final = 8
 def closed_loop_logits(
     scene: Scene,
     observation: Observation,
-    last: IntArray,
+    windows: IntArray,
     progress: bool | None = None,
     threads: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is probable given the frames up to each of ``last``.
+    """Return what the frames of each window make probable, (window, [first, last]) frame numbers.
 
-    Unnormalised log probabilities: (stretch, way, agent, goal) of stated goals given in which way
-    agents stand to each other, and (stretch, way) beside the prior's. ``progress`` and ``threads``
+    Unnormalised log probabilities: (window, way, agent, goal) of stated goals given in which way
+    agents stand to each other, and (window, way) beside the prior's. ``progress`` and ``threads``
     as of :func:`bottom_up_tables`.
     """
-    table = _read(scene, observation, progress, threads)
+    table = _read(scene, observation, progress, threads).table
     space, rows = table.space, table.hypotheses
     n = len(space.ways)
     log_prior = rows.log_prior - rows.log_drawn
     least = np.where(np.isfinite(log_prior), _LEAST, 0)
     prior = _sums(rows.way, np.exp(log_prior), n)
-    goal = np.empty((len(last), n, space.n_agents, space.n_goals))
-    evidence = np.empty((len(last), n))
-    for place, frame in enumerate(last):
-        log_masses = table.log_masses(int(frame))[0]
+    goal = np.empty((len(windows), n, space.n_agents, space.n_goals))
+    evidence = np.empty((len(windows), n))
+    for place, (first, last) in enumerate(windows.tolist()):
+        log_masses = table.log_masses_within(first, last)
         masses = np.exp(log_masses - log_masses.max())
         evidence[place] = _sums(rows.way, np.maximum(masses, least), n) - prior
         for way in range(n):
@@ -234,19 +236,48 @@ def _sums(way: IntArray, masses: FloatArray, n: int) -> FloatArray:
     return np.asarray(np.log(np.maximum(np.bincount(way, masses, n), 1e-300)))
 
 
-@functools.lru_cache(_EVENTS_KEPT)
+class Reading(NamedTuple):
+    """What it cost to read a video before the first simulation."""
+
+    seconds: float = 0.0  # of wall time
+    searches: int = 0
+
+
+class _Read(NamedTuple):
+    table: Table
+    cost: Reading
+
+
+def reading_of(scene: Scene, observation: Observation) -> Reading:
+    """Return what the reading cost by which the closed loop proposes; nothing before it is done."""
+    found = _kept.get((scene, observation))
+    return Reading() if found is None else found.cost
+
+
 def _read(
     scene: Scene, observation: Observation, progress: bool | None, threads: int | None
-) -> Table:
+) -> _Read:
     # remembered for the same two objects, so that kernels that are compared share it
     from phase_ppl.analysis.stepwise_table import table_of
     from phase_ppl.inference.stepwise import filtered_frames
     from phase_ppl.models.model import Model
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
+    if (known := _kept.get((scene, observation))) is not None:
+        return known
     model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
     event = Event(scene, observation)
-    return table_of(filtered_frames(event, model, threads=threads, progress=progress))
+    found = filtered_frames(event, model, threads=threads, progress=progress)
+    cost = json.loads(found.attrs["cost"])
+    while len(_kept) >= _EVENTS_KEPT:
+        _kept.pop(next(iter(_kept)), None)
+    read = _Read(table_of(found), Reading(cost["seconds"], cost["searches"]))
+    _kept[scene, observation] = read
+    return read
+
+
+_kept: Final[dict[tuple[Scene, Observation], _Read]] = {}
+"""The last few videos that were read."""
 
 
 # --- features of motion that speak for goals ------------------------------------------------------

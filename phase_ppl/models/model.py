@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Generic, Literal, overload
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import jax
 import jax.numpy as jnp
@@ -44,17 +43,9 @@ from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import HypothesisSpace
 
 if TYPE_CHECKING:
-    from typing_extensions import TypeVar
-
     from phase_ppl.agents.config import PlannerConfig
     from phase_ppl.models.stepwise import StepwiseLikelihood
     from phase_ppl.simulator.contract import Simulator
-
-    Kind = TypeVar("Kind", default=Any)
-else:
-    from typing import TypeVar
-
-    Kind = TypeVar("Kind")  # of likelihood
 
 Noise = Literal["fresh", "fixed"]
 
@@ -62,11 +53,8 @@ DEFAULT_PLANNER: Final = "fast"
 
 
 @dataclasses.dataclass(frozen=True)
-class Model(Generic[Kind]):
+class Model:
     """Prior, simulator and likelihood.
-
-    Type checkers know a model by its likelihood, as ``Model[StepwiseLikelihood]``, and by that
-    what :func:`phase_ppl.infer` returns.
 
     Attributes:
         prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
@@ -75,7 +63,9 @@ class Model(Generic[Kind]):
         simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
             simulator of the paper (Algorithm 1).
         likelihood: one that compares a simulation with the video
-            (:mod:`phase_ppl.models.likelihood`), or a :class:`phase_ppl.StepwiseLikelihood`.
+            (:mod:`phase_ppl.models.likelihood`), or a :class:`phase_ppl.StepwiseLikelihood`. None:
+            the default of how the model is used, a ``StepwiseLikelihood`` where the video is read
+            by the closed loop, a :class:`phase_ppl.RadialLikelihood` where a kernel samples.
         planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
         noise: "fresh", a new simulator seed per proposal, so that the posterior is that of the
             mean likelihood over seeds; or "fixed", one seed per event and hypothesis: a
@@ -89,46 +79,9 @@ class Model(Generic[Kind]):
 
     prior: Program = priors.uniform
     simulator: Simulator | None = None
-    likelihood: TrajectoryLikelihood | StepwiseLikelihood = dataclasses.field(
-        default_factory=RadialLikelihood
-    )
+    likelihood: TrajectoryLikelihood | StepwiseLikelihood | None = None
     planner: str | PlannerConfig | None = None
     noise: Noise = "fresh"
-
-    if TYPE_CHECKING:
-
-        @overload
-        def __init__(
-            self: Model[RadialLikelihood],
-            prior: Program | str = ...,
-            simulator: Simulator | None = ...,
-            likelihood: RadialLikelihood = ...,
-            planner: str | PlannerConfig | None = ...,
-            noise: Noise = ...,
-        ) -> None: ...
-
-        @overload
-        def __init__(
-            self: Model[StepwiseLikelihood],
-            prior: Program | str = ...,
-            simulator: None = ...,
-            *,
-            likelihood: StepwiseLikelihood,
-            planner: str | PlannerConfig | None = ...,
-            noise: Noise = ...,
-        ) -> None: ...
-
-        @overload
-        def __init__(
-            self,
-            prior: Program | str = ...,
-            simulator: Simulator | None = ...,
-            likelihood: TrajectoryLikelihood | StepwiseLikelihood = ...,
-            planner: str | PlannerConfig | None = ...,
-            noise: Noise = ...,
-        ) -> None: ...
-
-        def __init__(self, *args: Any, **fields: Any) -> None: ...
 
     def __post_init__(self) -> None:
         if isinstance(self.prior, str):
@@ -146,7 +99,7 @@ class Model(Generic[Kind]):
                 "planner applies to the joint simulator, but the model has a simulator of its own"
             )
         compares = all(hasattr(self.likelihood, n) for n in ("log_prob", "max_total_error"))
-        if not compares and not is_stepwise(self.likelihood):
+        if self.likelihood is not None and not compares and not is_stepwise(self.likelihood):
             raise InvalidSettingError(
                 f"likelihood={self.likelihood!r} lacks log_prob or max_total_error"
             )
@@ -178,10 +131,33 @@ class Model(Generic[Kind]):
         bound: Any = WorldPrior(prior, role_prior(prior, world), world)
         return dataclasses.replace(self, prior=bound, likelihood=likelihood)
 
+    def for_reading(self) -> Model:
+        """Return the model with the likelihood by which the closed loop reads a video.
+
+        Raises:
+            InvalidSettingError: it has one that compares whole simulations with the video.
+        """
+        if is_stepwise(self.likelihood):
+            return self
+        if self.likelihood is not None:
+            raise InvalidSettingError(
+                f"likelihood={shown(self.likelihood)} compares whole simulations with the video, "
+                'which takes a kernel that samples: infer(..., kernel="local_mh")'
+            )
+        from phase_ppl.models.stepwise import StepwiseLikelihood
+
+        return dataclasses.replace(self, likelihood=StepwiseLikelihood())
+
+    def for_sampling(self) -> Model:
+        """Return the model with the likelihood by which a kernel samples."""
+        if self.likelihood is not None:
+            return self
+        return dataclasses.replace(self, likelihood=RadialLikelihood())
+
     @property
     def error_likelihood(self) -> TrajectoryLikelihood:
         """What kernels weigh per-frame errors by."""
-        likelihood: Any = self.likelihood
+        likelihood: Any = self.for_sampling().likelihood
         return InNats() if is_stepwise(likelihood) else likelihood
 
     def planner_config(self) -> PlannerConfig:
@@ -189,15 +165,6 @@ class Model(Generic[Kind]):
         from phase_ppl.agents.config import PlannerConfig
 
         return PlannerConfig.named(DEFAULT_PLANNER if self.planner is None else self.planner)
-
-    @property
-    def is_joint(self) -> bool:
-        """Whether videos are compared with simulations by the joint simulator."""
-        module = sys.modules.get("phase_ppl.simulator.joint")  # loaded, where there is one
-        joint = self.simulator is None or (
-            module is not None and isinstance(self.simulator, module.JointSimulator)
-        )
-        return joint and not is_stepwise(self.likelihood)
 
     def build_simulator(self) -> Simulator:
         """Return the simulator, the joint one with the model's planner by default."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Final
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,14 @@ from jax import random
 from numpyro import handlers
 
 from phase_ppl.models.bridge import request_p
-from phase_ppl.models.density import Sites, draw, latent_sites, log_density, trace_log_density
+from phase_ppl.models.density import (
+    NO_DENSITY,
+    Sites,
+    draw,
+    latent_sites,
+    log_density,
+    trace_log_density,
+)
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import space_of_prior
 from phase_ppl.world.event import Observation
@@ -21,6 +28,24 @@ from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.scene import Scene
 
 MAX_SEED: Final = 2**31 - 1  # simulator seeds lie below this
+
+
+class Lookup(NamedTuple):
+    """What the closed loop has read of a video, as errors that take the place of a simulation's.
+
+    A frame's error is by how many nats, times the likelihood's weight, the best pair of goals
+    explains it better. A strength counts as the nearest level that was followed.
+    """
+
+    frames: jax.Array  # (time, goal_red, goal_green) nats; inf: impossible
+    strengths: jax.Array  # (level, level) nats, of the first frame
+    edges: jax.Array  # (level - 1,) newtons, between the levels
+
+    def errors(self, goals: jax.Array, strengths: jax.Array) -> jax.Array:
+        """Return (time,) errors of effective goals (2,) with strengths (2,) in newtons."""
+        found = self.frames[:, goals[0], goals[1]]
+        red, green = jnp.searchsorted(self.edges, strengths)
+        return found.at[0].add(self.strengths[red, green])
 
 
 class EventProgram:
@@ -37,6 +62,7 @@ class EventProgram:
         salt: stands for the event where ``noise="fixed"``; see :func:`event_salt`.
         observed: length T of the observation, perhaps known only inside compiled code, where the
             arrays are longer; errors and log likelihoods of frames beyond it are 0.
+        table: what the closed loop has read, which is looked up in place of a simulation.
     """
 
     def __init__(
@@ -46,8 +72,10 @@ class EventProgram:
         n_frames: int,
         salt: jax.Array | int = 0,
         observed: jax.Array | int | None = None,
+        table: Lookup | None = None,
     ) -> None:
         self.model = model
+        self.table = table
         self.space = space_of_prior(model.prior)
         self.likelihood = model.error_likelihood
         self.bridge = bridge
@@ -107,6 +135,10 @@ class EventProgram:
         the observation. ``log_proposal`` and ``log_bound`` are kept with the simulation, see
         :class:`~phase_ppl.models.bridge.Record`.
         """
+        if self.table is not None:
+            strengths = jnp.stack([sites[name] for name in self.space.strength_sites])
+            errors = self.table.errors(self.effective_goals(sites), strengths)
+            return jnp.where(log_prior > NO_DENSITY, errors, jnp.inf)
         names = tuple(sorted(sites))
         numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
         given = (self.bridge, log_prior, seed, *numbers, *(sites[name] for name in names))
@@ -125,14 +157,19 @@ class EventProgram:
                 key = random.fold_in(key, strength.view(jnp.uint32))
         return random.randint(key, (), 0, MAX_SEED, jnp.int32)
 
-    def _effective(self, sites: Sites) -> jax.Array:
-        """Return a number, uint32, that stands for the effective goals of all agents."""
+    def effective_goals(self, sites: Sites) -> jax.Array:
+        """Return (agent,) the codes of the goals that agents act on."""
         space = self.space
         way = sites[space.company_site]
         stated = jnp.stack([jnp.asarray(sites[name], jnp.int32) for name in space.goal_sites])
         owner, agents = jnp.asarray(space.owner)[way], np.arange(space.n_agents)
-        goals = jnp.asarray(space.becomes)[way, agents, stated[owner]].astype(jnp.uint32)
+        return jnp.asarray(space.becomes)[way, agents, stated[owner]]
+
+    def _effective(self, sites: Sites) -> jax.Array:
+        """Return a number, uint32, that stands for the effective goals of all agents."""
+        space, goals = self.space, self.effective_goals(sites).astype(jnp.uint32)
         # the last agent's goal counts least
+        agents = np.arange(space.n_agents)
         place = np.array([space.n_goals**k for k in agents[::-1].tolist()], np.uint64)
         return (goals * place.astype(np.uint32)).sum(dtype=jnp.uint32)
 

@@ -134,7 +134,7 @@ def more_options(given: Mapping[str, Any]) -> list[str]:
 
 @register_model("predicate", more_options=more_options, any_world=True)
 def predicate(
-    *, prior: str | None = None, preset: str = "default", **options: Any
+    *, prior: str | None = None, preset: str | None = None, **options: Any
 ) -> PredicateInversePlanning:
     """Predicate inverse planning: goals and relation from symbols alone, without physics.
 
@@ -149,8 +149,9 @@ def predicate(
     from phase_ppl.inference.settings import preset as check_preset
     from phase_ppl.models.predicate import AS_THE_PAPER, Rationality, Thresholds, log_prior_of_pairs
 
-    check_preset(preset)
-    usual = AS_THE_PAPER if preset != "default" else {}
+    if preset is not None:
+        check_preset(preset)
+    usual = AS_THE_PAPER if preset in ("as_printed", "as_intended") else {}
     prior = usual.get("prior", "uniform") if prior is None else prior
     known = more_options(options)
     for name in options:

@@ -1,7 +1,7 @@
 """SIMPLE, the paper's model: inference over goals, relation and strengths by simulation.
 
-Beside it the closed-loop model, and lesions of SIMPLE. Where the closed loop proposes goals, it is
-the intact one for lesions too: what they lose shows in which simulations fit, not in what is tried.
+Beside it the closed-loop model, and lesions of SIMPLE. A lesion differs from SIMPLE in the one
+thing that its name says; both propose from the same features of the video.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from phase_ppl.world.scene import Scene
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
 
-_COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries")
-_KERNEL: Final = "local_mh"
+_COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries", "searches")
 _NOT_OPTIONS: Final = ("checkpoint", "event", "executor", "progress", "seed", "workers")
 
 
@@ -31,29 +30,20 @@ class Simple:
     """A model of this package with its options, ready to be asked."""
 
     model: Model  # prior, simulator and likelihood
-    weights: str | None = None  # of the draws; None: the run's default
     # for ``infer``, kernel options included
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return the marginals of the effective goals and of the relations."""
-        from phase_ppl.analysis.posterior import Posterior
         from phase_ppl.inference.infer import infer
 
         event = Event(scene, observation)
-        post = infer(
-            event, self.model, seed=seed, workers=1, progress=False, checkpoint=None, **self.options
-        )
-        counted: tuple[str, ...] = ("searches",)
-        if isinstance(post, Posterior):
-            counted = _COUNTED
-            if self.weights is not None:
-                post = Posterior(post.tree, self.weights)
+        post = infer(event, self.model, seed=seed, workers=1, progress=False, **self.options)
         marginals = {question: post.marginal(question) for question in questions_of(scene.world)}
         prediction = Prediction(
             "",
             probabilities={question: found.values for question, found in marginals.items()},
-            cost={name: post.cost[name] for name in counted},
+            cost={name: post.cost[name] for name in _COUNTED if name in post.cost},
             errors={question: found["error"].values for question, found in marginals.items()},
             world=scene.world,
         )
@@ -61,10 +51,7 @@ class Simple:
 
     def warm_up(self) -> None:
         """Compile what the model needs, for all processes."""
-        from phase_ppl.models.stepwise import StepwiseLikelihood
-
-        summed = isinstance(self.model.likelihood, StepwiseLikelihood)
-        if summed and self.options.get("kernel") is None:
+        if self.options.get("kernel") is None:
             from phase_ppl.closed_loop.goal_filter import warm_up
 
             warm_up()
@@ -82,9 +69,9 @@ def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
     """Return what SIMPLE takes beside its own options, by ``kernel``; None: anything it does."""
     from phase_ppl.inference.infer import infer
     from phase_ppl.inference.registry import info_of
-    from phase_ppl.inference.settings import SETTINGS
+    from phase_ppl.inference.settings import KERNEL, SETTINGS
 
-    of_kernel = info_of(given.get("kernel") or _KERNEL).options
+    of_kernel = info_of(given.get("kernel") or KERNEL).options
     if of_kernel is None:
         return None
     of_infer = [name for name in _options_of(infer) if name not in _NOT_OPTIONS]
@@ -105,7 +92,7 @@ def simple(
     noise: str = "fresh",
     program: Model | None = None,
     weights: str | None = None,
-    preset: str = "default",
+    preset: str = "simple",
     **options: Any,
 ) -> Simple:
     """SIMPLE: inference over goals, relation and strengths by simulation.
@@ -125,19 +112,18 @@ def simple(
     from phase_ppl.models.model import Model
 
     options = completed(preset, {"planner": planner, "weights": weights, **options})
-    weights = options.pop("weights", None)
     usual = options.pop("planner", None)
     if simulator is None and program is None:
         planner = usual  # what brings its own simulator brings its planner
     for name in options:
         if name in _NOT_OPTIONS:
             raise InvalidSettingError(f"{name} is no option of model 'simple'")
-    if weights is not None:
-        check_name("weights", weights, WEIGHTINGS)
+    if options.get("weights") is not None:
+        check_name("weights", options["weights"], WEIGHTINGS)
     known = _of_simple(options)
     for name in options:
         if known is not None and name not in known:
-            kernel = info_of(options.get("kernel") or _KERNEL).name
+            kernel = info_of(options["kernel"]).name
             what = f"option of model 'simple' with kernel {kernel!r}:"
             raise unknown_name(what, name, [*_options_of(simple), *known])
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
@@ -145,7 +131,7 @@ def simple(
         program = Model(**parts)
     elif parts != {"prior": "uniform", "planner": None, "simulator": None, "noise": "fresh"}:
         raise InvalidSettingError("give either a program or its prior, planner, simulator, noise")
-    return Simple(program, weights, options)
+    return Simple(program, options)
 
 
 # --- the closed-loop model: every frame explained from what was observed before it ----------------
@@ -156,6 +142,7 @@ def stepwise(
     *,
     prior: Any = "uniform",
     planner: Any = None,
+    program: Model | None = None,
     sharpness: float | None = None,
     lapse: float | None = None,
     weight: float | None = None,
@@ -167,6 +154,7 @@ def stepwise(
 
     Args:
         prior, planner: of the :class:`phase_ppl.Model`.
+        program: a model instead of all that.
         sharpness, lapse, weight, planner_seeds: of the
             :class:`phase_ppl.StepwiseLikelihood`.
         strengths, noise: of its :class:`phase_ppl.Tracking`.
@@ -178,7 +166,12 @@ def stepwise(
     tracking = Tracking(**_given(strengths=strengths, noise=noise))
     given = _given(sharpness=sharpness, lapse=lapse, weight=weight, planner_seeds=planner_seeds)
     likelihood = StepwiseLikelihood(tracking=tracking, **given)
-    return Simple(Model(prior=prior, planner=planner, likelihood=likelihood))
+    made = Model(prior=prior, planner=planner, likelihood=likelihood)
+    if program is None:
+        return Simple(made)
+    if made != Model(prior="uniform", likelihood=StepwiseLikelihood()):
+        raise InvalidSettingError("give either a program, or its prior, planner and likelihood")
+    return Simple(program.for_reading())
 
 
 def _given(**options: Any) -> dict[str, Any]:
@@ -187,11 +180,12 @@ def _given(**options: Any) -> dict[str, Any]:
 
 # --- lesions: SIMPLE with one thing changed, and all of its other options -------------------------
 # What each leaves out shows what SIMPLE needs it for. Options are those of the model ``simple``;
-# what a lesion changes itself cannot be given.
+# what a lesion changes itself cannot be given. Proposals are the same, with one exception that
+# cannot be helped: a prior without social goals proposes none.
 
 
 def _without(changed: str) -> MoreOptions:
-    """Return what tells the options of the model ``simple``, but for what a lesion changes."""
+    """Return a function that names the options of the model ``simple`` less the changed one."""
 
     def more_options(given: Mapping[str, Any]) -> list[str] | None:
         others = _of_simple(given)
@@ -279,6 +273,6 @@ def _planner(planner: Any, options: Mapping[str, Any], **changes: Any) -> Any:
     from phase_ppl.inference.settings import completed
     from phase_ppl.models.model import DEFAULT_PLANNER
 
-    usual = completed(options.get("preset", "default"), {"planner": planner})
+    usual = completed(options.get("preset", "simple"), {"planner": planner})
     config = PlannerConfig.named(usual.get("planner", DEFAULT_PLANNER))
     return dataclasses.replace(config, **changes)

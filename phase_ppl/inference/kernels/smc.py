@@ -66,7 +66,8 @@ class TemperedProgram(EventProgram):
         # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
         object.__setattr__(model, "likelihood", Tempered(program.likelihood, temperature))
         observed = program.observed if program.is_padded else None
-        return cls(model, program.bridge, program.n_frames, program.salt, observed)
+        where = program.bridge, program.n_frames, program.salt
+        return cls(model, *where, observed, program.table)
 
     def simulate(
         self,

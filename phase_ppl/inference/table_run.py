@@ -1,0 +1,228 @@
+"""Kernels on what the closed loop has read: each simulation is a look-up in its table.
+
+A whole chain is compiled, so that ten thousand draws take seconds. The exact posterior is known: it
+is the table's own. So kernels are compared without the noise of simulations.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import lax, random
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.inference.draws import FIELDS, SITE, Columns, table_tree
+from phase_ppl.inference.run import Data, Length, Recipe, Run, clock, functions, make_kernel
+from phase_ppl.inference.sampler import Interrupted, RunOptions, started_again
+from phase_ppl.models import priors
+from phase_ppl.models.density import on_cpu, remembered
+from phase_ppl.models.effective import cells
+from phase_ppl.models.program import Lookup
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown
+from phase_ppl.world.event import Event, Observation
+from phase_ppl.world.identity import qualified_name, versions
+from phase_ppl.world.progress import Bar
+from phase_ppl.world.scene import PHASE
+from phase_ppl.world.space import space_of
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+    from phase_ppl.models.model import Model
+
+ITERATIONS: Final = 1000
+"""Draws of each chain, where nothing else is asked for."""
+
+_BLOCK: Final = 256  # iterations that are compiled as one, at most
+_KEPT: Final = 16
+_OF_SIMULATIONS: Final = (
+    *("executor", "on_failure", "retries", "simulation_seconds"),
+    *("checkpoint", "weights"),
+)
+
+
+def event_of(read: StepwisePosterior) -> Event:
+    """Return what was read, up to the frame that is counted."""
+    return Event(read.scene, Observation(read.observed()), id=read.event_id)
+
+
+def model_of(read: StepwisePosterior, model: Model | None) -> Model:
+    """Return the model whose prior counts: a given one, or that by which the video was read.
+
+    Raises:
+        InvalidSettingError: the prior was one's own, which a file cannot hold.
+    """
+    from phase_ppl.models.model import Model
+    from phase_ppl.models.stepwise import StepwiseLikelihood
+
+    if model is None:
+        recorded = read.settings["model"]["prior"]
+        known = {qualified_name(priors.named(name)): name for name in priors.available()}
+        prior = read.prior or known.get(recorded)
+        if prior is None:
+            raise InvalidSettingError(
+                f"the prior {recorded} is your own, which a file cannot hold: give the model, "
+                "infer(post, model, kernel=...)"
+            )
+        model = Model(prior=prior)
+    likelihood = StepwiseLikelihood(weight=float(read.dataset.attrs["weight"]))
+    return Model(model.prior, likelihood=likelihood)
+
+
+def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Posterior:
+    """Return the posterior of a run whose every simulation is looked up in what was read."""
+    for name in _OF_SIMULATIONS:
+        if (value := getattr(options, name)) != getattr(RunOptions, name):
+            raise InvalidSettingError(
+                f"{name}={shown(value)} is for simulations: a kernel on what the closed loop has "
+                "read looks everything up"
+            )
+    found = _Table(read)
+    data = run.data(0)._replace(table=found.lookup(run.recipe.n_frames))
+    kernel = make_kernel(run.recipe, data)
+    wanted = options.iterations
+    if wanted is None and options.budget is None and not hasattr(kernel, "n_iterations"):
+        wanted = ITERATIONS
+    length = Length.of(kernel, run.info, run.chains, wanted, options.budget, run.n_frames)
+    n = _iterations(length, run.n_frames)
+    options.check_burn_in(n)
+    with on_cpu():
+        steps = _drawn(run, data, n, length.limit("seconds"), options, found)
+    done = len(steps["sim_seed"]) - 1
+    cost = {
+        "simulations": length.at_most(done),
+        "frames": 0,
+        "failures": 0,
+        "budget": options.budget and str(options.budget),
+        "seconds": clock() - options.began,
+        "seconds_reading": read.cost.get("seconds"),
+        "searches": read.cost.get("searches"),
+        "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
+    }
+    attrs = {
+        "kernel": run.info.name,
+        "validity": getattr(kernel, "validity", run.info.validity),
+        "settings": json.dumps({**run.record(done), "read": read.settings}, default=repr),
+        "cost": json.dumps(cost),
+        "versions": json.dumps(versions()),
+    }
+    tree = table_tree(run.event, run.model, run.info, steps, found, attrs)
+    return Posterior(tree, burn_in=options.burn_in)
+
+
+def _iterations(length: Length, n_frames: int) -> int:
+    """Return how many iterations there will be at most; a budget buys look-ups."""
+    if length.iterations is not None:
+        return length.iterations
+    most = min(length.limit("simulations"), length.limit("frames") / n_frames)
+    if most == math.inf:
+        return 10**7  # seconds decide
+    left = most - length.at_most(0)
+    return max(1, math.ceil(left / (length.at_most(1) - length.at_most(0))))
+
+
+def _drawn(
+    run: Run, data: Data, n: int, seconds: float, options: RunOptions, found: _Table
+) -> Columns:
+    """Return the particles (iteration + 1, chain, ...) of so many iterations, or of fewer."""
+    block = min(_BLOCK, 1 << (n - 1).bit_length())
+    start, advance = _compiled(run.recipe, block)
+    number = int(np.random.SeedSequence(run.seed).generate_state(1)[0])
+    state = start(random.split(random.key(number), run.chains), data)
+    sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
+    possible = np.isfinite(found.errors(sites)).all(axis=-1)
+    if not possible.any():
+        raise SimulationError("no initial hypothesis is possible given what was read")
+    state = started_again(state, possible)
+    blocks = [jax.tree.map(lambda one: one[None], _told(state))]
+    try:
+        with Bar(n, 0, options.progress, "iteration", run.info.name) as bar:
+            while bar.n < n and clock() - options.began < seconds:
+                state, told = advance(state, data)
+                blocks.append(jax.device_get(told))
+                bar.update(min(block, n - bar.n))
+    except KeyboardInterrupt:
+        raise Interrupted(None) from None
+    columns = {name: np.concatenate([one[name] for one in blocks]) for name in blocks[0]}
+    return {name: values[: n + 1] for name, values in columns.items()}
+
+
+@remembered(_KEPT)
+def _compiled(recipe: Recipe, block: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return how chains start, and how they go on for a block of iterations."""
+    init, step = functions(recipe)
+
+    def advance(state: Any, data: Data) -> Any:
+        def one(state: Any, _: None) -> Any:
+            state = step(state, data)
+            return state, _told(state)
+
+        return lax.scan(one, state, length=block)
+
+    return jax.jit(init), jax.jit(advance)
+
+
+def _told(state: Any) -> dict[str, jax.Array]:
+    """Return what is kept of a state, as columns of particles."""
+    told = {f"{SITE}{name}": value for name, value in state.z.items()}
+    told["sim_seed"] = state.sim_seed
+    return told | {
+        name: jnp.asarray(value)
+        for name in FIELDS
+        if (value := getattr(state, name, None)) is not None
+    }
+
+
+class _Table:
+    """What the closed loop has read, in nats below what explains each frame best."""
+
+    def __init__(self, read: StepwisePosterior) -> None:
+        found: xr.Dataset = read.dataset.isel(time=slice(None, read.frame + 1))
+        weight, likelihood = float(found.attrs["weight"]), found["log_likelihood"].values
+        best = likelihood.max(axis=(1, 2), keepdims=True)
+        self._frames = weight * (best - likelihood)
+        without = found["log_likelihood_without"].values
+        # (set, goal_red, goal_green) log likelihoods of all frames without each set of searches
+        self._without = -weight * (best - without).sum(axis=1)
+        with np.errstate(divide="ignore"):
+            strengths = np.log(found["strengths"].values[-1])
+        self._strengths = strengths.max() - strengths
+        self._edges = cells(found["strength_red"].values)[1:-1]
+
+    def lookup(self, n_frames: int) -> Lookup:
+        """Return it for compiled code, with room for so many frames; none beyond the last."""
+        beyond = [(0, n_frames - len(self._frames)), (0, 0), (0, 0)]
+        frames = np.pad(self._frames, beyond).astype(np.float32)
+        return Lookup(
+            jnp.asarray(frames), jnp.asarray(self._strengths, jnp.float32), jnp.asarray(self._edges)
+        )
+
+    def errors(self, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
+        """Return (row, time) the errors, nats, of columns of particles."""
+        space = space_of(PHASE)
+        raw = {name: sites[f"{SITE}{name}"] for name in space.sites}
+        strengths = np.stack([raw[name] for name in space.strength_sites], axis=1)
+        return self.errors_of(space.effective(raw), strengths)
+
+    def errors_of(self, goals: NDArray[Any], strengths: NDArray[Any]) -> FloatArray:
+        """Return (row, time) the errors, nats, of goals (row, 2) and strengths (row, 2)."""
+        errors = self._frames[:, goals[:, 0], goals[:, 1]].T.copy()
+        places = np.searchsorted(self._edges, strengths)
+        errors[:, 0] += self._strengths[places[:, 0], places[:, 1]]
+        return errors
+
+    def log_likelihood_without(self, goals: NDArray[Any]) -> FloatArray:
+        """Return (set, row) log likelihoods less those with all sets, of goals (row, 2)."""
+        both = -self._frames.sum(axis=0)
+        with np.errstate(invalid="ignore"):  # of what is impossible with and without
+            change = np.nan_to_num(self._without - both, nan=0.0)
+        return np.asarray(change[:, goals[:, 0], goals[:, 1]])
