@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -44,10 +44,23 @@ _PARTICLE: Final = {
 }
 """Column of particles -> its value where a kernel's state has no such field, and its type."""
 
-FIELDS: Final = tuple(_PARTICLE)
-"""Fields that a kernel's state may have beside its hypothesis and its seed."""
-
 PARTICLE_COLUMNS: Final = ("sim_seed", *_PARTICLE)
+
+
+class Particles(NamedTuple):
+    """What is kept of a kernel's state; None where it has no such field."""
+
+    z: dict[str, Any]
+    sim_seed: Any
+    accepted: Any = None
+    window: Any = None
+    log_weight: Any = None
+    log_evidence: Any = None
+
+    @classmethod
+    def of(cls, state: Any) -> Particles:
+        """Return it of a state."""
+        return cls(*(getattr(state, name, None) for name in cls._fields))
 
 
 def particles_of(state: Any) -> Columns:
@@ -181,12 +194,11 @@ def table_tree(
     iterations = kept_iterations(n_iterations, kernel)
     drawn = {name: np.moveaxis(values[list(iterations)], 0, 1) for name, values in steps.items()}
     shape = drawn["sim_seed"].shape
-    moved = np.zeros(shape, np.bool_)
-    moved[:, 0] = True
+    moved = np.ones(shape, np.bool_)
     sites = {k.removeprefix(SITE): v for k, v in drawn.items() if k.startswith(SITE)}
-    for values in sites.values():
-        changed = values[:, 1:] != values[:, :-1]
-        moved[:, 1:] |= changed.reshape(*changed.shape[:2], -1).any(axis=2)
+    if shape[1] > 1:
+        each = [values.reshape(*shape, -1) for values in sites.values()]
+        moved[:, 1:] = np.any([(v[:, 1:] != v[:, :-1]).any(axis=2) for v in each], axis=0)
     index = np.cumsum(moved.ravel()).reshape(shape) - 1
     raw = {name: values[moved] for name, values in sites.items()}
     table = _hypothesis_columns(raw, space)
@@ -215,10 +227,7 @@ def table_tree(
         "frames_simulated": np.zeros(shape, np.int64),
         "sim_seed": table["seed"][index],
     }
-    for name, (default, dtype) in _PARTICLE.items():
-        values = drawn.get(name, np.full(shape, default))
-        if name != "log_evidence" or name in drawn:
-            stats[name] = values.astype(dtype)
+    stats |= {name: drawn[name] for name in _PARTICLE if not np.isnan(drawn[name]).all()}
     time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
     coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
     frame = {"time": time, "entity": list(space.world.entities), "coord": ["x", "y", "angle"]}

@@ -17,9 +17,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import jax
-from jax import random
+from jax import lax, random
 from numpyro.infer.mcmc import MCMCKernel
 
+from phase_ppl.inference.draws import Particles
 from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
@@ -265,7 +266,7 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     return info.make(program, **supplies, **dict(options))
 
 
-def functions(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def _functions(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return the two functions of a recipe: (keys, data) and (state, data) -> state."""
 
     def init(keys: jax.Array, data: Data) -> Any:
@@ -283,9 +284,27 @@ def functions(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
 
 @remembered(_KEPT_PROGRAMS)
 def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
-    """Return :func:`functions`, compiled."""
-    init, step = functions(recipe)
+    """Return how the particles of a recipe start, and how they go on by a step, compiled."""
+    init, step = _functions(recipe)
     return Hosted(init, _identity(recipe, "init")), Hosted(step, _identity(recipe, "step"))
+
+
+@remembered(_KEPT_PROGRAMS)
+def compiled_block(recipe: Recipe, length: int) -> Hosted:
+    """Return compiled (state, data) -> the state after so many steps, and those after each.
+
+    Where simulations are looked up, so that whole chains can be compiled.
+    """
+    _, step = _functions(recipe)
+
+    def block(state: Any, data: Data) -> tuple[Any, Particles]:
+        def one(state: Any, _: None) -> tuple[Any, Particles]:
+            state = step(state, data)
+            return state, Particles.of(state)
+
+        return lax.scan(one, state, length=length)
+
+    return Hosted(block, _identity(recipe, f"block of {length}"))
 
 
 def compiled_given(recipe: Recipe) -> Hosted:

@@ -1,7 +1,7 @@
 """Kernels on what the closed loop has read: each simulation is a look-up in its table.
 
-A whole chain is compiled, so that ten thousand draws take seconds. The exact posterior is known: it
-is the table's own. So kernels are compared without the noise of simulations.
+Ten thousand draws take seconds, and the exact posterior is known: it is the table's own. So kernels
+are compared without the noise of simulations.
 """
 
 from __future__ import annotations
@@ -9,22 +9,21 @@ from __future__ import annotations
 import json
 import math
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jax import lax, random
+from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.draws import FIELDS, SITE, Columns, table_tree
-from phase_ppl.inference.run import Data, Length, Recipe, Run, clock, functions, make_kernel
+from phase_ppl.inference.draws import SITE, Columns, particles_of, table_tree
+from phase_ppl.inference.run import Data, Length, Run, clock, compiled, compiled_block, make_kernel
 from phase_ppl.inference.sampler import Interrupted, RunOptions, started_again
 from phase_ppl.models import priors
-from phase_ppl.models.density import on_cpu, remembered
+from phase_ppl.models.density import on_cpu
 from phase_ppl.models.effective import cells
 from phase_ppl.models.program import Lookup
 from phase_ppl.world.arrays import FloatArray
@@ -43,7 +42,6 @@ ITERATIONS: Final = 1000
 """Draws of each chain, where nothing else is asked for."""
 
 _BLOCK: Final = 256  # iterations that are compiled as one, at most
-_KEPT: Final = 16
 _OF_SIMULATIONS: Final = (
     *("executor", "on_failure", "retries", "simulation_seconds"),
     *("checkpoint", "weights"),
@@ -135,7 +133,7 @@ def _drawn(
 ) -> Columns:
     """Return the particles (iteration + 1, chain, ...) of so many iterations, or of fewer."""
     block = min(_BLOCK, 1 << (n - 1).bit_length())
-    start, advance = _compiled(run.recipe, block)
+    start, advance = compiled(run.recipe)[0], compiled_block(run.recipe, block)
     number = int(np.random.SeedSequence(run.seed).generate_state(1)[0])
     state = start(random.split(random.key(number), run.chains), data)
     sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
@@ -143,43 +141,19 @@ def _drawn(
     if not possible.any():
         raise SimulationError("no initial hypothesis is possible given what was read")
     state = started_again(state, possible)
-    blocks = [jax.tree.map(lambda one: one[None], _told(state))]
+    # as the first of blocks (iteration, chain, ...)
+    told = [{name: one[None] for name, one in particles_of(state).items()}]
+    done = 0
     try:
         with Bar(n, 0, options.progress, "iteration", run.info.name) as bar:
-            while bar.n < n and clock() - options.began < seconds:
-                state, told = advance(state, data)
-                blocks.append(jax.device_get(told))
-                bar.update(min(block, n - bar.n))
+            while done < n and clock() - options.began < seconds:
+                state, states = advance(state, data)
+                told.append(particles_of(states))
+                bar.update(min(block, n - done))
+                done += block
     except KeyboardInterrupt:
         raise Interrupted(None) from None
-    columns = {name: np.concatenate([one[name] for one in blocks]) for name in blocks[0]}
-    return {name: values[: n + 1] for name, values in columns.items()}
-
-
-@remembered(_KEPT)
-def _compiled(recipe: Recipe, block: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return how chains start, and how they go on for a block of iterations."""
-    init, step = functions(recipe)
-
-    def advance(state: Any, data: Data) -> Any:
-        def one(state: Any, _: None) -> Any:
-            state = step(state, data)
-            return state, _told(state)
-
-        return lax.scan(one, state, length=block)
-
-    return jax.jit(init), jax.jit(advance)
-
-
-def _told(state: Any) -> dict[str, jax.Array]:
-    """Return what is kept of a state, as columns of particles."""
-    told = {f"{SITE}{name}": value for name, value in state.z.items()}
-    told["sim_seed"] = state.sim_seed
-    return told | {
-        name: jnp.asarray(value)
-        for name in FIELDS
-        if (value := getattr(state, name, None)) is not None
-    }
+    return {name: np.concatenate([one[name] for one in told])[: n + 1] for name in told[0]}
 
 
 class _Table:
