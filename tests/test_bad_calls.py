@@ -26,20 +26,39 @@ from tests.inference.runs import EVENT, MODEL, OPTIONS
 from tests.inference.toy import walkers
 
 LONG = "x" * 5000
+sample = functools.partial(ppl.infer, kernel="local_mh")
 GO = Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
 
 CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "event": (lambda: ppl.infer("a.json"), "'a.json' is no event; phase_ppl.load_event reads one"),
     "model": (lambda: ppl.infer(EVENT, model="simple"), "model='simple', expected a phase_ppl.M"),
-    "settings": (lambda: ppl.infer(EVENT, settings={}), "settings={}, expected"),
+    "settings": (lambda: sample(EVENT, settings={}), "settings={}, expected"),
     "gradient": (lambda: ppl.infer(EVENT, kernel=numpyro.infer.NUTS), "NUTS needs a gradient"),
-    "executor": (lambda: ppl.infer(EVENT, MODEL, executor=object()), "no PEP 3148 executor"),
-    "checkpoint": (lambda: ppl.infer(EVENT, checkpoint=3), "3 is no path"),
-    "chains": (lambda: ppl.infer(EVENT, MODEL, chains=10**9, workers=1), "GB of memory"),
-    "iterations": (lambda: ppl.infer(EVENT, MODEL, iterations=10**12, workers=1), "GB of memory"),
-    "workers": (lambda: ppl.infer(EVENT, MODEL, workers=10**6), "expected at most 1024"),
-    "a huge seed": (lambda: ppl.infer(EVENT, MODEL, seed=-(10**5000)), "seed=<int>, expected"),
-    "limit": (lambda: ppl.infer(EVENT, MODEL, simulation_seconds=0), "simulation_seconds=0"),
+    "executor": (
+        lambda: sample(EVENT, MODEL, executor=object()),
+        "no PEP 3148 executor",
+    ),
+    "checkpoint": (lambda: sample(EVENT, checkpoint=3), "3 is no path"),
+    "chains": (
+        lambda: sample(EVENT, MODEL, chains=10**9, workers=1),
+        "GB of memory",
+    ),
+    "iterations": (
+        lambda: sample(EVENT, MODEL, iterations=10**12, workers=1),
+        "GB of memory",
+    ),
+    "workers": (
+        lambda: sample(EVENT, MODEL, workers=10**6),
+        "expected at most 1024",
+    ),
+    "a huge seed": (
+        lambda: sample(EVENT, MODEL, seed=-(10**5000)),
+        "seed=<int>, expected",
+    ),
+    "limit": (
+        lambda: sample(EVENT, MODEL, simulation_seconds=0),
+        "simulation_seconds=0",
+    ),
     "copies": (lambda: ppl.generate("no", n=2, copies=10**5000), "copies=<int>, expected at most"),
     "weights": (lambda: ppl.Posterior(random_tree(1), 10**5000), "unknown weights <int>"),
     "report": (lambda: ppl.report(None), "None is no path"),

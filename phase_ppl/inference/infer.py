@@ -179,6 +179,7 @@ def infer(
     model = _complete_model(model, planner, settings)
     of_run = kernel, kernel_options, settings, chains, seed
     if is_stepwise(model.likelihood) and not isinstance(event, StepwisePosterior):
+        Run(check_event(event), model, *of_run).check(iterations, budget)  # before it is read
         event = infer(event, model, seed=seed, workers=workers, progress=progress)
     if isinstance(event, StepwisePosterior):
         from phase_ppl.inference.table_run import event_of, model_of, sample_table

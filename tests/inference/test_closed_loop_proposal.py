@@ -13,7 +13,9 @@ from jax import random
 from scipy.special import softmax
 
 import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_table import table_of
 from phase_ppl.inference.guide import bottom_up_guide
+from phase_ppl.inference.stepwise import filtered_frames
 from phase_ppl.inference.tables import BottomUpTables, bottom_up_tables
 from phase_ppl.models import roles
 from phase_ppl.models.density import compiled_quickly, draw, log_density
@@ -27,6 +29,7 @@ from tests.inference.toy import never_called
 
 PAIR = World(["red agent", "blue agent"], ["ball"], {"home": (9, 6), "field": (20, 18)})
 WINDOW = 3
+GUIDED = ppl.preset("guided")
 
 
 @functools.cache
@@ -64,6 +67,7 @@ def proposed_ways(world: World, stretch: int) -> Any:
 def test_it_proposes_goals_as_often_as_the_closed_loop_believes_in_them(world: World) -> None:
     model, space = Model(likelihood=StepwiseLikelihood(planner_seeds=1)), space_of(world)
     post = ppl.infer(event_of(world), model, progress=False)
+    # of the first window and of the whole, which begin with the first frame
     for stretch, frame in ((0, WINDOW), (-1, 5)):
         goals = softmax(np.asarray(tables_of(world).goal_logits)[stretch], axis=-1)
         for agent, name in enumerate(space.goal_sites):
@@ -75,6 +79,30 @@ def test_it_proposes_goals_as_often_as_the_closed_loop_believes_in_them(world: W
                 np.add.at(expected, becomes[possible], share * of_owner[possible])
             found = post.at(frame).marginal(name).values
             np.testing.assert_allclose(found, expected, atol=2e-3)
+
+
+def test_a_window_shows_its_own_frames_only() -> None:
+    model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
+    found = filtered_frames(event_of(PHASE), model, progress=False)
+    changed = found["log_likelihood"].copy(deep=True)
+    changed[1, 3, 4] += 1000.0  # one frame decides everything
+    tables = table_of(found), table_of(found.assign(log_likelihood=changed))
+    after, with_it = (
+        [table.log_masses_within(first, 1 + WINDOW) for table in tables] for first in (1, 0)
+    )
+    np.testing.assert_allclose(*after)
+    assert np.nanmax(np.abs(with_it[0] - with_it[1])) > 100
+
+
+def test_a_reading_counts_in_the_cost_of_every_run_also_where_it_was_kept() -> None:
+    event = unread(3)
+    options: dict[str, Any] = {"chains": 2, "iterations": 1, "workers": 1, "progress": False}
+    model = Model(planner=ppl.PlannerConfig(simulations=8, particles=4))
+    first, again = (ppl.infer(event, model, **GUIDED, **options) for _ in range(2))
+    own = ppl.infer(event, model, kernel="local_mh", **options)
+    assert first.cost["searches"] == again.cost["searches"] > 0 == own.cost["searches"]
+    assert again.cost["seconds_reading"] == first.cost["seconds_reading"] > 0
+    assert again.cost["seconds"] > again.cost["seconds_reading"]
 
 
 def test_guide_has_its_density_and_draws_what_can_be() -> None:
@@ -100,7 +128,7 @@ def test_ctrl_c_while_the_video_is_read_is_an_interrupted_run_without_draws(
 
     monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", interrupted)
     with pytest.raises(ppl.Interrupted) as stopped:
-        ppl.infer(unread(4), kernel="local_mh", chains=2, workers=1, progress=False)
+        ppl.infer(unread(4), **GUIDED, chains=2, workers=1, progress=False)
     assert stopped.value.posterior is None
 
 
@@ -108,10 +136,11 @@ def test_what_is_wrong_is_refused_before_the_video_is_read(monkeypatch: pytest.M
     monkeypatch.setattr("phase_ppl.inference.stepwise.filtered_frames", never_called)
     for wrong in ({"budget": ppl.simulations(3)}, {"rule": "papr"}, {"burn_in": 7}):
         with pytest.raises(ppl.PhasePPLError, match=r"too small|papr|burn_in=7"):
-            ppl.infer(unread(5), kernel="local_mh", chains=2, workers=1, progress=False, **wrong)
+            ppl.infer(unread(5), **GUIDED, chains=2, workers=1, progress=False, **wrong)
     table = ppl.Model(likelihood=ppl.StepwiseLikelihood())
-    with pytest.raises(ppl.PhasePPLError, match="burn_in=7"):
-        ppl.infer(unread(5), table, kernel="prior_mh", iterations=6, burn_in=7, progress=False)
+    for wrong in ({"iterations": 6, "burn_in": 7}, {"rull": 1}):
+        with pytest.raises(ppl.PhasePPLError, match=r"burn_in=7|rull"):
+            ppl.infer(unread(5), table, kernel="prior_mh", progress=False, **wrong)
 
 
 def unread(n_frames: int) -> Event:

@@ -24,7 +24,7 @@ CHAINS, ITERATIONS = 4, 2
 
 
 def infer(**options: Any) -> ppl.Posterior:
-    return runs.infer(**{"kernel": None, "iterations": ITERATIONS, **options})
+    return runs.infer(**{"kernel": "local_mh", "iterations": ITERATIONS, **options})
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,9 @@ def test_only_scene_and_observation_change_the_posterior(
 
 
 def infer_event(event: ppl.Event) -> ppl.Posterior:
-    return ppl.infer(event, MODEL, **{**runs.OPTIONS, "kernel": None, "iterations": ITERATIONS})
+    return ppl.infer(
+        event, MODEL, **{**runs.OPTIONS, "kernel": "local_mh", "iterations": ITERATIONS}
+    )
 
 
 # --- other kernels and models ------------------------------------------------------------------

@@ -97,7 +97,7 @@ def test_the_closed_loop_finds_it_and_its_posterior_is_kept(tmp_path: Path) -> N
 
 def test_simple_proposes_it() -> None:
     event = simulate("ball in the playroom", frames=24)
-    settings = ppl.SimpleSettings().settled(NURSERY, guided=True)
+    settings = ppl.SimpleSettings().settled(NURSERY)
     tables = bottom_up_tables(event.scene, event.observation, settings)
     found = np.asarray(tables.goal_logits)[-1, 0].argmax()
     assert NURSERY.goals[found] == "ball in the playroom"
