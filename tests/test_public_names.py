@@ -33,18 +33,17 @@ def test_completion_in_a_module_shows_what_is_meant_for_users() -> None:
 
 
 @pytest.mark.slow
-def test_a_models_likelihood_says_what_infer_returns(tmp_path: Path) -> None:
-    closed_loop = "ppl.Model(likelihood=ppl.StepwiseLikelihood())"
+def test_whether_a_kernel_is_named_says_what_infer_returns(tmp_path: Path) -> None:
     lines = (
-        "ppl.infer(event, seed=0).replay()",
-        "ppl.infer(event, ppl.Model(prior='uniform'), kernel='smc').map()",
-        f"ppl.infer(event, {closed_loop}).at(3).why('alpha=(0, 0)')",
-        f"ppl.infer(event, {closed_loop}, kernel='smc').replay()",
+        "ppl.infer(event).at(3).why('alpha=(0, 0)')",
+        "ppl.infer(event, ppl.Model(prior='uniform'), seed=1).surprise()",
+        "ppl.infer(event, ppl.Model(prior='uniform'), kernel='smc').untried",
+        "ppl.infer(ppl.infer(event), kernel='smc').untried",
         "ppl.Scene([[8, 20, 0]] * 4, radius=[0.8] * 4, walls=[[[16, 12], [16, 17]]]).start.shape",
         "ppl.Hypothesis('Get blue item to blue lm', 'get to red agent').goal_red + 1",
         "ppl.Observation([[[8.0, 20, 0]] * 4] * 2).n_frames",
     )
-    wrong = f"ppl.infer(event, {closed_loop}).replay()"
+    wrong = "ppl.infer(event).untried"
     file = tmp_path / "user.py"
     text = "import phase_ppl as ppl\n\nevent = ppl.load_event('collaborate')\n"
     file.write_text(text + "\n".join((*lines, wrong)) + "\n")
@@ -53,4 +52,4 @@ def test_a_models_likelihood_says_what_infer_returns(tmp_path: Path) -> None:
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     errors = [line for line in run.stdout.splitlines() if "user.py" in line]
     assert len(errors) == 1, run.stdout
-    assert '"StepwisePosterior" has no attribute "replay"' in errors[0]
+    assert '"StepwisePosterior" has no attribute "untried"' in errors[0]
