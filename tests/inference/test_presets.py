@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import sys
@@ -21,18 +22,11 @@ from phase_ppl.simulator.joint import DynamicsNoise
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import walkers, walking_event
 
-PRINTED = ppl.SimpleSettings(proposal="paper", sign="printed")
+PRINTED = ppl.preset("as_printed")["settings"]
 
 
-def test_as_printed_is_appendix_4_to_the_letter_and_the_default_is_what_infer_does() -> None:
-    printed, intended = ppl.preset("as_printed"), ppl.preset("as_intended")
-    assert printed == {
-        "kernel": "local_mh", "rule": "paper", "planner": "paper", "settings": PRINTED,
-        "weights": "count", "chains": 15, "iterations": 6,
-    }  # fmt: skip
-    apart = {name for name in printed if printed[name] != intended[name]}
-    assert apart == {"rule", "settings"}
-    assert (intended["rule"], intended["settings"].sign) == ("exact", "intended")
+def test_a_preset_is_ones_own_to_change_and_the_default_is_what_infer_does() -> None:
+    printed = ppl.preset("as_printed")
     assert ppl.preset("default") == {}
     printed["chains"] = 3  # one's own to change
     assert ppl.preset("as_printed")["chains"] == 15
@@ -49,7 +43,7 @@ def test_as_printed_is_appendix_4_to_the_letter_and_the_default_is_what_infer_do
         ({"kernel": "prior_mh"}, {"kernel": "prior_mh"},
          {"rule", "weights", "iterations", "chains"}),
         ({"beta": 0.1},
-         {"settings": ppl.SimpleSettings(proposal="paper", sign="printed", beta=0.1)}, set()),
+         {"settings": dataclasses.replace(PRINTED, beta=0.1)}, set()),
         ({"settings": ppl.SimpleSettings()}, {"settings": ppl.SimpleSettings()}, set()),
     ],
 )  # fmt: skip
@@ -73,7 +67,7 @@ def test_evaluate_takes_the_same_word_and_records_it() -> None:
     assert predict.options["settings"] == PRINTED
     assert (predict.options["rule"], predict.weights) == ("paper", "count")
     assert "iterations" not in predict.options
-    assert predict.model.planner_config().simulations == 1000
+    assert predict.model.planner_config() == ppl.PlannerConfig().as_printed()
     assert made.record["options"]["preset"] == "as_printed"
     own: Any = ready("simple", {"preset": "as_printed", "simulator": walkers}).predict
     assert own.model.planner is None
@@ -82,7 +76,7 @@ def test_evaluate_takes_the_same_word_and_records_it() -> None:
 def test_lesions_plan_as_the_preset_does() -> None:
     lesion: Any = ready("no_cost_weight", {"preset": "as_printed"}).predict
     config = lesion.model.planner_config()
-    assert (config.simulations, config.cost_weight) == (1000, 0.0)
+    assert (config.simulations, config.cost_weight, config.swivel) == (1000, 0.0, False)
     assert lesion.options["rule"] == "paper"
 
 
