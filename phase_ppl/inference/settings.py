@@ -36,8 +36,8 @@ class SimpleSettings:
         proposal: of goals: "closed_loop", what the closed loop makes of the video, which is read
             once before the first simulation; "learned", features of what the agents did, with
             weights learned in PHASE; or "paper", distances alone, to which ``gamma``, ``unit`` and
-            ``sign`` apply. None: "closed_loop" where a kernel that proposes from windows simulates with the
-            joint simulator; else "learned" in PHASE, "paper" in other worlds.
+            ``sign`` apply. None: "closed_loop" where a kernel that proposes from windows simulates
+            with the joint simulator; else "learned" in PHASE, "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
         window: Delta T, steps; shorter where the observation is.
         beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,

@@ -118,7 +118,9 @@ def test_an_agent_counts_the_way_that_its_settings_say() -> None:
     costs = {}
     for cost in ("leg", "plan"):
         config = PlannerConfig(particles=2, simulations=1, true_state=True, cost=cost)
-        agent = agent_in(where, (goal_index("Get blue item to red lm"), goal_index(ELSEWHERE)), config)
+        agent = agent_in(
+            where, (goal_index("Get blue item to red lm"), goal_index(ELSEWHERE)), config
+        )
         agent.observe(*state_of(where))
         costs[cost] = agent._costs[0]
     x, y = where.landmark_centres[2]

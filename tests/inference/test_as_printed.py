@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from typing import Any
 
@@ -121,16 +122,18 @@ def guide(prior_share: float) -> Mixture:
 
 def test_without_a_share_of_the_prior_nothing_is_proposed_that_windows_exclude() -> None:
     drawn, density = {}, {}
+
+    def found(local: Mixture, keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+        z = jax.vmap(lambda key: draw(local, key, jnp.array(0)))(keys)
+        red = z["strength_red"]
+        one = {name: values[0] for name, values in z.items()}
+        beyond = one | {"strength_red": jnp.maximum(red[0], 650.0)}
+        return red, log_density(local, beyond, jnp.array(0))
+
+    keys = random.split(random.key(0), 2000)
     for share in (0.0, 0.1):
-
-        def found(keys: jax.Array, local: Any = guide(share)) -> tuple[jax.Array, jax.Array]:
-            z = jax.vmap(lambda key: draw(local, key, jnp.array(0)))(keys)
-            red = z["strength_red"]
-            one = {name: values[0] for name, values in z.items()}
-            beyond = one | {"strength_red": jnp.maximum(red[0], 650.0)}
-            return red, log_density(local, beyond, jnp.array(0))
-
-        drawn[share], density[share] = compiled_quickly(found)(random.split(random.key(0), 2000))
+        of_share = compiled_quickly(functools.partial(found, guide(share)))
+        drawn[share], density[share] = of_share(keys)
     assert drawn[0.0].max() < 600 < drawn[0.1].max()
     assert np.isneginf(density[0.0])
     assert np.isfinite(density[0.1])
@@ -142,7 +145,7 @@ def test_the_printed_ratio_leaves_what_no_window_suggests_and_never_goes_back() 
     settings = dataclasses.replace(SETTINGS, proposal="paper", prior_share=0.0)
     kernel = LocalMH(program, guide(0.0), settings, rule="paper")
     keys = random.split(random.key(1), 20)
-    at = {"goal_red": 0, "goal_green": 3, "alpha": 0, "strength_red": 650.0, "strength_green": 500.0}
+    at = dict(goal_red=0, goal_green=3, alpha=0, strength_red=650.0, strength_green=500.0)
     start = {name: jnp.full(20, value) for name, value in at.items()}
 
     def whole(keys: jax.Array) -> Any:
