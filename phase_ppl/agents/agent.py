@@ -79,7 +79,8 @@ def best_subgoal(
     }
     candidates = sorted(value)
     # particles in which nothing is left to do are cheap; they must not end a search
-    if not (done > 0.5 and len(agreeing.get(STOP, ())) > n / 2):
+    ends = not config.stops_when_done or (done > 0.5 and len(agreeing.get(STOP, ())) > n / 2)
+    if not ends:
         candidates = [c for c in candidates if c != STOP]
     if config.touch_override:
         # the authors' code prefers touching, items first, then other agents
@@ -156,6 +157,9 @@ class Policies(Perception):
         self._facts = np.zeros((particles, self._row.size), np.int8)
         self._done = np.zeros((len(asked), particles), np.bool_)
         self._costs = np.zeros((len(asked), particles))
+        # how far a place in a room is from a goal of the world's own only its predicate knows
+        rooms = [plan.predicate is Predicate.CLOSE for plan in self._plans]
+        self._whole = (config.cost == "plan") & ~np.array(rooms, np.bool_)
         self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
         self._step = 0
         self.intents: list[Intent] = []
@@ -193,8 +197,8 @@ class Policies(Perception):
         """Put the particles into words: which differ in more than the goals that are reached."""
         beliefs, model = self.beliefs, self.model
         symbols.describe(
-            *(beliefs.bodies, beliefs.held, self.agent, self._codes, model.params, model.layout),
-            *(self._facts, self._done, self._costs),
+            *(beliefs.bodies, beliefs.held, self.agent, self._codes, self._whole),
+            *(model.params, model.layout, self._facts, self._done, self._costs),
         )
         self._describe_own()
         rows = self._facts.view(f"V{self._row.size}").ravel().tolist()
@@ -217,7 +221,9 @@ class Policies(Perception):
             if planned.predicate is Predicate.CLOSE and planned.positive:
                 near = planned.subject == self.agent or held[:, self.agent] == planned.subject
                 way = predicate.apart(origin, scene)
-                self._costs[row] = np.where(near, way, self._costs[row])
+                leg = self._costs[row]
+                rest = leg + way if self.config.cost == "plan" else leg
+                self._costs[row] = np.where(near, way, rest)
 
     def _by_done(
         self, others: Iterable[tuple[int, int]], stance: Stance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 from phase_ppl.world.errors import (
     InvalidSettingError,
@@ -17,14 +17,26 @@ from phase_ppl.world.errors import (
 _REMOVED: Final = {"tree_reuse": False}
 """Settings of older versions -> the value that all of the present ones behave as."""
 
+Cost = Literal["leg", "plan"]
+COSTS: Final = get_args(Cost)
+PLANNERS: Final = ("paper", "fast", "as_printed", "as_printed_fast")
+"""Names of :meth:`PlannerConfig.named`."""
+
 
 @dataclasses.dataclass(frozen=True)
 class PlannerConfig:
-    """How agents believe and plan. The defaults are the paper's (Appendix 3).
+    """How agents believe and plan. The numbers are the paper's (Appendix 3).
+
+    Where the paper's words and its numbers leave agents that do not search or carry as those of its
+    videos do, the defaults are the authors' code's; :meth:`as_printed` has what is printed.
 
     Attributes:
         particles: K, belief particles per agent.
         cost_weight: lambda, weight of the mean cost in the value V of a subgoal.
+        cost: C, of "leg": the way to the item that is to be moved or, once it is held, on to its
+            goal (authors' code); or of the whole "plan": both (printed).
+        stops_when_done: an agent stops only if its goal is reached in more than half of its
+            particles; else to stop is a subgoal as any other in the maximum of V (printed).
         simulations: POMCP simulations per decision.
         rollout_length: random steps after each new node.
         c_init, c_base: constants of PUCT.
@@ -33,7 +45,8 @@ class PlannerConfig:
         paired: all root actions meet the same particles and random numbers, so that they are
             compared like with like (common random numbers); a deviation.
         inner_steps: solver steps per physics substep in imagination.
-        swivel: agents imagine that a held item hangs on a rod, free to swivel (authors' code).
+        swivel: agents imagine that a held item hangs on a rod, free to swivel (authors' code);
+            else that it is rigidly held (printed).
         touch_override: ablation: a subgoal to touch something wins over V (authors' code).
         full_observation: ablation: agents see everything.
         true_state: ablation: agents plan on the true state in place of belief particles; what they
@@ -42,6 +55,8 @@ class PlannerConfig:
 
     particles: int = 50
     cost_weight: float = 0.05
+    cost: Cost = "leg"
+    stops_when_done: bool = True
     simulations: int = 1000
     rollout_length: int = 10
     c_init: float = 1.25
@@ -63,6 +78,7 @@ class PlannerConfig:
         for name in ("cost_weight", "c_init"):
             nonnegative_number(name, getattr(self, name))
         positive_number("c_base", self.c_base)
+        check_name("cost", self.cost, COSTS)
 
     @classmethod
     def fast(cls) -> PlannerConfig:
@@ -76,17 +92,30 @@ class PlannerConfig:
         """
         return cls(simulations=100, paired=True)
 
+    def as_printed(self) -> PlannerConfig:
+        """Return these settings with what Algorithm 1 and Appendix 3 print in place of ours.
+
+        To stop takes part in the maximum of V, C is the cost of the whole plan, and grips are
+        rigid; the numbers stay, so that ``PlannerConfig.fast().as_printed()`` searches as little as
+        the fast preset.
+        """
+        return dataclasses.replace(self, cost="plan", stops_when_done=False, swivel=False)
+
     @classmethod
     def named(cls, planner: str | PlannerConfig) -> PlannerConfig:
-        """Return the preset "paper" or "fast", or ``planner`` itself if it is a config.
+        """Return the preset of a name, or ``planner`` itself if it is a config.
+
+        "paper" has the paper's numbers, "fast" is :meth:`fast`; "as_printed" and "as_printed_fast"
+        are these with what is printed in all other respects too (:meth:`as_printed`).
 
         Raises:
             UnknownNameError: another name.
         """
         if isinstance(planner, PlannerConfig):
             return planner
-        check_name("planner", planner, ("paper", "fast"))
-        return cls() if planner == "paper" else cls.fast()
+        check_name("planner", planner, PLANNERS)
+        found = cls.fast() if planner.endswith("fast") else cls()
+        return found.as_printed() if planner.startswith("as_printed") else found
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> PlannerConfig:

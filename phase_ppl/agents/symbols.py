@@ -91,7 +91,13 @@ def _done(bodies: FloatArray, goal: IntArray, params: Params, layout: Layout) ->
 
 @bare_kernel
 def _cost_to_go(
-    bodies: FloatArray, held: IntArray, agent: int, goal: IntArray, params: Params, layout: Layout
+    bodies: FloatArray,
+    held: IntArray,
+    agent: int,
+    goal: IntArray,
+    whole: bool,
+    params: Params,
+    layout: Layout,
 ) -> float:
     if goal[3] < 0:
         return 0.0
@@ -100,13 +106,16 @@ def _cost_to_go(
         moved, target = target, moved  # an item is brought to another agent
     x, y = body_origin(bodies, agent, params.cog)
     sx, sy = body_origin(bodies, moved, params.cog)
+    before = 0.0
     if moved != agent and held[agent] != moved:
-        return path_distance(x, y, sx, sy, layout)
+        before = path_distance(x, y, sx, sy, layout)
+        if not whole:
+            return before
     if goal[0] == _ON:
         lx, ly = layout.landmarks[goal[2], 0], layout.landmarks[goal[2], 1]
-        return path_distance(sx, sy, lx, ly, layout)
+        return before + path_distance(sx, sy, lx, ly, layout)
     tx, ty = body_origin(bodies, target, params.cog)
-    return path_distance(sx, sy, tx, ty, layout)
+    return before + path_distance(sx, sy, tx, ty, layout)
 
 
 @bare_kernel
@@ -115,6 +124,7 @@ def describe(
     held: IntArray,
     agent: int,
     goals: IntArray,
+    whole: BoolArray,
     params: Params,
     layout: Layout,
     facts: NDArray[np.int8],
@@ -127,12 +137,13 @@ def describe(
         bodies, held: (K, ...) particles.
         agent: who plans.
         goals: (G, 4) codes of goal literals, the agent's own or the other's.
+        whole: (G,) whether the cost of each is that of the whole plan, not of a leg.
         facts: (K, Facts.size) output, the fields of :class:`SymbolicState` in order, but for what
             depends on goals.
         done: (G, K) output, whether the positive form of each goal is reached.
         costs: (G, K) output, the cost C of Algorithm 1 to each goal: path length of the leg the
-            agent is on, to the item it is after or from there to the goal, units; 0 for negative
-            goals.
+            agent is on, to the item it is after or from there to the goal, or of both, units; 0
+            for negative goals.
     """
     n_bodies, n_agents = bodies.shape[1], held.shape[1]
     n_items = n_bodies - n_agents
@@ -165,7 +176,7 @@ def describe(
                     facts[k, filled + i] = door
         for g in range(goals.shape[0]):
             done[g, k] = _done(particle, goals[g], params, layout)
-            costs[g, k] = _cost_to_go(particle, held[k], agent, goals[g], params, layout)
+            costs[g, k] = _cost_to_go(particle, held[k], agent, goals[g], whole[g], params, layout)
 
 
 # --- operators ---------------------------------------------------------------------------------

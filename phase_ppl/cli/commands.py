@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
+from phase_ppl.agents.config import PLANNERS
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -201,7 +202,7 @@ MERGES: Final = "phase-ppl merge FOLDERS... --out OUT"
 
 SHARED: Final[Mapping[str, Mapping[str, Any]]] = {
     "seed": {"name": "--seed N", "says": "default 0", "type": whole(0), "default": 0},
-    "planner": {"name": "--planner", "default": "fast", "choices": ("fast", "paper")},
+    "planner": {"name": "--planner", "default": "fast", "choices": PLANNERS},
     "workers": {"name": "--workers N", "says": "processes; default one per usable core",
                 "type": whole(1)},
     "dask": {"name": "--dask ADDRESS", "says": "a dask scheduler, as in machine:8786, whose "

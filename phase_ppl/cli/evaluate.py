@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
+from phase_ppl.agents.config import PLANNERS
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, OutputError, check_name
@@ -87,7 +88,7 @@ def add_to(commands: Any) -> None:
         "options of the model; of several models, of all that take them"
     )
     cli.add(model, "--preset NAME", cli.PRESET)
-    cli.add(model, "--planner", choices=("fast", "paper"))
+    cli.add(model, "--planner", choices=PLANNERS)
     cli.add(model, "--kernel NAME", own.FILE)
     cli.add(model, "--prior NAME", own.FILE)
     cli.add(model, "--simulator FILE.py:NAME", "runs that file")
@@ -535,7 +536,7 @@ def _add_reproduce(commands: Any) -> None:
     cli.add(parser, "--videos FILE", "phase-test JSON or the authors' release", Path)
     cli.add(parser, "--out DIR", type=Path, required=True)
     says = (
-        "quick (the default): few simulations, the fast planner; paper: as the paper has it; "
+        "quick (the default): few simulations and searches; paper: as the paper has it; "
         "full: and all lesions, and what is beyond the paper"
     )
     cli.add(parser, "--profile", says, choices=("quick", "paper", "full"), default="quick")
@@ -543,6 +544,8 @@ def _add_reproduce(commands: Any) -> None:
     cli.add(parser, "--vlm-store DIR", "stored answers of a vision-language model", Path)
     cli.add(parser, "--tags FILE", "people's labels, a .csv file", Path)
     cli.add(parser, "--likeness FILE", "people's ratings of likeness, a .csv file", Path)
+    says = "a file or folder of events that people steered, with judgments in them"
+    cli.add(parser, "--steered EVENTS", says, Path)
     cli.share(parser, "seed")
     cli.add(parser, "--resume", "go on with what is in DIR")
     cli.share(parser, "workers", "progress")

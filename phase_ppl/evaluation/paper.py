@@ -80,12 +80,19 @@ PRINTED: Final = (
     Printed(_SETS, "share of friendly events", EVENTS, "friendly", 200 / 500),
     Printed(_SETS, "share of neutral events", EVENTS, "neutral", 108 / 500),
     Printed(_SETS, "share of adversarial events", EVENTS, "adversarial", 192 / 500),
+    Printed(_SETS, "fewest events of a goal category", EVENTS, "of_category.fewest", 47),
+    Printed(_SETS, "most events of a goal category", EVENTS, "of_category.most", 129),
     Printed(_SETS, "labels used, of 23", LABELLED, "used", 23),
     Printed(_SETS, "labels that are a category", LABELLED, "categories", 18),
-    Printed(_A2, "mode of responses right, goals", STEERED, "goals", 0.965),
-    Printed(_A2, "mode of responses right, relations", STEERED, "relations", 0.92),
+    *(
+        Printed(_A2, f"mode of responses right, {kind}s", whose, f"majority.{kind}_accuracy", value)
+        for whose, goals, relations in ((STEERED, 0.965, 0.92), (PEOPLE, 0.97, 0.99))
+        for kind, value in (("goal", goals), ("relation", relations))
+    ),
     Printed(_A2, "mean likeness, videos that people steer", RATED, "played", 4.06),
+    Printed(_A2, "sd of likeness, videos that people steer", RATED, "played_sd", 0.36),
     Printed(_A2, "mean likeness, PHASE", RATED, "generated", 3.98),
+    Printed(_A2, "sd of likeness, PHASE", RATED, "generated_sd", 0.42),
 )
 
 NOT_DRAWN: Final = (

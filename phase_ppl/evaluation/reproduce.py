@@ -33,7 +33,7 @@ from phase_ppl.evaluation.experiments import Likeness, Tags, load_likeness, load
 from phase_ppl.evaluation.figures import likeness as likeness_figure
 from phase_ppl.evaluation.figures import tags as tags_figure
 from phase_ppl.evaluation.judgments import all_events, judged
-from phase_ppl.evaluation.metrics import at
+from phase_ppl.evaluation.metrics import at, human_accuracy
 from phase_ppl.evaluation.paper import (
     EVENTS,
     LABELLED,
@@ -71,7 +71,7 @@ PROFILES: Final = ("quick", "paper", "full")
 ASKED, RESULT, PAGE = "asked.json", "reproduction.json", "reproduction.html"
 MODELS, GENERATED, COMPARED = "models", "generated", "comparison"
 
-ADDED: Final = ("judgments", "vlm_store", "tags", "likeness")
+ADDED: Final = ("judgments", "vlm_store", "tags", "likeness", "steered")
 """What may be added when it is resumed: none of it changes an answer that is there."""
 
 _QUICK_SET, _WHOLE_SET = 20, 100
@@ -93,16 +93,17 @@ class Asked(NamedTuple):
 def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[str, Asked]:
     """Return label -> model of a profile.
 
-    "quick": SIMPLE with few simulations and the fast planner; "paper": as the paper has it, as
-    printed and as intended, and as it is here; "full": and all lesions, and what is beyond the
-    paper.
+    "quick": SIMPLE with few simulations and searches as small as the fast planner's; "paper": as
+    the paper has it, as printed and as intended, and as it is here; "full": and all lesions, and
+    what is beyond the paper.
     """
     check_name("profile", profile, PROFILES)
     printed = {"preset": "as_printed"}
     if profile == "quick":
         few = {"budget": simulations(30)}  # 15 particles, one iteration
+        small = {**printed, "planner": "as_printed_fast", **few}
         found = {
-            "simple_as_printed": Asked("simple", 20, {**printed, "planner": "fast", **few}, SIMPLE),
+            "simple_as_printed": Asked("simple", 20, small, SIMPLE),
             "simple": Asked("simple", 20, few, SIMPLE),
         }
     else:
@@ -149,6 +150,7 @@ def reproduce(
     vlm_store: str | os.PathLike[str] | None = None,
     tags: str | os.PathLike[str] | None = None,
     likeness: str | os.PathLike[str] | None = None,
+    steered: str | os.PathLike[str] | None = None,
     seed: int = 0,
     workers: int | None = None,
     resume: bool = False,
@@ -165,6 +167,7 @@ def reproduce(
         judgments: people's judgments, in place of those in the events.
         vlm_store: folder with the stored answers of a vision-language model.
         tags, likeness: CSV files of what people said in the paper's other two experiments.
+        steered: file or folder of events that people steered, with people's judgments in them.
         seed: of the models.
         workers: processes, at most; by default one per usable core.
         resume: go on with what is in ``out``, by the same arguments; judgments, answers, tags and
@@ -183,10 +186,13 @@ def reproduce(
     whole_number("seed", seed, 0)
     labels = None if tags is None else load_tags(tags)
     rated = None if likeness is None else load_likeness(likeness)
+    played = [] if steered is None else list(judged(all_events(steered), None))
+    for event in played:
+        check_is_phase(event.scene.world, "reproduce")
     folder = writable_folder(out)
     with locked(folder):
         files = {"videos": videos, "judgments": judgments, "vlm_store": vlm_store,
-                 "tags": tags, "likeness": likeness}  # fmt: skip
+                 "tags": tags, "likeness": likeness, "steered": steered}  # fmt: skip
         given = {
             **{name: file and str(Path(file).resolve()) for name, file in files.items()},
             **{"profile": profile, "seed": seed},
@@ -215,7 +221,7 @@ def reproduce(
             )  # fmt: skip
         comparison = compare_models(found, stored="all")
         comparison.save(folder / COMPARED)
-        cells = list(_cells(comparison, asked, missing, labels, rated))
+        cells = list(_cells(comparison, asked, missing, labels, rated, played))
         notes = [note]
         for label, why in missing.items():
             notes.append(f"{label_of(label)} is left out, for it needs {why}")
@@ -226,8 +232,8 @@ def reproduce(
                 "be inside"
             )
         if profile == "quick":
-            notes.append("quick: SIMPLE, as printed too, has 30 simulations a video and the fast "
-                         "planner; the paper has 105 and 1000 a decision")  # fmt: skip
+            notes.append("quick: SIMPLE, as printed too, has 30 simulations a video and 100 a "
+                         "decision; the paper has 105 and 1000")  # fmt: skip
         notes += comparison.notes
         drawn = list(_drawings(events, labels, rated, real))
         result = Reproduction(cells, comparison, real, notes, drawn, folder)
@@ -285,7 +291,8 @@ _NEEDS: Final = {
     VLM: "answers of a vision-language model (--vlm-store)",
     LABELLED: "labels by people (--tags)",
     RATED: "ratings by people (--likeness)",
-    STEERED: "videos that people steer, with judgments",
+    STEERED: "videos that people steer, with judgments (--steered)",
+    "of_category": "what a goal category is, which the paper does not say",
 }
 
 
@@ -295,6 +302,7 @@ def _cells(
     missing: Mapping[str, str],
     tags: Tags | None,
     likeness: Likeness | None,
+    steered: Sequence[Event],
 ) -> Iterator[Cell]:
     """Yield each number of the paper beside those of ours that stand for it."""
     metrics = {name: dict(found) for name, found in comparison.metrics.items()}
@@ -305,6 +313,7 @@ def _cells(
         EVENTS: _of_events(comparison.events),
         LABELLED: {} if tags is None else _of_tags(tags),
         RATED: {} if likeness is None else _of_likeness(likeness),
+        STEERED: human_accuracy(steered) if any(event.judgments for event in steered) else {},
     }
     for printed in PRINTED:
         path = tuple(printed.path.split("."))
@@ -324,7 +333,8 @@ def _cells(
                 continue
             judged = any(at(of_other, path) is not None for of_other in metrics.values())
             unsure = "its probabilities" if judged and path[0] == "human" else None
-            why = missing.get(label) or _NEEDS.get(printed.whose) or unsure or _data(printed)
+            needed = _NEEDS.get(printed.whose) or _NEEDS.get(path[0])
+            why = missing.get(label) or needed or unsure or _data(printed)
             yield Cell(printed, label, None, "not computable", why)
 
 
@@ -382,17 +392,24 @@ def _of_tags(tags: Tags) -> dict[str, Measure]:
             "categories": _count((table["percent"] > 0).sum())}  # fmt: skip
 
 
-def _of_likeness(likeness: Likeness) -> dict[str, Measure]:
-    from scipy.special import stdtrit  # slow to import
+_TAILS: Final = (0.025, 0.975)
 
+
+def _of_likeness(likeness: Likeness) -> dict[str, Measure]:
+    from scipy.special import chdtri, stdtrit  # slow to import
+
+    # of the videos' means; the paper does not say of what its standard deviations are
     found: dict[str, Measure] = {}
     pairs = zip(("played", "generated"), likeness.means("videos").values(), strict=True)
     for name, means in pairs:
         value, n = float(means.mean()), len(means)
         found[name] = _count(value)
         if n > 1:
-            half = float(stdtrit(n - 1, 0.975) * means.std(ddof=1)) / n**0.5
+            sd = float(means.std(ddof=1))
+            half = float(stdtrit(n - 1, 0.975)) * sd / n**0.5
             found[name] |= {"ci_low": value - half, "ci_high": value + half}
+            low, high = (sd * ((n - 1) / float(chdtri(n - 1, tail))) ** 0.5 for tail in _TAILS)
+            found[f"{name}_sd"] = {"value": sd, "ci_low": low, "ci_high": high}
     return found
 
 

@@ -5,7 +5,7 @@ those of the goals, of alpha where the tables speak of it (a program that sample
 has it drawn before everything else), and of the strengths where there is an estimate. Any
 further sites of the user's keep the prior's, given the sites before them. With a small weight
 the whole hypothesis comes from the prior itself, so that Q > 0 wherever the prior is and
-Hastings' correction is always defined.
+Hastings' correction is always defined. The paper prints no such share; without it Q is Q_local.
 """
 
 from __future__ import annotations
@@ -55,9 +55,11 @@ def bottom_up_guide(
     """Return the program ``guide(window)``: (1 - share) Q_local + share prior, one joint mixture.
 
     The prior's latent sites come with their shapes, in the order in which it samples them; the
-    index after the last window stands for the whole observation; ``prior_share`` is in (0, 1).
+    index after the last window stands for the whole observation; ``prior_share`` is in [0, 1).
     """
     local = _local_program(prior, sites, tables)
+    if prior_share == 0:
+        return Mixture((local,), (1.0,), sites)
     return Mixture((local, lambda window: prior()), (1 - prior_share, prior_share), sites)
 
 

@@ -19,9 +19,11 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.scene import PHASE, World
 
 Sign = Literal["intended", "printed"]
+Unit = Literal["arena", "printed"]
 Form = Literal["learned", "paper", "closed_loop"]
 
 SIGNS: Final = get_args(Sign)
+UNITS: Final = get_args(Unit)
 FORMS: Final = get_args(Form)
 
 
@@ -32,14 +34,17 @@ class SimpleSettings:
     Attributes:
         eta: weight of the errors in the choice of a window, 1 / units.
         proposal: of goals: "learned", features of what the agents did, with weights learned in
-            PHASE; "paper", distances alone, to which ``gamma`` and ``sign`` apply; or
+            PHASE; "paper", distances alone, to which ``gamma``, ``unit`` and ``sign`` apply; or
             "closed_loop", what the closed loop makes of a window, for which it reads the video once
             before the first simulation. None: "learned" in PHASE, "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
         window: Delta T, steps; shorter where the observation is.
         beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,
             by default the paper's 0.05.
-        prior_share: weight of the prior in the proposal.
+        unit: by what distances are divided in the paper's proposal: "arena", its diagonal;
+            "printed": by nothing, so that all but the nearest goal are hardly ever proposed.
+        prior_share: weight of the prior in the proposal. 0, as printed, is for ``rule="paper"``
+            only: what a window excludes, such as strengths beyond 150 to 600 N, is never tried.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
         strength: what estimates the strengths of the proposal: a name of
             :data:`~phase_ppl.inference.strength.ESTIMATORS`, or an estimator. None: the
@@ -55,6 +60,7 @@ class SimpleSettings:
     gamma: float = 10.0
     window: int = 10
     beta: float | None = None
+    unit: Unit = "arena"
     prior_share: float = 0.1
     sign: Sign = "intended"
     strength: str | Estimator | None = None
@@ -62,19 +68,20 @@ class SimpleSettings:
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
             nonnegative_number(name, getattr(self, name))
-        if not 0 < number_or_nan(self.prior_share) < 1:
+        if not 0 <= number_or_nan(self.prior_share) < 1:
             raise InvalidSettingError(
-                f"prior_share={shown(self.prior_share)}, expected a number in (0, 1)"
+                f"prior_share={shown(self.prior_share)}, expected a number in [0, 1)"
             )
         whole_number("window", self.window)
-        for name, allowed in (("sign", SIGNS), ("proposal", (*FORMS, None))):
+        for name, allowed in (("sign", SIGNS), ("unit", UNITS), ("proposal", (*FORMS, None))):
             if getattr(self, name) not in allowed:
                 raise unknown_name(name, getattr(self, name), filter(None, allowed))
-        others = self.proposal != "paper"
-        if others and (self.gamma, self.sign) != (SimpleSettings.gamma, SimpleSettings.sign):
+        own = {name: getattr(self, name) for name in ("gamma", "unit", "sign")}
+        changed = [f"{k}={v!r}" for k, v in own.items() if v != getattr(SimpleSettings, k)]
+        if changed and self.proposal != "paper":
             raise InvalidSettingError(
-                f"gamma={self.gamma:g} and sign={self.sign!r} are settings of proposal='paper', "
-                "which is to be given with them"
+                f"{', '.join(changed)}: settings of proposal='paper', which is to be given with "
+                "them"
             )
         if self.strength is not None:
             strength_estimator(self.strength)
@@ -159,22 +166,28 @@ KERNEL: Final = "local_mh"
 
 _OF_THE_PAPER: Final = {
     "kernel": KERNEL,
-    "planner": "paper",
+    "planner": "as_printed",
     "weights": "count",
     "chains": 15,
     "iterations": 6,
 }
 
 PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
-    # Appendix 4 to the letter. Sign and ratio are held to be misprints: goals that are far are
-    # proposed, and the stationary law is not the posterior
+    # Appendices 3 and 4 to the letter. Sign and ratio are held to be misprints: goals that are far
+    # are proposed, and the stationary law is not the posterior
     "as_printed": {
         **_OF_THE_PAPER,
-        "settings": SimpleSettings(proposal="paper", sign="printed"),
+        "settings": SimpleSettings(
+            proposal="paper", sign="printed", unit="printed", prior_share=0.0
+        ),
         "rule": "paper",
     },
-    # the paper's proposal with the sign that its text describes, and Hastings' exact ratio
-    "as_intended": {**_OF_THE_PAPER, "settings": SimpleSettings(proposal="paper"), "rule": "exact"},
+    # the same with the sign that its text describes, and Hastings' exact ratio, which needs Q > 0
+    "as_intended": {
+        **_OF_THE_PAPER,
+        "settings": SimpleSettings(proposal="paper", unit="printed"),
+        "rule": "exact",
+    },
     # SIMPLE as it is here: the exact rule, bottom-up proposals of its own, the fast planner
     "simple": {"kernel": KERNEL},
     # the same, but the closed loop reads the video first and proposes goals

@@ -10,7 +10,7 @@ simulated events. Strengths are estimated from the whole observation.
 exp(-gamma (2 d(t2) - d(t1)) / R), with R the diagonal of the arena, in PHASE 28.28: it is likely if
 it is nearly achieved at the end (d(t2) small) or has come closer (d(t1) - d(t2) large); who helps
 or hinders whom comes from the prior. The paper prints the opposite sign, which its text
-contradicts; ``sign="printed"`` keeps it.
+contradicts, and no R; ``sign="printed"`` and ``unit="printed"`` keep both.
 
 d is the distance of the goal's own entity: of the item for a goal about an item, of the named
 agent for a goal about an agent at a landmark, between the two for goals of touching. For a goal to
@@ -119,8 +119,7 @@ def bottom_up_tables(
         strength_of_all, sd_of_all = (np.broadcast_to(part[-1], part.shape) for part in estimates)
         return BottomUpTables(goal, strength_of_all, sd_of_all, alpha)
     distance = goal_distances(scene, observation)
-    x0, x1, y0, y1 = scene.arena
-    unit = float(np.hypot(x1 - x0, y1 - y0))
+    unit = _diagonal(scene) if settings.unit == "arena" else 1.0
     closeness = settings.gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if settings.sign == "printed" else -closeness
     impossible = space_of(scene.world).impossible
@@ -160,14 +159,18 @@ def goal_weights() -> dict[str, FloatArray]:
         return {name: stored[name].astype(np.float64) for name in ("window", "whole")}
 
 
+def _diagonal(scene: Scene) -> float:
+    """Return the greatest distance in the arena, units."""
+    x0, x1, y0, y1 = scene.arena
+    return float(np.hypot(x1 - x0, y1 - y0))
+
+
 def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
     """Return (time, agent, goal) how far each goal is from being achieved, units.
 
     Of goals that an agent cannot have too, as it names itself: these are 0.
     """
-    position, world = observation.positions, scene.world
-    x0, x1, y0, y1 = scene.arena
-    farthest = float(np.hypot(x1 - x0, y1 - y0))
+    position, world, farthest = observation.positions, scene.world, _diagonal(scene)
     distance = np.empty((len(position), len(world.agents), len(world.goals)))
     for holder, goal in np.ndindex(distance.shape[1:]):
         literal = goal_literal(goal, holder, world)

@@ -15,7 +15,14 @@ from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.scene import Scene
-from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, model_of, scene, state_of
+from tests.agents.scenes import (
+    FULL_WALL_UP,
+    NARROW_WALL_DOWN,
+    agent_in,
+    model_of,
+    scene,
+    state_of,
+)
 
 RED, GREEN, BLUE, PINK = range(4)
 DOWN = 2
@@ -27,8 +34,9 @@ def described(
     goal: str = "Get blue item to red lm",
     other: str = ELSEWHERE,
     held: tuple[int, int] = (-1, -1),
+    whole: bool = False,
 ) -> tuple[SymbolicState, float]:
-    """Return the facts of red at the start of a scene, and its cost."""
+    """Return the facts of red at the start of a scene, and its cost, of a leg or the whole plan."""
     model, (bodies, _, _) = model_of(where), state_of(where)
     row = symbols.Facts(4, 2)
     facts = np.zeros((1, row.size), np.int8)
@@ -36,8 +44,8 @@ def described(
     goals = goal_literal(goal_index(goal), RED), goal_literal(goal_index(other), GREEN)
     codes = np.array([pomcp.subgoal_code(literal) for literal in goals])
     symbols.describe(
-        *(bodies[None], np.array([held]), RED, codes, model.params, model.layout),
-        *(facts, done, costs),
+        *(bodies[None], np.array([held]), RED, codes, np.full(2, whole)),
+        *(model.params, model.layout, facts, done, costs),
     )
     own_done, other_done = done[:, 0].tolist()
     return row.unpack(facts[0].tobytes(), own_done, other_done), float(costs[0, 0])
@@ -90,6 +98,36 @@ def test_the_cost_is_the_length_of_the_leg_that_the_agent_is_on() -> None:
     assert described(where, "get away from green agent")[1] == 0
 
 
+def test_the_printed_cost_is_the_length_of_all_legs_to_the_goal() -> None:
+    where = scene(red=(10.0, 8.0, 0.0), blue=(14.0, 5.0), green=(20.0, 18.0, 0.0))
+    x, y = where.landmark_centres[2]
+    rest = np.hypot(x - 14, y - 5)
+    assert described(where, whole=True)[1] == pytest.approx(5 + rest)
+    assert described(where, held=(BLUE, -1), whole=True)[1] == pytest.approx(rest)
+    for goal in ("Get red agent to red lm", "get away from green agent"):  # of one leg, or of none
+        assert described(where, goal, whole=True) == described(where, goal)
+    # through the door between the item and its goal
+    walled = scene(red=(10.0, 8.0, 0.0), blue=(14.0, 5.0), walls=[FULL_WALL_UP, NARROW_WALL_DOWN])
+    door = walled.rooms.door_position[DOWN]
+    way = np.hypot(*(door - (14, 5))) + np.hypot(*((x, y) - door))
+    assert described(walled, whole=True)[1] == pytest.approx(5 + way)
+
+
+def test_an_agent_counts_the_way_that_its_settings_say() -> None:
+    where = scene(red=(10.0, 12.0, 0.0), blue=(14.0, 12.0))
+    costs = {}
+    for cost in ("leg", "plan"):
+        config = PlannerConfig(particles=2, simulations=1, true_state=True, cost=cost)
+        agent = agent_in(
+            where, (goal_index("Get blue item to red lm"), goal_index(ELSEWHERE)), config
+        )
+        agent.observe(*state_of(where))
+        costs[cost] = agent._costs[0]
+    x, y = where.landmark_centres[2]
+    np.testing.assert_allclose(costs["leg"], 4.0)
+    np.testing.assert_allclose(costs["plan"], 4.0 + np.hypot(x - 14, y - 12))
+
+
 class TestValue:
     """V(h) = share of the particles - lambda x their mean cost."""
 
@@ -130,6 +168,13 @@ class TestValue:
         assert self.best(most) == self.FAR
         assert self.best(most, done=0.6) == STOP
         assert self.best({STOP: [*range(10)]}) == STOP
+
+    def test_as_printed_to_stop_is_a_subgoal_as_any_other(self) -> None:
+        few = {STOP: [0, 1, 2, 3], self.FAR: [4, 5, 6, 7, 8, 9]}
+        # 0.4 - 0.05 x 1 against 0.6 - 0.05 x 20
+        assert self.best(few) == self.FAR
+        assert self.best(few, stops_when_done=False) == STOP
+        assert self.best(few, stops_when_done=False, cost_weight=0.0) == self.FAR
 
 
 def test_held_items_are_imagined_as_the_settings_say() -> None:

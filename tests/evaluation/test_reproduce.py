@@ -80,9 +80,14 @@ def test_the_mean_rating_of_few_videos_has_the_interval_of_student() -> None:
          "rating": rating}
         for group in ("played", "generated") for rating in (3, 4, 5)
     ]  # fmt: skip
-    found = module._of_likeness(ppl.Likeness(pd.DataFrame(rows)))["played"]
+    found = module._of_likeness(ppl.Likeness(pd.DataFrame(rows)))
     half = 4.3027 / 3**0.5
-    assert found == pytest.approx({"value": 4, "ci_low": 4 - half, "ci_high": 4 + half}, abs=1e-4)
+    mean = {"value": 4, "ci_low": 4 - half, "ci_high": 4 + half}
+    assert found["played"] == pytest.approx(mean, abs=1e-4)
+    # of a standard deviation of 1, chi-squared with two degrees of freedom
+    low, high = (2 / 7.3778) ** 0.5, (2 / 0.050636) ** 0.5
+    spread = {"value": 1, "ci_low": low, "ci_high": high}
+    assert found["played_sd"] == pytest.approx(spread, abs=1e-4)
 
 
 def test_a_model_is_like_people_where_nothing_shows_that_they_differ() -> None:
@@ -103,7 +108,7 @@ def test_profiles_ask_more_and_more() -> None:
     assert set(quick) < set(paper) < set(full)
     assert "vlm" in quick
     assert "vlm" not in models_of("quick", None)
-    assert quick["simple_as_printed"].options["planner"] == "fast"
+    assert quick["simple_as_printed"].options["planner"] == "as_printed_fast"
     assert paper["simple_as_printed"].options == {"preset": "as_printed"}
     with pytest.raises(UnknownNameError, match="'quick'"):
         models_of("quik", None)
@@ -220,6 +225,25 @@ def test_it_goes_on_with_what_is_finished_and_takes_what_people_said_later(
             ppl.reproduce(out, videos, tags=tags, resume=True, **again)
     after = {file: file.stat().st_mtime_ns for file in done.glob("events/*/*")}
     assert after == before, "nothing is predicted twice"
+
+
+def test_videos_that_people_steer_give_cells_where_they_are_judged(
+    cheap: None, videos: Path, tmp_path: Path
+) -> None:
+    votes = [(9, 1, 0), (6, 2, 2), (1, 8, 1)]  # of three friendly events
+    played = [make_event(f"played-{i}", COLLABORATIVE, one) for i, one in enumerate(votes)]
+    ppl.save_events(played, tmp_path / "played.json")
+    given = {"workers": 1, "progress": False, "say": lambda line: None}
+    before = cells(ppl.reproduce(tmp_path / "out", videos, **given))
+    right = module.STEERED, "mode of responses right, relations"
+    assert "--steered" in before[right].missing
+    file = tmp_path / "played.json"
+    found = cells(ppl.reproduce(tmp_path / "out", videos, steered=file, resume=True, **given))
+    assert found[right].ours["value"] == pytest.approx(2 / 3)
+    assert "--steered" in found[module.STEERED, "mode of responses right, goals"].missing
+    # beside them those of the generated videos: all modes of ``VOTES`` are right
+    assert found["people", "mode of responses right, relations"].ours["value"] == 1
+    assert "does not say" in found["PHASE", "most events of a goal category"].missing
 
 
 def test_what_cannot_be_read_loses_nothing(

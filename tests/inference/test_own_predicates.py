@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.agents.agent import Agent
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.predicate import ForwardModel
+from phase_ppl.physics import compiled
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import State
 from phase_ppl.world.names import Predicate as Kind
 
 NURSERY = ppl.World(
@@ -54,6 +58,21 @@ def test_an_agent_brings_a_thing_through_the_door() -> None:
     true = together.holds(simulate("toys together", scene, 90).observation.trajectory, scene)
     assert not true[0]
     assert true[-10:].all()
+
+
+def test_the_cost_of_the_whole_plan_has_the_way_into_the_room_too() -> None:
+    own = NURSERY.predicates[1]
+    goal, costs = NURSERY.goal_index(own.name), {}
+    for cost in ("leg", "plan"):
+        config = ppl.PlannerConfig(particles=2, simulations=1, true_state=True, cost=cost)
+        model = WorldModel.of(SCENE, [600.0], config)
+        agent = Agent(0, (goal,), model, config, np.random.default_rng(0))
+        agent.observe(*compiled.from_state(State.at_start(SCENE), SCENE.radius))
+        costs[cost] = agent._costs[0, 0]
+    way = float(own.apart(SCENE.start[..., :2], SCENE))
+    assert way > 5
+    assert costs["leg"] == pytest.approx(np.hypot(2, 5))
+    assert costs["plan"] == pytest.approx(np.hypot(2, 5) + way)
 
 
 def test_an_agent_prevents_what_is_true_at_first() -> None:

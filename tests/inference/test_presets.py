@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,23 +21,17 @@ from phase_ppl.simulator.joint import DynamicsNoise
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import walkers, walking_event
 
-PRINTED = ppl.SimpleSettings(proposal="paper", sign="printed")
+PRINTED = ppl.preset("as_printed")["settings"]
 
 
-def test_as_printed_is_appendix_4_to_the_letter_and_the_default_is_what_infer_does() -> None:
-    printed, intended = ppl.preset("as_printed"), ppl.preset("as_intended")
-    assert printed == {
-        "kernel": "local_mh", "rule": "paper", "planner": "paper", "settings": PRINTED,
-        "weights": "count", "chains": 15, "iterations": 6,
-    }  # fmt: skip
-    apart = {name for name in printed if printed[name] != intended[name]}
-    assert apart == {"rule", "settings"}
-    assert (intended["rule"], intended["settings"].sign) == ("exact", "intended")
-    assert ppl.preset("default") == {}
+def test_a_preset_is_ones_own_to_change_and_simple_is_its_kernel() -> None:
+    printed = ppl.preset("as_printed")
+    assert ppl.preset("simple") == {"kernel": "local_mh"}
     printed["chains"] = 3  # one's own to change
     assert ppl.preset("as_printed")["chains"] == 15
-    learned = completed("learned", {"beta": 0.1})
-    assert learned == {"settings": ppl.SimpleSettings(proposal="learned", beta=0.1)}
+    guided = {"proposal": "closed_loop", "beta": 0.1}
+    wanted = {"kernel": "local_mh", "settings": ppl.SimpleSettings(**guided)}
+    assert completed("guided", {"beta": 0.1}) == wanted
 
 
 @pytest.mark.parametrize(
@@ -49,7 +43,7 @@ def test_as_printed_is_appendix_4_to_the_letter_and_the_default_is_what_infer_do
         ({"kernel": "prior_mh"}, {"kernel": "prior_mh"},
          {"rule", "weights", "iterations", "chains"}),
         ({"beta": 0.1},
-         {"settings": ppl.SimpleSettings(proposal="paper", sign="printed", beta=0.1)}, set()),
+         {"settings": dataclasses.replace(PRINTED, beta=0.1)}, set()),
         ({"settings": ppl.SimpleSettings()}, {"settings": ppl.SimpleSettings()}, set()),
     ],
 )  # fmt: skip
@@ -64,16 +58,16 @@ def test_unknown_words_and_settings_whole_and_one_by_one_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="'as_printed'"):
         ppl.preset("as_print")
     with pytest.raises(InvalidSettingError, match="either settings or beta"):
-        completed("default", {"settings": PRINTED, "beta": 0.1})
+        completed("simple", {"settings": PRINTED, "beta": 0.1})
 
 
 def test_evaluate_takes_the_same_word_and_records_it() -> None:
     made = ready("simple", {"preset": "as_printed", "budget": ppl.simulations(30)})
     predict: Any = made.predict
     assert predict.options["settings"] == PRINTED
-    assert (predict.options["rule"], predict.weights) == ("paper", "count")
+    assert (predict.options["rule"], predict.options["weights"]) == ("paper", "count")
     assert "iterations" not in predict.options
-    assert predict.model.planner_config().simulations == 1000
+    assert predict.model.planner_config() == ppl.PlannerConfig().as_printed()
     assert made.record["options"]["preset"] == "as_printed"
     own: Any = ready("simple", {"preset": "as_printed", "simulator": walkers}).predict
     assert own.model.planner is None
@@ -82,7 +76,7 @@ def test_evaluate_takes_the_same_word_and_records_it() -> None:
 def test_lesions_plan_as_the_preset_does() -> None:
     lesion: Any = ready("no_cost_weight", {"preset": "as_printed"}).predict
     config = lesion.model.planner_config()
-    assert (config.simulations, config.cost_weight) == (1000, 0.0)
+    assert (config.simulations, config.cost_weight, config.swivel) == (1000, 0.0, False)
     assert lesion.options["rule"] == "paper"
 
 
@@ -101,46 +95,40 @@ def test_compare_takes_presets_for_kernels() -> None:
     found = entries(list(PRESETS), 7, ppl.SimpleSettings())
     assert [one.label for one in found] == list(PRESETS)
     assert {one.info.name for one in found} == {"local_mh"}
-    printed, _, default, learned = found
+    printed, _, simple, guided = found
     assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
-    assert (default.options, default.chains) == ({}, 7)
-    assert learned.settings == ppl.SimpleSettings(proposal="learned")
-    assert not printed.length
+    # whole: its planner, its weights and its length too
+    assert printed.own == {"planner": "as_printed", "weights": "count", "iterations": 6}
+    assert (simple.options, simple.chains, simple.own) == ({}, 7, {})
+    assert guided.settings == ppl.SimpleSettings(proposal="closed_loop")
+    (shorter,) = entries({"few": ("as_printed", {"iterations": 2})}, 7, ppl.SimpleSettings())
+    assert shorter.own["iterations"] == 2
 
 
-def test_open_settings_are_settled_by_world_kernel_and_simulator() -> None:
+def test_open_settings_are_settled_by_the_world_alone() -> None:
     solo = ppl.worlds.SOLO
     event = ppl.simulate(solo.random_scene(0), goals={"red agent": "get to ball"}, frames=3)
-    usual = ppl.SimpleSettings()
 
-    def settled(
-        event: ppl.Event, model: ppl.Model, kernel: str, settings: ppl.SimpleSettings = usual
-    ) -> tuple[Any, Any]:
-        found = Run(event, model, kernel, {}, settings, 2, 0).settings
+    def settled(event: ppl.Event, model: ppl.Model, kernel: str) -> tuple[Any, Any]:
+        found = Run(event, model, kernel, {}, ppl.SimpleSettings(), 2, 0).settings
         return found.proposal, found.strength
 
-    assert settled(event, ppl.Model(), "local_mh") == ("closed_loop", "analytic")
-    assert settled(event, ppl.Model(), "prior_mh") == ("paper", "analytic")
-    assert settled(event, ppl.Model(), "local_mh", PRINTED) == ("paper", "analytic")
-    walk, own = walking_event(), ppl.Model(simulator=walkers)
-    assert settled(walk, ppl.Model(), "mixture") == ("closed_loop", "network")
-    # a kernel without windows, and a simulator of one's own, are not worth a reading
-    assert settled(walk, ppl.Model(), "prior_mh") == ("learned", "network")
-    assert settled(walk, own, "local_mh") == ("learned", "network")
     noisy = ppl.Model(simulator=ppl.JointSimulator(noise=DynamicsNoise()))
-    assert settled(walk, noisy, "local_mh") == ("closed_loop", "network")
-    assert not ppl.Model(likelihood=ppl.StepwiseLikelihood()).is_joint
+    for kernel in ("local_mh", "mixture", "prior_mh"):
+        assert settled(event, ppl.Model(), kernel) == ("paper", "analytic")
+        for model in (ppl.Model(), ppl.Model(simulator=walkers), noisy):
+            assert settled(walking_event(), model, kernel) == ("learned", "network")
 
 
-def test_settings_of_simple_ask_for_it_in_any_world(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[Run] = []
-    monkeypatch.setattr(
-        sys.modules[ppl.infer.__module__], "sample", lambda run, _: asked.append(run)
-    )
+def test_what_is_for_sampling_is_refused_where_no_kernel_is_named() -> None:
     scene = ppl.worlds.SOLO.random_scene(0)
     event = ppl.simulate(scene, goals={"red agent": "get to ball"}, frames=3)
-    ppl.infer(event, settings=ppl.SimpleSettings(proposal="paper"), chains=2)
-    assert (asked[0].info.name, asked[0].chains) == ("local_mh", 2)
+    for given in ({"settings": ppl.SimpleSettings()}, {"chains": 2}, {"rule": "paper"}):
+        with pytest.raises(InvalidSettingError, match=r'add kernel="local_mh", which is SIMPLE'):
+            ppl.infer(event, **given)  # type: ignore[call-overload]
+    radial = ppl.Model(likelihood=ppl.RadialLikelihood(0.1))
+    with pytest.raises(InvalidSettingError, match="takes a kernel that samples"):
+        ppl.infer(event, radial)
 
 
 def test_infer_takes_single_settings_and_writes_the_word_down(

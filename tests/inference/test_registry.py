@@ -114,7 +114,7 @@ def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
     ("name", "value"),
     [
         *(("eta", -0.1), ("gamma", float("nan")), ("window", 0), ("window", 2.5)),
-        *(("prior_share", 0), ("prior_share", 1), ("sign", "both")),
+        *(("prior_share", -0.1), ("prior_share", 1), ("sign", "both"), ("unit", "m")),
     ],
 )
 def test_settings_are_the_papers_and_out_of_range_refused_by_name(name: str, value: Any) -> None:
@@ -134,7 +134,7 @@ def test_budgets_that_are_none_are_refused(budget: Any, n: Any) -> None:
 
 
 def test_settings_of_the_papers_proposal_are_refused_for_the_learned_one() -> None:
-    for given in ({"gamma": 5.0}, {"sign": "printed"}):
+    for given in ({"gamma": 5.0}, {"sign": "printed"}, {"unit": "printed"}):
         with pytest.raises(InvalidSettingError, match="settings of proposal='paper'"):
             SimpleSettings(**given)
         assert SimpleSettings(proposal="paper", **given).proposal == "paper"

@@ -291,7 +291,8 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
         ]
     )
     goal, done = np.array([[0, 0, 0, 1]]), np.zeros((1, n), np.bool_)
-    describe(bodies, held, 0, goal, model.params, model.layout, facts, done, costs)
+    whole = np.zeros(1, np.bool_)
+    describe(bodies, held, 0, goal, whole, model.params, model.layout, facts, done, costs)
     found = symbolic_trajectory(
         where, Observation(poses), Thresholds(touch_item=GRAB_REACH, lasting=1)
     )

@@ -19,7 +19,8 @@ too, but it accepts less:
 
 ``rule="paper"``. The ratio as printed: log L(e') - log L(e) + log Q(h' | S_k) - log Q(h | S_k),
 for the chosen window. It has the proposals upside down, no prior and no window term. Within a
-fixed window it leaves L Q^2 invariant instead of the posterior.
+fixed window it leaves L Q^2 invariant instead of the posterior. It alone does without a share of
+the prior in Q: from an h that no window suggests, whatever can be simulated is accepted.
 
 Early rejection. All but L(e') and r(. | e') is known before simulating, and neither
 sum_k r(k | e') Q(h | S_k) <= max_k Q(h | S_k) nor r(k | e') <= 1 can make up for more than that.
@@ -204,7 +205,8 @@ class LocalMH(MetropolisKernel):
         whole observation suggests given them; the density of both together is kept with the
         simulation, which is stopped where its log likelihood cannot reach a floor.
         """
-        program, guide = self.program, self.guide
+        # nothing is divided by Q here, which may be without a share of the prior
+        program, guide = self.program, self._guide
         assert isinstance(guide, Mixture), "the bottom-up guide is one"
         bottom_up, window = guide.programs[0], jnp.asarray(self.n_windows)
         key_sites, key_seed = random.split(key)

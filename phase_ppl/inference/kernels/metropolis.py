@@ -78,6 +78,12 @@ class EventKernel(MCMCKernel):
     def guide(self) -> Program:
         if self._guide is None:
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
+        if self.settings.prior_share == 0 and getattr(self, "validity", "exact") != "approximate":
+            raise InvalidSettingError(
+                f"prior_share=0 for {type(self).__name__}: its ratio or its weights divide by Q, "
+                "which only a share of the prior keeps above 0 wherever the prior is; expected a "
+                "number in (0, 1), or kernel='local_mh' with rule='paper', the ratio as printed"
+            )
         return self._guide
 
     def init(
