@@ -299,6 +299,21 @@ class StepwisePosterior(EventPosterior):
         found = self._found["log_peak"].values - self._table.log_predictive
         return np.asarray(found[: self._frame + 1])
 
+    @property
+    def chains(self) -> Any:
+        raise InvalidSettingError(
+            "a posterior that was read step by step has no chains: it is a sum over hypotheses. "
+            "post.arviz has draws from it; post.diagnostics() says whether it can be trusted"
+        )
+
+    @property
+    def _is_exact(self) -> bool:
+        return not self._table.sampled
+
+    @property
+    def _weighting(self) -> str:
+        return "all hypotheses"
+
     def diagnostics(self) -> dict[str, Any]:
         """Return whether this can be trusted.
 
