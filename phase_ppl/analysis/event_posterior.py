@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
@@ -13,14 +14,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.definitions import defined
 from phase_ppl.analysis.estimate import Estimate, shares, worth
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
+from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.tree import FRAME, kept_scene, scene_dataset
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import NO_LOO, arviz_groups, draws_of, resampled
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, QueryError, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
@@ -209,6 +212,66 @@ class EventPosterior(Hypotheses):
                 **groups,
             },
             {**attrs, "draws": how, "loo": NO_LOO},
+        )
+
+    @property
+    def tempering(self) -> str:
+        """What a frame counts as evidence, in words; "" where nothing is known to be tempered."""
+        raise NotImplementedError
+
+    def by_frame(self) -> xr.Dataset | None:
+        """Return what each frame says of each pair of effective goals; None where it is not known.
+
+        It is known of what was read step by step in PHASE: ``log_likelihood`` (time, goal_red,
+        goal_green), in nats, as a frame counts, and ``log_prior`` (goal_red, goal_green).
+        """
+        return None
+
+    def why(self, event: str, over: str | None = None) -> xr.Dataset:
+        """Return which frames speak for ``event``, and against what.
+
+        Args:
+            event: conditions in words, such as ``"goal_red=get to green agent"`` or
+                ``"strength_red > strength_green, not relation=friendly"``.
+            over: what to compare with, likewise; by default that ``event`` is false.
+
+        Returns:
+            ``log_odds`` (time,) of one over the other given the frames so far, in nats, tempered
+            as the attribute ``tempering`` says, its ``error`` (time,) by the jackknife over planner
+            seeds (NaN: it is not known), and ``change`` (time,) by each frame. Of a sampled
+            posterior in hindsight, as :meth:`over_time`.
+
+        Raises:
+            QueryError, UnknownNameError: it cannot be read, or names something unknown.
+            InvalidSettingError: one of them is impossible, or nothing of it was simulated.
+        """
+        raise NotImplementedError
+
+    def _sides(
+        self, table: Mapping[str, NDArray[Any]], event: str, over: str | None
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return in which rows of a table an event is true, and what it is compared with."""
+        columns = dict(self._words.completed(table))
+        known = {n: one for n, one in self._quantities.items() if n in columns}
+        for name, definition in self._own.items():
+            with contextlib.suppress(QueryError):  # of what frames do not speak of
+                known[name], columns[name] = defined(name, definition, known, columns)
+        wanted = conditions(known, event).holds(columns)
+        return wanted, ~wanted if over is None else conditions(known, over).holds(columns)
+
+    def _odds(
+        self, odds: FloatArray, error: FloatArray, event: str, over: str | None, **attrs: str
+    ) -> xr.Dataset:
+        """Return log odds (time,) and their errors as :meth:`why` does."""
+        time = np.arange(len(odds)) / FRAMES_PER_SECOND
+        return xr.Dataset(
+            {
+                "log_odds": ("time", odds),
+                "error": ("time", error),
+                "change": ("time", np.diff(odds, prepend=odds[0])),
+            },
+            {"time": ("time", time, {"units": "s"})},
+            {"event": event, "over": over or f"not {event}", "tempering": self.tempering, **attrs},
         )
 
     def _along_time(

@@ -246,6 +246,18 @@ class Posterior(EventPosterior):
         time = array(self._tree, "observed_data", "time")
         return self._along_time(time, tables, hindsight=HINDSIGHT, weights=weighting)
 
+    def why(self, event: str, over: str | None = None) -> xr.Dataset:
+        _, rows, weights = so_far(self._counted)
+        simulations = self._tree["simulations"].dataset
+        columns = {name: simulations[name].values[rows] for name in self._words.space.columns}
+        sides = self._sides(columns, event, over)
+        for_it, against = (weights[side].sum(axis=0) for side in sides)
+        for side, mass in ((event, for_it), (over or f"not {event}", against)):
+            if not (mass > 0).all():
+                raise InvalidSettingError(f"{side}: no simulation shows it, so there are no odds")
+        odds = np.log(for_it / against)
+        return self._odds(odds, np.full(len(odds), np.nan), event, over, hindsight=HINDSIGHT)
+
     @property
     def arviz(self) -> Any:
         if are_weighted(self._counted) or "draw" not in self._rows.index:
@@ -369,15 +381,15 @@ class Posterior(EventPosterior):
         lines += [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
             lines += wrapped("prior", changed)
-        if tempering := self._tempering(n):
-            lines += wrapped("likelihood", tempering)
+        if self.tempering:
+            lines += wrapped("likelihood", self.tempering)
         return "\n".join([*lines, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))])
 
-    def _tempering(self, n_entities: int) -> str:
-        """Return in words how the likelihood is tempered; "" where it is not known to be."""
+    @property
+    def tempering(self) -> str:
         beta = self._tree[SIMULATED].attrs.get("beta")
         if beta is not None:
-            noise = 2 * n_entities / beta
+            noise = 2 * self.observed().shape[1] / beta
             x0, x1, y0, y1 = self.scene.arena
             far = noise > max(x1 - x0, y1 - y0)
             words = f"beta = {beta:g}, as noise {noise:.0f} units in a frame"
