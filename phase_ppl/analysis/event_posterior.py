@@ -200,7 +200,7 @@ class EventPosterior(Hypotheses):
                 codes[name] = quantity, column[rows], shares(column, table.weights, size)
         drawn = {name: column[rows] for name, column in numbers.items()}
         scene, observed = scene_dataset(self.scene), self.observed()
-        seen = {name: scene[name] for name in ("entity", "coord")}
+        seen: dict[str, Any] = {name: scene[name] for name in ("entity", "coord")}
         seen["time"] = "time", np.arange(len(observed)) / FRAMES_PER_SECOND, {"units": "s"}
         attrs = {name: value for name, value in self._attrs.items() if name != "schema"}
         attrs |= {"weights": self._weighting, "effective_size_kish": worth(table.weights)}
@@ -218,14 +218,6 @@ class EventPosterior(Hypotheses):
     def tempering(self) -> str:
         """What a frame counts as evidence, in words; "" where nothing is known to be tempered."""
         raise NotImplementedError
-
-    def by_frame(self) -> xr.Dataset | None:
-        """Return what each frame says of each pair of effective goals; None where it is not known.
-
-        It is known of what was read step by step in PHASE: ``log_likelihood`` (time, goal_red,
-        goal_green), in nats, as a frame counts, and ``log_prior`` (goal_red, goal_green).
-        """
-        return None
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         """Return which frames speak for ``event``, and against what.

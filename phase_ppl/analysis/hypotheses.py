@@ -174,6 +174,14 @@ class Hypotheses(Printed):
         """Codes or numbers of every quantity, row by row, and the weights."""
         return self._rows
 
+    def by_frame(self) -> xr.Dataset | None:
+        """Return what each frame says of each pair of effective goals; None where it is not known.
+
+        It is known of what was read step by step in PHASE: ``log_likelihood`` (time, goal_red,
+        goal_green), in nats, as a frame counts, and ``log_prior`` (goal_red, goal_green).
+        """
+        return None
+
     def marginal(self, name: str, *, given: Given = None) -> xr.DataArray:
         """Return the probability of every label of a quantity with categories, sum 1."""
         return self.joint(name, given=given)

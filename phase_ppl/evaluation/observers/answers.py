@@ -15,7 +15,7 @@ import xarray as xr
 from jax import Array
 from scipy import special, stats
 
-from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.evaluation.judgments import Study
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
@@ -227,7 +227,7 @@ def _of_times(said: Responses, answers: Answers, n_raters: int, n_events: int) -
 
 # --- what a model saw -----------------------------------------------------------------------------
 
-Made: TypeAlias = EventPosterior | Prediction | None
+Made: TypeAlias = Hypotheses | Prediction | None
 """What a model made of a video; None: surface cues are all there is."""
 
 FLOOR: Final = 0.01

@@ -156,9 +156,7 @@ class Question(NamedTuple):
     answers: Sequence[AnswerSet]
 
 
-def event_page(
-    event: Event, shown: Sequence[AnswerSet], post: Posterior | StepwisePosterior | None = None
-) -> str:
+def event_page(event: Event, shown: Sequence[AnswerSet], post: EventPosterior | None = None) -> str:
     """Return the page of an event, with a column for each who said something of it.
 
     With the model's posterior its best hypothesis' simulation is shown as well.
@@ -205,7 +203,7 @@ def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str
 def _item(
     event: Event,
     everybody: Sequence[AnswerSet],
-    post: Posterior | StepwisePosterior | None = None,
+    post: EventPosterior | None = None,
     film: bool = False,
 ) -> dict[str, Any]:
     """Return what pages show of an event: ``right`` are those right in all they answered.
