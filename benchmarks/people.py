@@ -27,8 +27,8 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.analysis.estimate import pareto_smoothed
 from phase_ppl.analysis.figures.style import COLOURS, NORMAL, in_style, new_figure, written
+from phase_ppl.analysis.with_arviz import pareto_smoothed
 from phase_ppl.evaluation.doubt import doubt_of
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.metrics import evaluate_predictions

@@ -18,7 +18,7 @@ STEPS = {
         "pandas xarray numba jax numpyro arviz matplotlib torch"
     ),
     "for name in ('a.nc', 'b.nc'):\n"
-    "    ppl.cli.main(['query', name, 'P(relation=friendly)', 'hdi strength_red'])": (
+    "    ppl.cli.main(['query', name, 'P(relation=friendly)', 'E[strength_red]'])": (
         "arviz jax matplotlib numba numpyro pymunk scipy.stats torch"
     ),
     "import phase_ppl.analysis.figures": "jax numpyro arviz matplotlib",

@@ -11,6 +11,6 @@ Numbers, each built on those before it:
 * ``comparison``: posteriors against a reference and each other; ``design``: which events tell
   models apart.
 
-``diagnostics`` says how chains went and has draws for ArviZ, ``verdict`` says whether they can be
-trusted. ``figures`` draws them, as ``ppl.plot``.
+``with_arviz`` has what ArviZ estimates and is given; ``diagnostics`` says how chains went, and
+``verdict`` whether they can be trusted. ``figures`` draws them, as ``ppl.plot``.
 """

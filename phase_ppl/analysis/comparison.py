@@ -13,11 +13,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import ess, total_variation
+from phase_ppl.analysis.estimate import total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.tree import array, effective_goals, log_weight_of_draws, space_of_tree
+from phase_ppl.analysis.with_arviz import ess
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, check_name
 from phase_ppl.world.event import Truth

@@ -1,4 +1,4 @@
-"""How the chains went, in numbers and for ArviZ, and which frames this world cannot show."""
+"""How the chains went, and which frames this world cannot show."""
 
 from __future__ import annotations
 
@@ -12,20 +12,10 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import (
-    MIN_DRAWS,
-    arviz_groups,
-    chain_halves,
-    ess,
-    mcse,
-    r_hat,
-    total_variation,
-    worth,
-)
+from phase_ppl.analysis.estimate import total_variation, worth
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import (
-    DRAW,
-    SIMULATED,
+    are_weighted,
     array,
     effective_goals,
     kept_scene,
@@ -37,17 +27,14 @@ from phase_ppl.analysis.tree import (
 )
 from phase_ppl.analysis.verdict import ALONE, FEW_DRAWS, verdict
 from phase_ppl.analysis.weights import Rows
+from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.picture import plain
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
-
-MASS: Final = 0.02  # share of the draws, or probability, from which on a category is reported
-_STREAM: Final = 0x9EA1  # keeps ArviZ's replicates apart from what else follows from the run's seed
 
 
 def diagnostics(
@@ -118,7 +105,7 @@ def diagnostics(
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
     by_particle = [_by_particle(codes, draw_weights, labels) for codes in goals.values()]
-    weighted = "log_evidence" in stats or bool(np.ptp(log_weight) > 0)
+    weighted = are_weighted(tree)
     pair = np.zeros(accepted.shape, np.int64)  # of all agents' goals
     for codes in goals.values():
         pair = pair * len(labels) + codes
@@ -346,92 +333,3 @@ def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
         near |= apart < 3 * (radius[one] + radius[other])
     frames = np.flatnonzero(near).tolist()
     return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
-
-
-# --- for ArviZ ------------------------------------------------------------------------------------
-
-
-def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> Any:
-    """Return draws in the form ArviZ works on; nothing is simulated.
-
-    ``az.summary(post.arviz)``, ``az.ess``, ``az.plot_trace``, ``az.plot_rank`` and
-    ``az.plot_forest`` take it as it is. The group ``posterior`` has what these mean something
-    for: ``log_joint``, ``total_error``, strengths and real sites of the user's own; and of goals,
-    relation and scenario an indicator (0 or 1) of each category that more than 2 % of the draws
-    have, so that its mean is a probability. Goal codes, whose mean or R-hat says nothing, are in
-    ``post.tree``. An indicator that does not change within any half of a chain has no R-hat and
-    is left out; the attribute ``left_out`` (JSON) names these.
-
-    Every draw counts once, as under weights ``"count"``; other weightings give other
-    probabilities.
-
-    The group ``posterior_predictive`` has what could have been observed by the draws: the
-    simulation that each rests on (``post.tree["simulated"]``), with the likelihood's noise on x
-    and y of every frame, from a seed that follows from the run's. Angles are the simulation's, of
-    which the likelihood says nothing, so that
-    ``az.plot_ppc(post.arviz, coords={"coord": ["x", "y"]})`` compares like with like. The paper's
-    beta of 0.05 is a tempered likelihood: its noise is 160 units long in a frame. Of a likelihood
-    of one's own there is no such group.
-
-    With fewer than ten draws per chain ArviZ's effective sample sizes do not
-    depend on the draws and say nothing; :meth:`~phase_ppl.analysis.posterior.Posterior.diagnostics`
-    has some that do.
-
-    Returns:
-        An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
-        :class:`xarray.DataTree`, with the groups ``posterior``, ``posterior_predictive``,
-        ``sample_stats``, ``observed_data`` and ``constant_data``.
-    """
-    if np.ptp(log_weight_of_draws(tree)) > 0:
-        raise InvalidSettingError(
-            "ArviZ counts every draw once, but the draws of this posterior have unequal weights; "
-            "post.to_dataframe() gives them with their weights"
-        )
-    groups = {"posterior": _posterior(tree, scenario), "posterior_predictive": _replicated(tree)}
-    for name in ("sample_stats", "observed_data", "constant_data"):
-        groups[name] = tree[name].to_dataset()
-    return arviz_groups({k: v for k, v in groups.items() if v is not None}, tree.attrs)
-
-
-def _replicated(tree: xr.DataTree) -> xr.Dataset | None:
-    """Return what the draws could have looked like; None where the noise is not known."""
-    simulated = tree[SIMULATED].to_dataset()
-    if "beta" not in simulated.attrs:
-        return None
-    from phase_ppl.models.likelihood import RadialLikelihood
-
-    seed = json.loads(tree.attrs["settings"]).get("seed", 0)
-    rng = np.random.default_rng([int(seed), _STREAM])
-    trajectory = simulated["trajectory"].values.astype(np.float64)
-    likelihood = RadialLikelihood(float(simulated.attrs["beta"]), trajectory.shape[-2])
-    trajectory[..., :2] = likelihood.replicate(trajectory[..., :2], rng)
-    return simulated.assign(trajectory=(simulated["trajectory"].dims, trajectory))
-
-
-def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Dataset:
-    draws = tree["posterior"].to_dataset()
-    result = xr.Dataset(
-        {name: (DRAW, values) for name, values in scalars(tree).items()},
-        {name: draws[name] for name in DRAW},
-    )
-    left_out: dict[str, list[str]] = {}
-    known = Vocabulary(space_of_tree(tree)).quantities
-    for name, codes in categorical_draws(tree, scenario).items():
-        indicators = {
-            label: (codes == code).astype(np.int64)
-            for code, label in enumerate(known[name].categories())
-            if (codes == code).mean() > MASS
-        }
-        usable = {
-            label: indicator
-            for label, indicator in indicators.items()
-            # of fewer draws ArviZ does not look for it either
-            if len(indicator[0]) < MIN_DRAWS or np.ptp(chain_halves(indicator), axis=1).any()
-        }
-        left_out[name] = [label for label in indicators if label not in usable]
-        if usable:
-            dim = f"{name}_is"
-            result[name] = ((*DRAW, dim), np.stack(list(usable.values()), axis=-1))
-            result = result.assign_coords({dim: list(usable)})
-    result.attrs["left_out"] = json.dumps({k: v for k, v in left_out.items() if v})
-    return result

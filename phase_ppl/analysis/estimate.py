@@ -19,6 +19,9 @@ So an error is
 * too small for kernels whose chains exchange states (smc, sa, aies), and too large for
   ``enumerate``, whose chains share out the hypotheses and do not sample them.
 
+It is no MCSE of ArviZ's: that is of chains whose draws count alike, and knows neither weighted
+simulations nor sets of searches.
+
 How often an answer lies within 1.96 errors of the exact one was measured on worlds that can be
 enumerated (``benchmarks/estimates.py``).
 """
@@ -26,15 +29,11 @@ enumerated (``benchmarks/estimates.py``).
 from __future__ import annotations
 
 import dataclasses
-import importlib.metadata
 import math
-import warnings
-from collections.abc import Hashable, Mapping, Sequence
-from typing import Any, Final, Literal
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.world.arrays import FloatArray
@@ -89,18 +88,6 @@ def entropy(mass: FloatArray) -> FloatArray:
     logs = np.log(mass, where=mass > 0, out=np.zeros_like(mass))
     found = -(mass * logs).sum(axis=-1)
     return np.where(found > ROUNDING, found, 0.0)
-
-
-def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> tuple[float, float]:
-    """Return the shortest [low, high] between ascending values that holds ``prob`` of the mass."""
-    cumulative = np.cumsum(weights)
-    before = cumulative - weights
-    # the tolerance keeps 0.9 of ten equal draws at nine of them
-    last = np.searchsorted(cumulative, before + prob * cumulative[-1] - 1e-12)
-    holds = last < len(values)
-    starts, ends = values[holds], values[last[holds]]
-    best = int(np.argmin(ends - starts))
-    return float(starts[best]), float(ends[best])
 
 
 def worth(weights: FloatArray) -> float:
@@ -313,130 +300,3 @@ def doubt(
         of_leader = size * probabilities[leading] + 0.5
         chances += betainc(of_leader, size * others + 0.5, 0.5).tolist()
     return max(chances)
-
-
-# --- whether chains have mixed: the estimators are ArviZ's, 0.22+ and 1.x -------------------------
-
-MIN_DRAWS: Final = 4
-"""Draws per chain below which neither R-hat nor an effective sample size is estimated."""
-
-MIN_DRAWS_WITHIN: Final = 10
-"""Draws per chain from which on effective sample sizes are taken from autocorrelations."""
-
-MIN_CHAINS_BETWEEN: Final = 4
-"""Chains below which no effective sample size is taken from the spread between them."""
-
-_TAIL: Final = (0.05, 0.95)
-
-
-def arviz_module() -> Any:
-    """Return ArviZ, which is slow to import."""
-    with warnings.catch_warnings():
-        # announces ArviZ 1, with which this works too
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz
-
-        return arviz
-
-
-def arviz_groups(
-    groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
-) -> Any:
-    """Return groups of draws in ArviZ's form."""
-    if _is_new():
-        data = xr.DataTree.from_dict(dict(groups))
-        data.attrs = dict(attrs or {})
-        return data
-    return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
-
-
-def _is_new() -> bool:
-    return int(importlib.metadata.version("arviz").split(".")[0]) >= 1
-
-
-def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
-    if _is_new():
-        from arviz_stats.base import array_stats
-
-        logs, k = array_stats.psislw(log_ratios, axis=-1)
-    else:
-        logs, k = arviz_module().psislw(log_ratios)
-    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
-    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
-
-
-def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> float:
-    """Return the split R-hat of (chain, draw) numbers: 1 where chains have mixed.
-
-    Rank-normalised, the larger one of bulk and tail; or by ``"split"`` of the numbers as they
-    are, as for indicators. Of a single chain the halves are the chains. Infinite where all
-    spread is between halves of chains. NaN where it does not exist: fewer than four draws, a
-    value that is not finite, or all values the same.
-    """
-    if not _varies(values):
-        return math.nan
-    halves = chain_halves(values)
-    if not np.ptp(halves, axis=1).any():  # the variance of equal numbers may be rounded to above 0
-        return math.inf if np.ptp(halves) > 0 else math.nan
-    chains = values if len(values) > 1 else halves
-    if chains.shape[1] < MIN_DRAWS:
-        return math.nan
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return float(arviz_module().rhat(chains, method=method))
-
-
-def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
-    """Return the effective number of (chain, draw) numbers; NaN as for :func:`r_hat`.
-
-    For the centre (bulk), for the 5 % and 95 % quantiles, the lower (tail), or for the mean. Of
-    chains too short for autocorrelations, where the usual estimate hardly depends on the draws,
-    it follows from the spread between the chains, if there are enough.
-    """
-    if not _varies(values):
-        return math.nan
-    if values.shape[1] >= MIN_DRAWS_WITHIN:
-        options = {"prob": _TAIL} if method == "tail" else {}
-        return float(arviz_module().ess(values, method=method, **options))
-    if method == "tail":
-        low, high = (_ess_between((values <= q).astype(float)) for q in np.quantile(values, _TAIL))
-        return min(low, high)
-    return _ess_between(_normal_ranks(values) if method == "bulk" else values)
-
-
-def mcse(values: FloatArray) -> float:
-    """Return the Monte-Carlo standard error of the mean of (chain, draw) numbers; or NaN."""
-    if not _varies(values):
-        return math.nan
-    return float(values.std(ddof=1)) / math.sqrt(ess(values, "mean"))
-
-
-def _varies(values: FloatArray) -> bool:
-    enough = values.shape[1] >= MIN_DRAWS and np.isfinite(values).all()
-    return bool(enough and np.ptp(values) > np.finfo(float).eps * np.abs(values).max())
-
-
-def chain_halves(values: FloatArray) -> FloatArray:
-    """Return (2 chains, draw // 2) the first and second half of every chain."""
-    half = values.shape[1] // 2
-    return np.concatenate([values[:, :half], values[:, -half:]]).astype(float)
-
-
-def _normal_ranks(values: FloatArray) -> FloatArray:
-    """Return the values' ranks, of equals the mean, as quantiles of the normal distribution."""
-    from scipy.special import ndtri
-
-    ranks = pd.Series(values.ravel()).rank().to_numpy()
-    quantiles: FloatArray = ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
-    return quantiles.reshape(values.shape)
-
-
-def _ess_between(chains: FloatArray) -> float:
-    """Return the effective sample size that the spread between the chains' means tells."""
-    if np.ptp(chains) < np.finfo(float).resolution:
-        return float(chains.size)
-    if len(chains) < MIN_CHAINS_BETWEEN:
-        return math.nan
-    squared_error = chains.mean(axis=1).var(ddof=1) / len(chains)
-    variance = chains.var(ddof=1)
-    return float(variance / max(squared_error, variance / (chains.size * math.log10(chains.size))))

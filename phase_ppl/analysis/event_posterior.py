@@ -1,7 +1,8 @@
-"""What both kinds of posterior of an event offer: files, another prior, what if, what next."""
+"""What both kinds of posterior of an event offer: files, ArviZ, priors, what if, what next."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
@@ -11,14 +12,19 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.analysis.definitions import defined
+from phase_ppl.analysis.estimate import Estimate, shares, worth
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
-from phase_ppl.analysis.tree import kept_scene
+from phase_ppl.analysis.query import conditions
+from phase_ppl.analysis.tree import FRAME, kept_scene, scene_dataset
 from phase_ppl.analysis.weights import Rows
+from phase_ppl.analysis.with_arviz import NO_LOO, arviz_groups, draws_of, resampled
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, QueryError, shown
+from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
@@ -102,6 +108,163 @@ class EventPosterior(Hypotheses):
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
         raise NotImplementedError
+
+    def replay(self) -> FloatArray | None:
+        """Return the stored simulation (time, entity, [x, y, angle]) of the best hypothesis.
+
+        None of what was read step by step, which has no simulations.
+        """
+        return None
+
+    @property
+    def untried(self) -> float:
+        """Prior mass of the pairs of effective goals that nothing was asked about.
+
+        To these a sampled posterior gives probability 0, whatever they would explain; NaN where
+        the prior of pairs is not kept. 0 of what was read step by step, under all hypotheses.
+        """
+        return 0.0
+
+    @property
+    def arviz(self) -> Any:
+        """The posterior that is printed, for ArviZ, as in ``az.summary(post.arviz)``.
+
+        Equal draws: those of the chains after the burn-in where they count alike (weights
+        ``"count"``), otherwise 4 chains of 1000 that are resampled from the weights, with a seed
+        that follows from the run's (:func:`phase_ppl.analysis.with_arviz.resampled`). So R-hat
+        and effective sizes of resampled draws are of the resampling: :attr:`chains` has the chains
+        as they ran.
+
+        The group ``posterior`` has numbers, such as strengths, real sites and quantities of one's
+        own, and of a sampled posterior ``log_joint`` and ``total_error``; and of goals, relations,
+        scenario and what else is one's own an indicator (0 or 1) of each category of more than 2 %,
+        so that its mean is a probability. ``observed_data`` and ``constant_data`` have the
+        observation and the scene. There is no ``log_likelihood``: ``az.loo`` raises
+        InvalidSettingError, which says why.
+
+        Its attributes say how the draws were made: ``weights``, the weighting or "all hypotheses";
+        ``effective_size_kish``, how many equal draws the weights are worth; and ``draws``.
+
+        Returns:
+            An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
+            :class:`xarray.DataTree`.
+        """
+        weights, exact = self._rows.weights, self._is_exact
+        rows = resampled(weights, int(self.settings.get("seed", 0)), exact=exact)
+        size = worth(weights)
+        what = "probable hypotheses" if exact else f"weighted rows, worth {size:.1f} equal draws"
+        how = f"{rows.shape[0]} x {rows.shape[1]} equal draws, resampled from {weights.size} {what}"
+        return self._for_arviz(rows, self._beside, how)
+
+    @property
+    def chains(self) -> Any:
+        """The chains as they ran, for ArviZ: ``az.rhat``, ``az.ess``, ``az.plot_trace``.
+
+        Raises:
+            InvalidSettingError: there are none.
+        """
+        raise NotImplementedError
+
+    @property
+    def _is_exact(self) -> bool:
+        """Whether the table has every hypothesis once, so that nothing was drawn."""
+        return False
+
+    @property
+    def _weighting(self) -> str:
+        """Name of what weighs hypotheses."""
+        raise NotImplementedError
+
+    @property
+    def _beside(self) -> dict[str, NDArray[Any]]:
+        """Numbers (row,) beside quantities."""
+        return {}
+
+    def _for_arviz(
+        self,
+        rows: NDArray[np.int64],
+        beside: Mapping[str, NDArray[Any]],
+        how: str,
+        *,
+        moving: bool = False,
+        **groups: xr.Dataset,
+    ) -> Any:
+        """Return draws (chain, draw) of rows of the table, in ArviZ's form."""
+        table, numbers, codes = self._rows, dict(beside), {}
+        told = {*self.goals_of.values(), *self.relations_of.values(), *self.scenarios_of.values()}
+        for name, quantity in self._quantities.items():
+            if quantity.labels is None:
+                numbers[name] = table.values[name]
+            elif name in told or name not in self._words.quantities:
+                size, column = len(quantity.labels), table.values[name]
+                codes[name] = quantity, column[rows], shares(column, table.weights, size)
+        drawn = {name: column[rows] for name, column in numbers.items()}
+        scene, observed = scene_dataset(self.scene), self.observed()
+        seen: dict[str, Any] = {name: scene[name] for name in ("entity", "coord")}
+        seen["time"] = "time", np.arange(len(observed)) / FRAMES_PER_SECOND, {"units": "s"}
+        attrs = {name: value for name, value in self._attrs.items() if name != "schema"}
+        attrs |= {"weights": self._weighting, "effective_size_kish": worth(table.weights)}
+        return arviz_groups(
+            {
+                "posterior": draws_of(drawn, codes, moving=moving),
+                "observed_data": xr.Dataset({"trajectory": (FRAME, observed)}, seen),
+                "constant_data": scene,
+                **groups,
+            },
+            {**attrs, "draws": how, "loo": NO_LOO},
+        )
+
+    @property
+    def tempering(self) -> str:
+        """What a frame counts as evidence, in words; "" where nothing is known to be tempered."""
+        raise NotImplementedError
+
+    def why(self, event: str, over: str | None = None) -> xr.Dataset:
+        """Return which frames speak for ``event``, and against what.
+
+        Args:
+            event: conditions in words, such as ``"goal_red=get to green agent"`` or
+                ``"strength_red > strength_green, not relation=friendly"``.
+            over: what to compare with, likewise; by default that ``event`` is false.
+
+        Returns:
+            ``log_odds`` (time,) of one over the other given the frames so far, in nats, tempered
+            as the attribute ``tempering`` says, its ``error`` (time,) by the jackknife over planner
+            seeds (NaN: it is not known), and ``change`` (time,) by each frame. Of a sampled
+            posterior in hindsight, as :meth:`over_time`.
+
+        Raises:
+            QueryError, UnknownNameError: it cannot be read, or names something unknown.
+            InvalidSettingError: one of them is impossible, or nothing of it was simulated.
+        """
+        raise NotImplementedError
+
+    def _sides(
+        self, table: Mapping[str, NDArray[Any]], event: str, over: str | None
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return in which rows of a table an event is true, and what it is compared with."""
+        columns = dict(self._words.completed(table))
+        known = {n: one for n, one in self._quantities.items() if n in columns}
+        for name, definition in self._own.items():
+            with contextlib.suppress(QueryError):  # of what frames do not speak of
+                known[name], columns[name] = defined(name, definition, known, columns)
+        wanted = conditions(known, event).holds(columns)
+        return wanted, ~wanted if over is None else conditions(known, over).holds(columns)
+
+    def _odds(
+        self, odds: FloatArray, error: FloatArray, event: str, over: str | None, **attrs: str
+    ) -> xr.Dataset:
+        """Return log odds (time,) and their errors as :meth:`why` does."""
+        time = np.arange(len(odds)) / FRAMES_PER_SECOND
+        return xr.Dataset(
+            {
+                "log_odds": ("time", odds),
+                "error": ("time", error),
+                "change": ("time", np.diff(odds, prepend=odds[0])),
+            },
+            {"time": ("time", time, {"units": "s"})},
+            {"event": event, "over": over or f"not {event}", "tempering": self.tempering, **attrs},
+        )
 
     def _along_time(
         self, time: FloatArray, tables: Mapping[str, FloatArray], **attrs: str

@@ -21,6 +21,7 @@ from phase_ppl.analysis.estimate import Estimate, Jackknife, Mode, doubt, leavin
 from phase_ppl.analysis.quantities import Quantity, relations_of
 from phase_ppl.analysis.query import Clause, Conditions, conditions, understood
 from phase_ppl.analysis.weights import Rows
+from phase_ppl.analysis.with_arviz import hdi, n_equal
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -173,6 +174,14 @@ class Hypotheses(Printed):
         """Codes or numbers of every quantity, row by row, and the weights."""
         return self._rows
 
+    def by_frame(self) -> xr.Dataset | None:
+        """Return what each frame says of each pair of effective goals; None where it is not known.
+
+        It is known of what was read step by step in PHASE: ``log_likelihood`` (time, goal_red,
+        goal_green), in nats, as a frame counts, and ``log_prior`` (goal_red, goal_green).
+        """
+        return None
+
     def marginal(self, name: str, *, given: Given = None) -> xr.DataArray:
         """Return the probability of every label of a quantity with categories, sum 1."""
         return self.joint(name, given=given)
@@ -319,6 +328,9 @@ class Hypotheses(Printed):
     def hdi(self, name: str, prob: float = HDI_PROBABILITY, *, given: Given = None) -> xr.DataArray:
         """Return the shortest interval with probability ``prob`` of a quantity with numbers.
 
+        It is ``az.hdi`` of the draws, or where these have weights of 4000 equal ones, the quantiles
+        of their distribution.
+
         Returns:
             dim ``bound``: lower, upper, with their errors.
 
@@ -331,17 +343,18 @@ class Hypotheses(Printed):
         values = of._numbers(name)
         rows, weights, without = of._weighed(given, values, share=LEFT_OUT_OF_INTERVALS)
         levels, codes = np.unique(values[rows], return_inverse=True)
-        bounds = estimate.shortest_interval(levels, estimate.shares(codes, weights), prob)
+
+        def ends(weights: FloatArray) -> FloatArray:
+            return hdi(levels, estimate.shares(codes, weights), n_equal(weights), prob)
+
+        bounds = ends(weights)
         error = np.full(2, np.nan)
         if without is not None:
-            masses = estimate.shares(codes, without.weights)
-            error = without.error(
-                [estimate.shortest_interval(levels, mass, prob) for mass in masses], bounds
-            )
+            error = without.error([ends(some) for some in without.weights], bounds)
             if not math.isnan(of._effective_size):  # as of other numbers
                 error = np.where(error > 0, error, np.nan)
         coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
-        return xr.DataArray(list(bounds), coords, dims="bound", name=name)
+        return xr.DataArray(bounds, coords, dims="bound", name=name)
 
     def query(self, question: str, *, weights: str | None = None) -> Any:
         """Return the answer to a question in words, such as ``"P(relation=friendly)"``.

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import arviz_data, diagnostics
+from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.estimate import worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.tree import (
     SIMULATED,
+    are_weighted,
     array,
     changed_text,
     check_overlap,
@@ -28,6 +30,7 @@ from phase_ppl.analysis.tree import (
     untried,
 )
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
+from phase_ppl.analysis.with_arviz import are_equal
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, whole_number
 from phase_ppl.world.files import existing_file
@@ -41,6 +44,8 @@ HINDSIGHT: Final = (
     "whole video, and are weighted by how well they explain it up to each frame."
 )
 """Goes with every result over time."""
+
+_STREAM: Final = 0x9EA1  # keeps replicates apart from what else follows from the run's seed
 
 _FORMERLY: Final = {"importance": "stratified", "visited": "count"}
 """What files of earlier versions call a weighting -> what has taken its place."""
@@ -122,11 +127,6 @@ class Posterior(EventPosterior):
 
     @property
     def untried(self) -> float:
-        """Prior mass of the pairs of effective goals that no simulation was completed of.
-
-        To these a sampled posterior gives probability 0, whatever they would explain; NaN where
-        the prior of pairs is not kept.
-        """
         return untried(self._tree)
 
     def under(self, prior: Callable[..., object]) -> Posterior:
@@ -248,13 +248,92 @@ class Posterior(EventPosterior):
         time = array(self._tree, "observed_data", "time")
         return self._along_time(time, tables, hindsight=HINDSIGHT, weights=weighting)
 
+    def why(self, event: str, over: str | None = None) -> xr.Dataset:
+        _, rows, weights = so_far(self._counted)
+        simulations = self._tree["simulations"].dataset
+        columns = {name: simulations[name].values[rows] for name in self._words.space.columns}
+        sides = self._sides(columns, event, over)
+        for_it, against = (weights[side].sum(axis=0) for side in sides)
+        for side, mass in ((event, for_it), (over or f"not {event}", against)):
+            if not (mass > 0).all():
+                raise InvalidSettingError(f"{side}: no simulation shows it, so there are no odds")
+        odds = np.log(for_it / against)
+        return self._odds(odds, np.full(len(odds), np.nan), event, over, hindsight=HINDSIGHT)
+
     @property
     def arviz(self) -> Any:
-        """The draws, each counted once, for ArviZ, as in ``az.summary(post.arviz)``.
+        if are_weighted(self._counted) or "draw" not in self._rows.index:
+            return super().arviz
+        if not are_equal(self._rows.weights):  # by their likelihood
+            return super().arviz
+        return self._as_chains("all of the chains")
 
-        :func:`phase_ppl.analysis.diagnostics.arviz_data` says what is there; nothing is simulated.
+    @property
+    def chains(self) -> Any:
+        """The chains as they ran, after the burn-in, for ArviZ: R-hat, effective sizes, traces.
+
+        ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
+        Every draw counts once, whatever the weights: :attr:`arviz` is the posterior that is
+        printed, and these are how the run went. Groups and attributes are as there, with
+        ``sample_stats``; and ``posterior_predictive``, what could have been observed by the draws:
+        the simulation that each rests on (``post.tree["simulated"]``), with the likelihood's noise
+        on x and y of every frame, from a seed that follows from the run's. Angles are the
+        simulation's, of which the likelihood says nothing, so that
+        ``az.plot_ppc(post.chains, coords={"coord": ["x", "y"]})`` compares like with like. The
+        paper's beta of 0.05 is a tempered likelihood: its noise is 160 units long in a frame. Of a
+        likelihood of one's own there is no such group.
+
+        An indicator that does not change within any half of a chain has no R-hat and is left out;
+        the attribute ``left_out`` of the posterior (JSON) names these. With fewer than ten draws
+        per chain ArviZ's effective sizes do not depend on the draws and say nothing;
+        :meth:`diagnostics` has some that do.
+
+        Raises:
+            InvalidSettingError: the draws have weights, and so are no chains.
         """
-        return arviz_data(self._counted, self._words.scenario)
+        if are_weighted(self._counted):
+            raise InvalidSettingError(
+                f"the draws of this posterior (kernel {self._attrs['kernel']!r}) have weights of "
+                "their own and are no chains: post.arviz has equal draws resampled from them, "
+                "post.to_dataframe() all with their weights"
+            )
+        counted = self if self._weights == "count" else self._under_weights("count")
+        return counted._as_chains("all of the chains, each counted once", moving=True)
+
+    def _as_chains(self, how: str, *, moving: bool = False) -> Any:
+        """Return the draws that are counted, chain by chain."""
+        rows = np.arange(len(self._rows.weights)).reshape(shape_of_draws(self._counted))
+        groups = {"sample_stats": self._counted["sample_stats"].to_dataset()}
+        if (replicated := self._replicated()) is not None:
+            groups["posterior_predictive"] = replicated
+        how += f", after a burn-in of {self._burn_in}" if self._burn_in else ""
+        return self._for_arviz(rows, self._beside, how, moving=moving, **groups)
+
+    def _replicated(self) -> xr.Dataset | None:
+        """Return what the draws could have looked like; None where the noise is not known."""
+        simulated = self._counted[SIMULATED].to_dataset()
+        if "beta" not in simulated.attrs:
+            return None
+        from phase_ppl.models.likelihood import RadialLikelihood
+
+        rng = np.random.default_rng([int(self.settings.get("seed", 0)), _STREAM])
+        trajectory = simulated["trajectory"].values.astype(np.float64)
+        likelihood = RadialLikelihood(float(simulated.attrs["beta"]), trajectory.shape[-2])
+        trajectory[..., :2] = likelihood.replicate(trajectory[..., :2], rng)
+        return simulated.assign(trajectory=(simulated["trajectory"].dims, trajectory))
+
+    @property
+    def _weighting(self) -> str:
+        return self._weights
+
+    @property
+    def _beside(self) -> dict[str, NDArray[Any]]:
+        if "draw" in self._rows.index:
+            stats = self._counted["sample_stats"].dataset
+            return {name: stats[name].values.ravel() for name in ("log_joint", "total_error")}
+        found = self._tree["simulations"].dataset.isel(simulation=self._rows.index["simulation"])
+        log_joint = found["log_prior"].values + found["log_likelihood"].values
+        return {"log_joint": log_joint, "total_error": found["total_error"].values}
 
     def _to_keep(self) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
         tree = self._tree.copy()
@@ -304,15 +383,15 @@ class Posterior(EventPosterior):
         lines += [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
             lines += wrapped("prior", changed)
-        if tempering := self._tempering(n):
-            lines += wrapped("likelihood", tempering)
+        if self.tempering:
+            lines += wrapped("likelihood", self.tempering)
         return "\n".join([*lines, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))])
 
-    def _tempering(self, n_entities: int) -> str:
-        """Return in words how the likelihood is tempered; "" where it is not known to be."""
+    @property
+    def tempering(self) -> str:
         beta = self._tree[SIMULATED].attrs.get("beta")
         if beta is not None:
-            noise = 2 * n_entities / beta
+            noise = 2 * self.observed().shape[1] / beta
             x0, x1, y0, y1 = self.scene.arena
             far = noise > max(x1 - x0, y1 - y0)
             words = f"beta = {beta:g}, as noise {noise:.0f} units in a frame"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import json
@@ -16,20 +15,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.definitions import Definition, defined
+from phase_ppl.analysis.definitions import Definition
 from phase_ppl.analysis.diagnostics import overlapping_frames
 from phase_ppl.analysis.estimate import Jackknife, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
-from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.stepwise_table import (
     MOST_HYPOTHESES,
     SCHEMAS,
     PairTable,
     PolicyTable,
     Table,
+    summed_by_pair,
     table_of,
 )
 from phase_ppl.analysis.tree import changed_text, settings_under
@@ -272,7 +271,6 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def tempering(self) -> str:
-        """What a frame counts as evidence, in words; "" where nothing is tempered."""
         counts = {"goals": float(self._found.attrs["weight"]), "strengths": self._strength_weight}
         words = [f"{count:g} for {what}" for what, count in counts.items() if count != 1]
         return f"tempered: a frame counts {' and '.join(words)}" if words else ""
@@ -303,6 +301,21 @@ class StepwisePosterior(EventPosterior):
         """
         found = self._found["log_peak"].values - self._table.log_predictive
         return np.asarray(found[: self._frame + 1])
+
+    @property
+    def chains(self) -> Any:
+        raise InvalidSettingError(
+            "a posterior that was read step by step has no chains: it is a sum over hypotheses. "
+            "post.arviz has draws from it; post.diagnostics() says whether it can be trusted"
+        )
+
+    @property
+    def _is_exact(self) -> bool:
+        return not self._table.sampled
+
+    @property
+    def _weighting(self) -> str:
+        return "all hypotheses"
 
     def diagnostics(self) -> dict[str, Any]:
         """Return whether this can be trusted.
@@ -375,22 +388,6 @@ class StepwisePosterior(EventPosterior):
         return self._over_sets.error(without, value)
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
-        """Return which frames speak for ``event``, and against what.
-
-        Args:
-            event: conditions in words, such as ``"goal_red=get to green agent"`` or
-                ``"strength_red > strength_green, not relation=friendly"``.
-            over: what to compare with, likewise; by default that ``event`` is false.
-
-        Returns:
-            ``log_odds`` (time,) of one over the other given the frames so far, in nats, tempered
-            as the attribute ``tempering`` says, its ``error`` (time,) by the jackknife over planner
-            seeds (NaN: there is one), and ``change`` (time,) by each frame.
-
-        Raises:
-            QueryError, UnknownNameError: it cannot be read, or names something unknown.
-            InvalidSettingError: one of them is impossible under the prior.
-        """
         if self._knowing(given=event) is not self or self._knowing(given=over) is not self:
             raise InvalidSettingError(
                 f"{event}{f' over {over}' if over else ''}: frames speak of hypotheses, not of "
@@ -418,28 +415,19 @@ class StepwisePosterior(EventPosterior):
             )
         with np.errstate(invalid="ignore"):  # of odds that are not finite there is no error
             error = self._error_over_sets(without, odds)
-        time = self._found["time"].values[: self._frame + 1]
-        return xr.Dataset(
-            {
-                "log_odds": ("time", odds),
-                "error": ("time", error),
-                "change": ("time", np.diff(odds, prepend=odds[0])),
-            },
-            {"time": ("time", time, {"units": "s"})},
-            {"event": event, "over": over or f"not {event}", "tempering": self.tempering},
-        )
+        return self._odds(odds, error, event, over)
 
-    def _sides(
-        self, table: Mapping[str, NDArray[Any]], event: str, over: str | None
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return in which rows of a table an event is true, and what it is compared with."""
-        columns = dict(self._words.completed(table))
-        known = {n: one for n, one in self._quantities.items() if n in columns}
-        for name, definition in self._own.items():
-            with contextlib.suppress(QueryError):  # of what frames do not speak of
-                known[name], columns[name] = defined(name, definition, known, columns)
-        wanted = conditions(known, event).holds(columns)
-        return wanted, ~wanted if over is None else conditions(known, over).holds(columns)
+    def by_frame(self) -> xr.Dataset | None:
+        if not isinstance(self._table, PairTable):
+            return None
+        found = self._found.isel(time=slice(None, self._frame + 1))
+        goals = ("goal_red", "goal_green")
+        log_likelihood = float(found.attrs["weight"]) * found["log_likelihood"].values
+        log_prior = summed_by_pair(found["log_prior"].values)
+        return xr.Dataset(
+            {"log_likelihood": (("time", *goals), log_likelihood), "log_prior": (goals, log_prior)},
+            {"time": found["time"], **{name: found[name] for name in goals}},
+        )
 
     def observed(self) -> FloatArray:
         return np.asarray(self._found["trajectory"].values, np.float64)[: self._frame + 1]

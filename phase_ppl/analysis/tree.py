@@ -173,6 +173,14 @@ def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
     return stats["log_weight"].values.astype(float)
 
 
+def are_weighted(tree: xr.DataTree) -> bool:
+    """Whether the kernel, or another prior, gives draws weights, so that they are no chains."""
+    log_weight = log_weight_of_draws(tree)
+    highest = log_weight.max()
+    differ = np.isfinite(highest) and (log_weight < highest).any()
+    return bool("log_evidence" in tree["sample_stats"].dataset or differ)
+
+
 def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:
     """Return the (chain, draw) index of the simulation that each draw rests on.
 

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from phase_ppl.analysis.estimate import MIN_CHAINS_BETWEEN, MIN_DRAWS, MIN_DRAWS_WITHIN, with_error
+from phase_ppl.analysis.estimate import with_error
+from phase_ppl.analysis.with_arviz import MIN_CHAINS_BETWEEN, MIN_DRAWS, MIN_DRAWS_WITHIN
 
 AGREED: Final = 0.8
 """Share of particles with the same leading goal from which on they are said to agree."""

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import ess, mcse, r_hat
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.with_arviz import ess, mcse, r_hat
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import LANDMARKS

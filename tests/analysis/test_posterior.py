@@ -91,7 +91,8 @@ def test_probabilities_of_effective_goals_and_what_follows(small: Posterior) -> 
 def test_means_intervals_and_entropies(small: Posterior) -> None:
     assert small.mean("strength_red", given=RED_BLUE) == pytest.approx((200 + 250 + 600) / 3)
     assert small.sd("strength_green") == 0
-    for share, ends in ((0.5, [200, 250]), (0.75, [200, 400]), (1.0, [200, 600])):
+    # of n equal draws ArviZ has one more than the share of n in the interval
+    for share, ends in ((0.3, [200, 250]), (0.5, [200, 400]), (1.0, [200, 600])):
         assert small.hdi("strength_red", share).values.tolist() == ends
     assert small.entropy("relation") == pytest.approx(0.5 * np.log(2) + 0.5 * np.log(4))
     assert small.entropy("goal_red", "goal_green", "alpha") == pytest.approx(np.log(4))

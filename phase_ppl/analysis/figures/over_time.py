@@ -119,9 +119,9 @@ def _panel(
     direct_labels(axes, ends, gap=_LINE_HEIGHT)
 
 
-@figure_of(StepwisePosterior)
+@figure_of(Posterior, StepwisePosterior)
 def why(
-    post: StepwisePosterior,
+    post: Posterior | StepwisePosterior,
     event: str,
     over: str | None = None,
     path: str | os.PathLike[str] | None = None,
@@ -129,7 +129,7 @@ def why(
     """Draw the log odds of ``event`` over ``over`` by frame, and the frames that decided.
 
     The band is 1.96 errors wide on either side. 8 x 5.6 inches. Arguments and errors are those of
-    :meth:`phase_ppl.analysis.stepwise_posterior.StepwisePosterior.why`.
+    :meth:`phase_ppl.analysis.event_posterior.EventPosterior.why`.
     """
     found = post.why(event, over)
     time, change = found["time"].values, found["change"].values

@@ -167,7 +167,7 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
     from matplotlib.lines import Line2D
 
     scene, observed = post.scene, post.observed()
-    predicted = None if isinstance(post, StepwisePosterior) else post.replay()
+    predicted = post.replay()
     draw_arena(axes, scene)
     world = scene.world
     dot: dict[str, Any] = {"marker": "o", "ms": 5}

@@ -11,12 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+import xarray as xr
 from jax import Array
 from scipy import special, stats
 
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import summed_by_pair
 from phase_ppl.evaluation.judgments import Study
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
@@ -289,14 +288,14 @@ def _table(event_id: str, made: Made) -> tuple[FloatArray, FloatArray]:
     if made is None:
         n = len(RELATIONS)
         return np.zeros((len(HALF_LIVES), n)), np.full(n, -np.log(n))
-    if isinstance(made, StepwisePosterior):
-        return _of_frames(made)
     if isinstance(made, Prediction):
         if "relation" not in made.probabilities:
             raise InvalidSettingError(
                 f"event {event_id!r}: no probabilities of relations are given"
             )
         shares = made.probabilities["relation"]
+    elif (frames := made.by_frame()) is not None:
+        return _of_frames(frames)
     else:
         shares = made.joint("goal_red", "goal_green").values.ravel()
     n = len(shares)
@@ -305,13 +304,10 @@ def _table(event_id: str, made: Made) -> tuple[FloatArray, FloatArray]:
     return tables, np.full(n, -np.log(n))
 
 
-def _of_frames(post: StepwisePosterior) -> tuple[FloatArray, FloatArray]:
-    seen = post.dataset["log_likelihood"].values[: post.frame + 1]
-    frames = seen.reshape(len(seen), -1)
+def _of_frames(seen: xr.Dataset) -> tuple[FloatArray, FloatArray]:
+    frames = seen["log_likelihood"].values.reshape(seen.sizes["time"], -1)
     age = np.arange(len(frames))[::-1, None]
-    found = float(post.dataset.attrs["weight"]) * np.array(
-        [(0.5 ** (age / half_life) * frames).sum(axis=0) for half_life in HALF_LIVES]
-    )
-    prior = summed_by_pair(post.dataset["log_prior"].values).ravel()
+    found = np.array([(0.5 ** (age / life) * frames).sum(axis=0) for life in HALF_LIVES])
+    prior = seen["log_prior"].values.ravel()
     possible = np.isfinite(prior)
     return found - found[:, possible].max(axis=1, keepdims=True), prior

@@ -19,7 +19,7 @@ from jax import Array
 from numpyro import handlers
 from numpyro.infer import MCMC, NUTS
 
-from phase_ppl.analysis.estimate import arviz_groups, pareto_smoothed
+from phase_ppl.analysis.with_arviz import arviz_groups, pareto_smoothed
 from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of, expected, people
 from phase_ppl.evaluation.prediction import Prediction, as_prediction

@@ -19,6 +19,7 @@ from markupsafe import Markup
 
 import phase_ppl
 from phase_ppl.analysis import figures as plots
+from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.figures.posterior import titles
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
@@ -72,6 +73,8 @@ _DIAGNOSTICS: Final = {
     "simulations": "simulations",
     "frames_saved_share": "frames saved by stopping early",
     "best_error_per_frame": "error of the best draw, units per frame",
+    "planner_seeds": "sets of searches",
+    "surprising_share": "frames that surprise whatever the goals",
 }
 """Diagnostic -> how it is called where a few are shown."""
 
@@ -153,7 +156,7 @@ class Question(NamedTuple):
     answers: Sequence[AnswerSet]
 
 
-def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None = None) -> str:
+def event_page(event: Event, shown: Sequence[AnswerSet], post: EventPosterior | None = None) -> str:
     """Return the page of an event, with a column for each who said something of it.
 
     With the model's posterior its best hypothesis' simulation is shown as well.
@@ -198,7 +201,10 @@ def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str
 
 
 def _item(
-    event: Event, everybody: Sequence[AnswerSet], post: Posterior | None = None, film: bool = False
+    event: Event,
+    everybody: Sequence[AnswerSet],
+    post: EventPosterior | None = None,
+    film: bool = False,
 ) -> dict[str, Any]:
     """Return what pages show of an event: ``right`` are those right in all they answered.
 
@@ -262,12 +268,11 @@ def _film(event: Event, replay: FloatArray | None) -> tuple[str, str]:
         return embedded(path.read_bytes(), "video/mp4"), f"{words}."
 
 
-def _posterior(evaluation: Evaluation, event_id: str) -> Posterior | None:
-    """Return what was sampled of an event, if that is how it was predicted."""
+def _posterior(evaluation: Evaluation, event_id: str) -> EventPosterior | None:
+    """Return the posterior of an event, if that is how it was predicted."""
     folder = evaluation.folder
     source = None if folder is None else folder.folder_of(event_id) / POSTERIOR
-    post = load_posterior(source) if source is not None and source.is_file() else None
-    return post if isinstance(post, Posterior) else None
+    return load_posterior(source) if source is not None and source.is_file() else None
 
 
 # --- a run -----------------------------------------------------------------------------------
@@ -277,26 +282,16 @@ def run_page(folder: Path) -> str:
     """Return the page of the run of inference in ``folder``."""
     post = load_posterior(folder / POSTERIOR)
     strips = [_strip("Observed", post.observed(), post.scene, post.event_id)]
-    shown: dict[str, Any] = {"decided": None, "few": [], "rest": {}}
-    if isinstance(post, StepwisePosterior):
-        beside = "what can be believed until then on the right."
-        asked = next(iter((*post.relations_of.values(), *post.goals_of.values())))
-        (best, _), (second, beside_it), *_ = [*post.top(asked, 2), ("", 0.0)]
-        if beside_it > 0:
-            figure = plots.why(post, f"{asked}={best}", f"{asked}={second}")
-            alt = f"Log odds of {best} over {second} by frame, and the frames that changed them."
-            shown["decided"] = figure_of(figure, alt)
-    else:
+    replay, beside = post.replay(), "what can be believed until then on the right."
+    if replay is not None:
         beside = "the best hypothesis, simulated, on the right."
-        caption = "Best hypothesis, simulated"
-        strips.append(_strip(caption, post.replay(), post.scene, post.event_id))
-        found = post.diagnostics()
-        shown["few"] = [
-            (words, f"{found[name]:.0%}" if name.endswith(("_rate", "_share")) else in_words(v))
-            for name, words in _DIAGNOSTICS.items()
-            if (v := found.get(name)) is not None
-        ]
-        shown["rest"] = {name: value for name, value in found.items() if name != "verdict"}
+        strips.append(_strip("Best hypothesis, simulated", replay, post.scene, post.event_id))
+    found = post.diagnostics()
+    few = [
+        (words, f"{found[name]:.0%}" if name.endswith(("_rate", "_share")) else in_words(v))
+        for name, words in _DIAGNOSTICS.items()
+        if (v := found.get(name)) is not None
+    ]
     best_record = post.map_record()
     if post.scene.world == PHASE:
         best_record["alpha"] = ALPHA_WORDS[ALPHAS.index(post.map().alpha)]
@@ -310,12 +305,28 @@ def run_page(folder: Path) -> str:
         bars=list(_bars(post)),
         strengths=[(agent, _strength(post, name)) for agent, name in post.strengths_of.items()],
         best=best_record,
-        verdict=post.diagnostics()["verdict"],
+        verdict=found.pop("verdict"),
         posterior=figure_of(plots.posterior(post), alt),
+        decided=_decided(post),
+        few=few,
+        rest=found,
         cost=post.cost,
         settings=post.settings,
-        **shown,
     )
+
+
+def _decided(post: Posterior | StepwisePosterior) -> Picture | None:
+    """Return the figure of the frames that decided between the two leading answers."""
+    asked = next(iter((*post.relations_of.values(), *post.goals_of.values())))
+    (best, _), (second, beside_it), *_ = [*post.top(asked, 2), ("", 0.0)]
+    if not beside_it > 0:
+        return None
+    try:
+        figure = plots.why(post, f"{asked}={best}", f"{asked}={second}")
+    except InvalidEventError:  # a file that holds no likelihood of each frame
+        return None
+    alt = f"Log odds of {best} over {second} by frame, and the frames that changed them."
+    return figure_of(figure, alt)
 
 
 def _film_of_run(source: Path, words: str) -> tuple[str, str] | None:

@@ -1,0 +1,293 @@
+"""ArviZ, 0.22 or newer and 1.x: the one module that calls it.
+
+First what it estimates, under one name in all its versions; then what posteriors hand to it:
+``post.arviz``, equal draws of the posterior that is printed, and ``post.chains``, the chains as
+they ran.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import json
+import math
+import warnings
+from collections.abc import Hashable, Mapping
+from typing import Any, Final, Literal
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.estimate import ROUNDING
+from phase_ppl.analysis.quantities import Quantity
+from phase_ppl.analysis.tree import DRAW
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError
+
+N_CHAINS: Final = 4
+N_DRAWS: Final = 1000
+"""Shape of draws that are resampled: sums over them are off by less than 0.01."""
+
+MASS: Final = 0.02  # share of the draws, or probability, from which on a category is reported
+
+NO_LOO: Final = (
+    "az.loo, az.waic and az.compare need independent observations, and the frames of a video are "
+    "not: each depends on those before it, and the likelihood is tempered. Compare priors, "
+    "simulators or kernels by log_evidence of the closed loop, or by ppl.compare over several "
+    "videos"
+)
+"""Why there is no group ``log_likelihood``."""
+
+_STREAM: Final = 0xA2  # keeps what is resampled apart from what else follows from a run's seed
+
+# --- estimators -----------------------------------------------------------------------------------
+
+MIN_DRAWS: Final = 4
+"""Draws per chain below which neither R-hat nor an effective sample size is estimated."""
+
+MIN_DRAWS_WITHIN: Final = 10
+"""Draws per chain from which on effective sample sizes are taken from autocorrelations."""
+
+MIN_CHAINS_BETWEEN: Final = 4
+"""Chains below which no effective sample size is taken from the spread between them."""
+
+_TAIL: Final = (0.05, 0.95)
+
+
+def arviz_module() -> Any:
+    """Return ArviZ, which is slow to import."""
+    with warnings.catch_warnings():
+        # announces ArviZ 1, with which this works too
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+
+        return arviz
+
+
+@functools.cache
+def _is_new() -> bool:
+    return int(importlib.metadata.version("arviz").split(".")[0]) >= 1
+
+
+def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
+    if _is_new():
+        from arviz_stats.base import array_stats
+
+        logs, k = array_stats.psislw(log_ratios, axis=-1)
+    else:
+        logs, k = arviz_module().psislw(log_ratios)
+    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
+    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
+
+
+def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> float:
+    """Return the split R-hat of (chain, draw) numbers: 1 where chains have mixed.
+
+    Rank-normalised, the larger one of bulk and tail; or by ``"split"`` of the numbers as they
+    are, as for indicators. Of a single chain the halves are the chains. Infinite where all
+    spread is between halves of chains. NaN where it does not exist: fewer than four draws, a
+    value that is not finite, or all values the same.
+    """
+    if not _varies(values):
+        return math.nan
+    halves = chain_halves(values)
+    if not np.ptp(halves, axis=1).any():  # the variance of equal numbers may be rounded to above 0
+        return math.inf if np.ptp(halves) > 0 else math.nan
+    chains = values if len(values) > 1 else halves
+    if chains.shape[1] < MIN_DRAWS:
+        return math.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(arviz_module().rhat(chains, method=method))
+
+
+def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
+    """Return the effective number of (chain, draw) numbers; NaN as for :func:`r_hat`.
+
+    For the centre (bulk), for the 5 % and 95 % quantiles, the lower (tail), or for the mean. Of
+    chains too short for autocorrelations, where the usual estimate hardly depends on the draws,
+    it follows from the spread between the chains, if there are enough.
+    """
+    if not _varies(values):
+        return math.nan
+    if values.shape[1] >= MIN_DRAWS_WITHIN:
+        options = {"prob": _TAIL} if method == "tail" else {}
+        return float(arviz_module().ess(values, method=method, **options))
+    if method == "tail":
+        low, high = (_ess_between((values <= q).astype(float)) for q in np.quantile(values, _TAIL))
+        return min(low, high)
+    return _ess_between(_normal_ranks(values) if method == "bulk" else values)
+
+
+def mcse(values: FloatArray) -> float:
+    """Return the Monte-Carlo standard error of the mean of (chain, draw) numbers; or NaN.
+
+    It is that of chains whose draws count alike. The ``.error`` of an answer is another thing, the
+    jackknife of :mod:`phase_ppl.analysis.estimate`: draws with weights, simulations in strata and
+    sets of searches are nothing that ArviZ knows.
+    """
+    if not _varies(values):
+        return math.nan
+    if values.shape[1] >= MIN_DRAWS_WITHIN:
+        return np.asarray(arviz_module().mcse(values, method="mean"), np.float64).item()
+    return float(values.std(ddof=1)) / math.sqrt(ess(values, "mean"))
+
+
+def hdi(levels: FloatArray, mass: FloatArray, n: int, prob: float) -> FloatArray:
+    """Return the ends of the shortest interval that holds ``prob`` of ``n`` equal draws.
+
+    The draws are the quantiles of a distribution: its values, ascending, and their masses, as
+    probabilities. Where it is that of n equal draws, these are the draws themselves.
+    """
+    at = (np.arange(n) + 0.5) / n * mass.sum()
+    draws = levels[np.searchsorted(np.cumsum(mass), at)]
+    prob = min(prob, 1 - 0.5 / n)  # version 0.23 finds no interval that holds all
+    name = "prob" if _is_new() else "hdi_prob"
+    return np.asarray(arviz_module().hdi(draws, **{name: prob}), np.float64)
+
+
+def n_equal(weights: FloatArray) -> int:
+    """Return how many draws stand for (row,) weights: those rows that count alike, or 4000."""
+    counted = weights[weights > 0]
+    return counted.size if are_equal(counted) else N_CHAINS * N_DRAWS
+
+
+def are_equal(weights: FloatArray) -> bool:
+    """Whether weights differ by rounding only."""
+    return bool(np.ptp(weights) <= ROUNDING * weights.max())
+
+
+def _varies(values: FloatArray) -> bool:
+    enough = values.shape[1] >= MIN_DRAWS and np.isfinite(values).all()
+    return bool(enough and np.ptp(values) > np.finfo(float).eps * np.abs(values).max())
+
+
+def chain_halves(values: FloatArray) -> FloatArray:
+    """Return (2 chains, draw // 2) the first and second half of every chain."""
+    half = values.shape[1] // 2
+    return np.concatenate([values[:, :half], values[:, -half:]]).astype(float)
+
+
+def _normal_ranks(values: FloatArray) -> FloatArray:
+    """Return the values' ranks, of equals the mean, as quantiles of the normal distribution."""
+    from scipy.special import ndtri
+
+    ranks = pd.Series(values.ravel()).rank().to_numpy()
+    quantiles: FloatArray = ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
+    return quantiles.reshape(values.shape)
+
+
+def _ess_between(chains: FloatArray) -> float:
+    """Return the effective sample size that the spread between the chains' means tells."""
+    if np.ptp(chains) < np.finfo(float).resolution:
+        return float(chains.size)
+    if len(chains) < MIN_CHAINS_BETWEEN:
+        return math.nan
+    squared_error = chains.mean(axis=1).var(ddof=1) / len(chains)
+    variance = chains.var(ddof=1)
+    return float(variance / max(squared_error, variance / (chains.size * math.log10(chains.size))))
+
+
+# --- what ArviZ is given --------------------------------------------------------------------------
+
+
+def arviz_groups(
+    groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
+) -> Any:
+    """Return groups of draws in ArviZ's form.
+
+    Where these are draws of one video, without ``log_likelihood``, ``az.loo`` raises
+    InvalidSettingError that says why (:data:`NO_LOO`).
+    """
+    given = dict(attrs or {})
+    if "log_likelihood" not in groups:
+        kind = _of_video()
+    else:
+        kind = xr.DataTree if _is_new() else arviz_module().InferenceData
+    if not _is_new():
+        return kind(attrs=given, **groups)
+    data = kind.from_dict(dict(groups))
+    data.attrs = given
+    return data
+
+
+@functools.cache
+def _of_video() -> Any:
+    """Return the class of ArviZ's data that says why it has no log likelihoods."""
+
+    def log_likelihood(self: Any) -> Any:
+        raise InvalidSettingError(NO_LOO)
+
+    # all versions ask first whether their data have this attribute
+    base = xr.DataTree if _is_new() else arviz_module().InferenceData
+    own = {"__slots__": (), "__module__": __name__, "log_likelihood": property(log_likelihood)}
+    return type("DrawsOfVideo", (base,), own)
+
+
+def __getattr__(name: str) -> Any:
+    """Return the class by its name, as pickle asks for it."""
+    if name == "DrawsOfVideo":
+        return _of_video()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def resampled(weights: FloatArray, seed: int, *, exact: bool) -> NDArray[np.int64]:
+    """Return (chain, draw) rows that count alike, drawn in proportion to (row,) weights.
+
+    By systematic resampling: a row is there as often as its weight says, but for one. Copies of a
+    row follow each other, rows in random order, so that ArviZ finds these draws worth about as
+    many as the weights are (Kish). Where a table is ``exact``, with each of its hypotheses once,
+    its weights are probabilities and nothing was drawn: draws are in random order.
+    """
+    n, rng = N_CHAINS * N_DRAWS, np.random.default_rng([seed, _STREAM])
+    order = rng.permutation(len(weights))
+    cumulative = np.cumsum(weights[order])
+    at = (np.arange(n) + rng.random()) / n * cumulative[-1]
+    rows = order[np.searchsorted(cumulative, at)]
+    return (rng.permutation(rows) if exact else rows).reshape(N_CHAINS, N_DRAWS)
+
+
+def draws_of(
+    numbers: Mapping[str, NDArray[Any]],
+    codes: Mapping[str, tuple[Quantity, NDArray[Any], FloatArray]],
+    *,
+    moving: bool = False,
+) -> xr.Dataset:
+    """Return the group ``posterior``: numbers, and indicators of what has categories.
+
+    Goal codes, whose mean or R-hat says nothing, become an indicator (0 or 1) of each category
+    that has more than 2 % of the probability, so that its mean is a probability.
+
+    Args:
+        numbers: (chain, draw) of each.
+        codes: of each its quantity, codes (chain, draw), and the probabilities of its labels.
+        moving: leave out an indicator that does not change within any half of a chain, and so has
+            no R-hat, and name these in the attribute ``left_out`` (JSON).
+    """
+    result = xr.Dataset({name: (DRAW, values) for name, values in numbers.items()})
+    left_out: dict[str, list[str]] = {}
+    for name, (quantity, drawn, probability) in codes.items():
+        found = {
+            quantity.categories()[code]: (drawn == code).astype(np.int64)
+            for code in np.flatnonzero(probability > MASS).tolist()
+        }
+        # of fewer draws ArviZ does not look for it either
+        still = [
+            label
+            for label, indicator in found.items()
+            if moving
+            and drawn.shape[1] >= MIN_DRAWS
+            and not np.ptp(chain_halves(indicator), axis=1).any()
+        ]
+        kept = {label: one for label, one in found.items() if label not in still}
+        if still:
+            left_out[name] = still
+        if kept:
+            dim = f"{name}_is"
+            result[name] = ((*DRAW, dim), np.stack(list(kept.values()), axis=-1))
+            result = result.assign_coords({dim: list(kept)})
+    chains, draws = next(iter(numbers.values())).shape
+    result = result.assign_coords(chain=range(chains), draw=range(draws))
+    return result.assign_attrs({"left_out": json.dumps(left_out)} if moving else {})
