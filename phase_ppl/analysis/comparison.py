@@ -373,7 +373,10 @@ def curve(
     frames = array(tree, "simulations", "frames_simulated")
     # draws are those after the last iterations: a run can have more of these, or one fewer
     first = int(iteration.max(initial=0)) - n_draws + 1
-    is_table, total = "log_likelihood_without" in tree["simulations"], int(post.cost["simulations"])
+    is_table, total = (
+        "log_likelihood_without" in tree["sample_stats"],
+        int(post.cost["simulations"]),
+    )
     if n_draws == 1 or (first not in (0, 1) and not is_table):
         lengths = np.array([n_draws])
     else:

@@ -207,6 +207,30 @@ class Jackknife:
         return dataclasses.replace(self, weights=weights / total) if (total > 0).all() else None
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Jackknives:
+    """Jackknives over several sources of error, which add up."""
+
+    parts: tuple[Jackknife, ...]
+
+    @property
+    def weights(self) -> FloatArray:
+        """(set, row) the weights of all parts."""
+        return np.concatenate([part.weights for part in self.parts])
+
+    def error(self, results: ArrayLike, value: ArrayLike) -> FloatArray:
+        """Return the standard error of a statistic, as :meth:`Jackknife.error`."""
+        ends = np.cumsum([len(part.weights) for part in self.parts])[:-1]
+        of_parts = np.split(np.asarray(results, np.float64), ends)
+        errors = [part.error(r, value) for part, r in zip(self.parts, of_parts, strict=True)]
+        return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
+
+    def only(self, rows: NDArray[np.bool_]) -> Jackknives | None:
+        """Return it for the ``rows`` alone; None where a set leaves nothing of them."""
+        parts = [part.only(rows) for part in self.parts]
+        return None if None in parts else Jackknives(tuple(p for p in parts if p is not None))
+
+
 def leaving_out(
     weights: FloatArray,
     groups: NDArray[np.int64],

@@ -17,7 +17,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
-from phase_ppl.analysis.estimate import Estimate, Jackknife, Mode, doubt, leaving_out, with_unseen
+from phase_ppl.analysis.estimate import (
+    Estimate,
+    Jackknife,
+    Jackknives,
+    Mode,
+    doubt,
+    leaving_out,
+    with_unseen,
+)
 from phase_ppl.analysis.quantities import Quantity, relations_of
 from phase_ppl.analysis.query import Clause, Conditions, conditions, understood
 from phase_ppl.analysis.weights import Rows
@@ -485,7 +493,11 @@ class Hypotheses(Printed):
             return f"{why}, where {name} is {listed}" + (f" and {more} more" if more > 0 else "")
         return f"{why}, though each of these alone has more"
 
-    def _jackknife(self, share: float) -> Jackknife | None:
+    def _jackknife(self, share: float) -> Jackknife | Jackknives | None:
+        """Return what errors come from; ``share`` is that of the chains that are left out."""
+        return self._over_chains(share)
+
+    def _over_chains(self, share: float) -> Jackknife | None:
         """Return one that leaves out random sets with a share of the chains, or single ones."""
         rows = self._rows
         if rows.groups is not None and share not in self._jackknives:
@@ -501,7 +513,7 @@ class Hypotheses(Printed):
         where all say the same; at most what the weights are worth (Kish), or that number: that
         leaving out any chain changes nothing proves no more.
         """
-        without = self._jackknife(0.0)
+        without = self._over_chains(0.0)
         if without is None or self._rows.groups is None:
             return math.nan
         sizes = []
@@ -521,7 +533,7 @@ class Hypotheses(Printed):
 
     def _weighed(
         self, given: Given, *asked: NDArray[Any], share: float = 0.0
-    ) -> tuple[NDArray[np.bool_], FloatArray, Jackknife | None]:
+    ) -> tuple[NDArray[np.bool_], FloatArray, Jackknife | Jackknives | None]:
         """Return which rows fulfil ``given``, and of these the weights, sum 1.
 
         Third, those without sets with a ``share`` of the chains; None where unknown, as it may be

@@ -9,16 +9,15 @@ These answers have a Monte-Carlo error beside that of the searches.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import Jackknife, leaving_out, worth
+from phase_ppl.analysis.estimate import Jackknife, Jackknives, leaving_out, worth
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, PairTable
@@ -32,30 +31,6 @@ _GROUPS: Final = 20
 _DRAWS: Final = 1000  # of every group, whose differences are the Monte-Carlo error
 _SEED: Final = 0
 _LEAST: Final = 1e-10  # rows with less of the mass are left out of sums
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Jackknives:
-    """Jackknives over several sources of error, which add up."""
-
-    parts: tuple[Jackknife, ...]
-
-    @property
-    def weights(self) -> FloatArray:
-        """(set, row) the weights of all parts."""
-        return np.concatenate([part.weights for part in self.parts])
-
-    def error(self, results: ArrayLike, value: ArrayLike) -> FloatArray:
-        """Return the standard error of a statistic, as :meth:`Jackknife.error`."""
-        ends = np.cumsum([len(part.weights) for part in self.parts])[:-1]
-        of_parts = np.split(np.asarray(results, np.float64), ends)
-        errors = [part.error(r, value) for part, r in zip(self.parts, of_parts, strict=True)]
-        return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
-
-    def only(self, rows: NDArray[np.bool_]) -> Jackknives | None:
-        """Return it for the ``rows`` alone; None where a set leaves nothing of them."""
-        parts = [part.only(rows) for part in self.parts]
-        return None if None in parts else Jackknives(tuple(p for p in parts if p is not None))
 
 
 class WithSites(Hypotheses):

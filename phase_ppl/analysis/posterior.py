@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.estimate import worth
+from phase_ppl.analysis.estimate import Jackknife, Jackknives, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.tree import (
@@ -109,6 +109,26 @@ class Posterior(EventPosterior):
         rows = dataclasses.replace(rows, values=columns, groups=groups, halves=parts)
         constant = tree["constant_data"].to_dataset()
         super().__init__(words, self._tree.attrs, constant, known, rows)
+        stats = counted["sample_stats"].dataset
+        self._looked_up = "log_likelihood_without" in stats
+        if self._looked_up:
+            change = stats["log_likelihood_without"].values.reshape(len(rows.weights), -1).T
+            weights_without = rows.weights * np.exp(change - change.max(initial=0.0))
+            self._without_sets = weights_without / weights_without.sum(axis=1, keepdims=True)
+
+    def _jackknife(self, share: float) -> Jackknife | Jackknives | None:
+        """Return what errors come from.
+
+        Draws from what the closed loop has read have its error too: the sets of searches disagree,
+        whatever the kernel does. It is unknown where there is a single one.
+        """
+        over_chains = self._over_chains(share)
+        if not self._looked_up:
+            return over_chains
+        n_sets = len(self._without_sets)
+        if over_chains is None or n_sets < 2:
+            return None
+        return Jackknives((over_chains, Jackknife(self._without_sets, n_sets - 1.0)))
 
     @property
     def tree(self) -> xr.DataTree:

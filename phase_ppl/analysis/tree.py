@@ -54,12 +54,12 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
 simulations have: ``HypothesisSpace.columns`` of the world."""
 
 OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
-    "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), DRAW),
-    SIMULATED: {"trajectory": (*DRAW, *FRAME)},
-    "simulations": {
-        "step_log_likelihood": ("simulation", "time"),
-        "log_likelihood_without": ("planner_seed", "simulation"),
+    "sample_stats": {
+        **dict.fromkeys(("log_weight", "log_evidence"), DRAW),
+        "log_likelihood_without": (*DRAW, "planner_seed"),
     },
+    SIMULATED: {"trajectory": (*DRAW, *FRAME)},
+    "simulations": {"step_log_likelihood": ("simulation", "time")},
 }
 """Group -> further variable -> dimensions: not all files and kernels have them. Where simulations
 were looked up in what the closed loop has read there are no trajectories, but log likelihoods

@@ -243,8 +243,8 @@ def _write_results(
     post.save(out / cli.POSTERIOR)
     write_json(out / "summary.json", {**post.summary(), **told})
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
-    if isinstance(post, phase_ppl.Posterior):
-        phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
+    if (predicted := post.replay()) is not None:
+        phase_ppl.render.video(event, out / "replay.mp4", compare=predicted)
         written: tuple[str, ...] = _SAMPLED
     else:
         asked = next(iter((*post.relations_of.values(), *post.goals_of.values())))
@@ -371,7 +371,7 @@ def _add_compare(commands: Any) -> None:
     cli.add(parser, "--repeats R", "default 8", cli.whole(1))
     cli.add(parser, "--chains M", "default 15", cli.whole(1))
     own.add_model(parser)
-    cli.add(parser, "--planner", "default fast", choices=("fast", "paper"))
+    cli.add(parser, "--planner", "default fast", choices=PLANNERS)
     says = (
         "a posterior's .nc file, 'enumeration' (more precise: enumeration:per_pair=16) or a "
         "kernel, with options as in --kernels; default: what is affordable"

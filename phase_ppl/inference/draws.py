@@ -206,6 +206,7 @@ def table_tree(
     goals = np.stack([table[name] for name in space.goal_sites], axis=1).astype(np.int64)
     strengths = {name: table[name] for name in space.strength_sites}
     errors = found.errors_of(goals, np.stack(list(strengths.values()), axis=1))
+    without = found.log_likelihood_without(goals).T
     chain, draw = np.nonzero(moved)
     n = len(chain)
     log_prior, effective = _log_priors(model, raw, goals, strengths)
@@ -238,7 +239,10 @@ def table_tree(
             ),
             "sample_stats": xr.Dataset(
                 {name: (DRAW, values) for name, values in stats.items()}
-                | {"step_error": ((*DRAW, "time"), errors.astype(np.float32)[index])},
+                | {
+                    "step_error": ((*DRAW, "time"), errors.astype(np.float32)[index]),
+                    "log_likelihood_without": ((*DRAW, "planner_seed"), without[index]),
+                },
                 {**coords, "time": time},
             ),
             SIMULATED: xr.Dataset(attrs=_tempering(model.likelihood)),
@@ -247,12 +251,7 @@ def table_tree(
             ),
             "simulations": xr.Dataset(
                 {name: _variable(name, SIMULATION, values, space) for name, values in table.items()}
-                | {
-                    "step_log_likelihood": ((*SIMULATION, "time"), -errors),
-                    "log_likelihood_without": (
-                        ("planner_seed", *SIMULATION), found.log_likelihood_without(goals)
-                    ),
-                },
+                | {"step_log_likelihood": ((*SIMULATION, "time"), -errors)},
                 {"time": time},
             ),
             "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
