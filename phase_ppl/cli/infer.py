@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
+from phase_ppl.agents.config import PLANNERS
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
 from phase_ppl.inference.settings import completed
