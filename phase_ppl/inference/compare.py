@@ -532,6 +532,7 @@ def compare(
         event = event_of(event)
     event = check_event(event)
     model = model.for_sampling()
+    settings = SimpleSettings() if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
     slots_of(workers, executor)
