@@ -113,7 +113,7 @@ def build_tree(
         SIMULATED: xr.Dataset(
             {"trajectory": ((*DRAW, *FRAME), _trajectories(records, index))},
             {**draw_coords, **frame_coords},
-            _tempering(model.likelihood),
+            _tempering(model),
         ),
         "observed_data": xr.Dataset(
             {"trajectory": (FRAME, event.observation.trajectory)}, frame_coords
@@ -143,10 +143,11 @@ def build_tree(
     return tree
 
 
-def _tempering(likelihood: object) -> dict[str, float]:
+def _tempering(model: Model) -> dict[str, float]:
     """Return as attributes what tempers a likelihood of this package."""
+    likelihood = model.likelihood
     if is_stepwise(likelihood):
-        return {"frame_weight": likelihood.weight}
+        return {"frame_weight": likelihood.frame_weight(model.simulator is not None)}
     return {"beta": likelihood.beta} if type(likelihood) is RadialLikelihood else {}
 
 
