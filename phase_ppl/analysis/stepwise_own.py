@@ -7,6 +7,7 @@ simulator is read by samples, and tables without each part of them give errors.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ class Read(NamedTuple):
 
 
 def to_read(
-    space: HypothesisSpace, prior: dict[str, FloatArray], levels: tuple[float, ...]
+    space: HypothesisSpace, prior: Mapping[str, FloatArray], levels: tuple[float, ...]
 ) -> Read:
     """Return which hypotheses have mass under a prior, as a file keeps it.
 
@@ -157,24 +158,20 @@ class OwnTable(Table):
     def _masses(self, frame: int, weight: float | None = None) -> FloatArray:
         """Return (table, row, combination) log masses given the frames up to ``frame``."""
         weight = self._weight if weight is None else weight
-        so_far = weight * self._so_far(frame)
         found = np.full((self.n_tables, *self._log_prior.shape), -np.inf)
         some = np.flatnonzero(np.isfinite(self._log_prior).any(axis=1))
-        prior = self._log_prior[some]
-        with np.errstate(invalid="ignore"):  # of what was not asked for
-            found[:, some] = np.where(
-                prior > -np.inf, prior + so_far[:, self._place[some]], -np.inf
-            )
+        prior, so_far = self._log_prior[some], weight * self._so_far(frame)[:, self._place[some]]
+        found[:, some] = np.where(prior > -np.inf, prior + so_far, -np.inf)  # NaN was not asked
         return found
 
     def log_masses(self, frame: int, weight: float | None = None) -> FloatArray:
         return np.asarray(np.logaddexp.reduce(self._masses(frame, weight), axis=2))
 
     def strengths(self, frame: int) -> FloatArray:
-        found = self._masses(frame)[0]
-        total = np.logaddexp.reduce(found, axis=1)[:, None]
+        masses = self._masses(frame)[0]
+        total = np.logaddexp.reduce(masses, axis=1)[:, None]
         possible = total > -np.inf
-        found = np.exp(found - np.where(possible, total, 0.0))
+        found = np.exp(masses - np.where(possible, total, 0.0))
         return np.where(possible, found, self.prior_of_strengths)
 
     def all_log_masses(self, frame: int) -> FloatArray:

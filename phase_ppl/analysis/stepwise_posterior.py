@@ -270,11 +270,8 @@ class StepwisePosterior(EventPosterior):
     @property
     def tempering(self) -> str:
         """What a frame counts as evidence, in words; "" where nothing is tempered."""
-        weight = float(self._found.attrs["weight"])
-        counts = {
-            "goals": weight,
-            "strengths": weight if self._table.own else self._strength_weight,
-        }
+        weight, of_strengths = float(self._found.attrs["weight"]), self._strength_weight
+        counts = {"goals": weight, "strengths": weight if self._table.own else of_strengths}
         words = [f"{count:g} for {what}" for what, count in counts.items() if count != 1]
         return f"tempered: a frame counts {' and '.join(words)}" if words else ""
 
@@ -502,10 +499,8 @@ class StepwisePosterior(EventPosterior):
         if self.tempering:
             lines += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
-        n, what = (
-            (cost["calls"], "next frames") if self._table.own else (cost["searches"], "searches")
-        )
-        words = f"{n} {what}, {n / steps:.0f} a step"
+        what = "calls" if self._table.own else "searches"
+        words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "
             words += f"simulated s lasts {cost['video_seconds']:.1f} s"

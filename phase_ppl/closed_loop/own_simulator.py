@@ -91,7 +91,7 @@ class OwnReading(NamedTuple):
     log_likelihood: FloatArray  # (goals, combination), NaN where it was not read
     log_likelihood_without: FloatArray  # (part, goals, combination) without parts of the samples
     unexplained: float  # nats by which it is less probable than on the nearest sample; or NaN
-    calls: int  # densities or samples that the simulator was asked for
+    calls: int  # of the simulator
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -169,10 +169,10 @@ class SimulatorFilter:
         self._so_far += found[0]
         if not np.isfinite(self._so_far).any():
             raise SimulationError(
-                f"frame {len(seen)} leaves no hypothesis with prior mass possible: log_prob_next is "
-                "-inf; expected a density that gives every frame some chance, however small"
+                f"frame {len(seen)} leaves no hypothesis possible that has prior mass: "
+                "log_prob_next is -inf; expected some chance of every frame, however small"
             )
-        return self._reading(found, far, n * max(1, self.samples))
+        return self._reading(found, far, n)
 
     def _read_in(
         self, pool: OwnWorkers | BorrowedExecutor, given: tuple[Any, ...], n: int

@@ -46,6 +46,7 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
@@ -188,7 +189,7 @@ class Watch:
         readings, kind = self._readings[:n], kind_of_table(scene.world, self._own)
         settings = {
             "model": self.model.fingerprint(),
-            "likelihood": likelihood.to_dict(),
+            "likelihood": {**likelihood.to_dict(), "weight": self._weight},
             "seed": self._seed,
             "turning": scene.turning,
             "resets_velocity": scene.resets_velocity,
@@ -352,8 +353,8 @@ class TableRunner:
 
     The error of a frame is by how many nats, times the likelihood's weight, the best pair of goals
     explains it better; that of the first frame tells the same of the strengths, each of which
-    counts as the nearest that was followed, as in the prior of the table. The "trajectory" is the
-    observed one, on which every frame is conditioned. Nothing is random, so seeds make no
+    counts as the nearest that was followed, as in the prior of the table; of a simulator of one's
+    own, the best pair with strengths, at every frame. The "trajectory" is the observed one, on which every frame is conditioned. Nothing is random, so seeds make no
     difference, and nothing is stopped early.
 
     ``found`` is what :func:`filtered_frames` returns. Attributes are as of a
@@ -366,11 +367,18 @@ class TableRunner:
 
     def __init__(self, found: xr.Dataset) -> None:
         likelihood = found["log_likelihood"].values
-        worst = likelihood.max(axis=(1, 2), keepdims=True) - likelihood
-        self._errors = float(found.attrs["weight"]) * worst
         self._levels = found["strength_red"].values
+        n, own = len(self._levels), "goals" in found
+        if own:  # asked about pairs of goals with strengths
+            asked = np.full((len(likelihood), N_GOALS, N_GOALS, n, n), -np.inf)
+            red, green = found["goals"].values.T
+            known = np.where(np.isnan(likelihood), -np.inf, likelihood)
+            asked[:, red, green] = known.reshape(*known.shape[:2], n, n)
+            likelihood = asked
+        worst = likelihood.max(axis=tuple(range(1, likelihood.ndim)), keepdims=True) - likelihood
+        self._errors = float(found.attrs["weight"]) * worst
         with np.errstate(divide="ignore"):
-            strengths = np.log(found["strengths"].values[-1])
+            strengths = np.zeros((n, n)) if own else np.log(found["strengths"].values[-1])
         self._strength_errors = strengths.max() - strengths
         self._trajectory = np.array(found["trajectory"].values)
         self._cancelled = False
@@ -405,10 +413,10 @@ class TableRunner:
 
     def _look_up(self, hypothesis: Hypothesis, seed: int) -> SimulationResult:
         red, green = hypothesis.effective_goals
-        errors, n = self._errors[:, red, green].copy(), len(self._errors)
-        errors[0] += self._strength_errors[
-            tuple(place_of_level(hypothesis.strengths, self._levels))
-        ]
+        place = tuple(place_of_level(hypothesis.strengths, self._levels))
+        errors, n = self._errors[:, red, green], len(self._errors)
+        errors = (errors[:, *place] if errors.ndim > 1 else errors).copy()
+        errors[0] += self._strength_errors[place]
         if np.isfinite(errors).all():
             return SimulationResult(hypothesis, seed, self._trajectory, errors, n, True)
         return SimulationResult.failed(hypothesis, seed, n, "impossible given what was seen")

@@ -15,8 +15,8 @@ from jax import Array
 from scipy import special, stats
 
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_hypotheses import summed_by_pair
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.judgments import Study
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
