@@ -353,9 +353,10 @@ class TableRunner:
 
     The error of a frame is by how many nats, times the likelihood's weight, the best pair of goals
     explains it better; that of the first frame tells the same of the strengths, each of which
-    counts as the nearest that was followed, as in the prior of the table; of a simulator of one's
-    own, the best pair with strengths, at every frame. The "trajectory" is the observed one, on which every frame is conditioned. Nothing is random, so seeds make no
-    difference, and nothing is stopped early.
+    counts as the nearest that was followed, as in the prior of the table. (Of a simulator of one's
+    own it is the best pair with strengths, at every frame.) The "trajectory" is the observed one,
+    on which every frame is conditioned. Nothing is random, so seeds make no difference, and nothing
+    is stopped early.
 
     ``found`` is what :func:`filtered_frames` returns. Attributes are as of a
     :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for ``limit``,
