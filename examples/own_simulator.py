@@ -34,7 +34,9 @@ class Walkers:
         for agent, goal in enumerate(hypothesis.effective_goals):
             wanted = goal_literal(goal, agent)
             to_landmark = wanted.predicate is Predicate.ON
-            target = scene.landmark_centres[wanted.target] if to_landmark else now[wanted.target, :2]
+            target = (
+                scene.landmark_centres[wanted.target] if to_landmark else now[wanted.target, :2]
+            )
             way = (target - now[wanted.subject, :2]) * (1 if wanted.positive else -1)
             pace = hypothesis.strengths[agent] / 2000 / max(np.linalg.norm(way), 1.0)
             found[wanted.subject, :2] += pace * way

@@ -302,6 +302,10 @@ class PhaseTable(Table):
         """Return (row of all, combination) log likelihoods of the frames up to ``frame``."""
         raise NotImplementedError
 
+    def by_pairs(self) -> FloatArray:
+        """Return (time, pair of effective goals) log densities of frames given those before."""
+        raise NotImplementedError
+
 
 class Ways(NamedTuple):
     """A prior over who wants what outside of PHASE, and what it makes possible."""

@@ -18,7 +18,8 @@ from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.hypothesis import effective_table
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import effective_pairs, effective_table
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 MOST_READ: Final = 100_000
@@ -196,6 +197,15 @@ class OwnPhaseTable(OwnTable, PhaseTable):
 
     schema = "phase_ppl/stepwise-own/1"
     dimensions: ClassVar = {**PhaseTable.dimensions, **OwnTable.dimensions}
+
+    def by_pairs(self) -> FloatArray:
+        """Strengths are averaged over, as they are believed to be given the frames before."""
+        masses = np.full((self.n_frames, N_GOALS**2), -np.inf)
+        for t, of_pairs in enumerate(masses):
+            np.logaddexp.at(of_pairs, effective_pairs().ravel(), self.log_masses(t)[0])
+        with np.errstate(invalid="ignore"):  # of what was impossible before
+            found = np.diff(masses, axis=0, prepend=masses[:1]) / self._weight
+        return np.where(np.isnan(found), -np.inf, found)
 
 
 class OwnWorldTable(OwnTable, WorldTable):

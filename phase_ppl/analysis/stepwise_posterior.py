@@ -225,7 +225,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read: variables as in :class:`phase_ppl.analysis.stepwise_table.Table`."""
+        """What was read: variables as in :class:`phase_ppl.analysis.stepwise_hypotheses.Table`."""
         return self._found
 
     @property

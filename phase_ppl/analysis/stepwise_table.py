@@ -93,6 +93,9 @@ class PairTable(PhaseTable):
         strengths = np.log(self._of_strengths(frame))
         return np.asarray(self._weight * self._so_far(frame)[0][:, None] + strengths)
 
+    def by_pairs(self) -> FloatArray:
+        return np.asarray(self._found["log_likelihood"].values.reshape(self.n_frames, -1))
+
 
 class PolicyTable(WorldTable):
     """Hypotheses about a video of any world: all, or drawn."""

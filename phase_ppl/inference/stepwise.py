@@ -182,7 +182,7 @@ class Watch:
         return StepwisePosterior(self.dataset(), prior=self.model.prior)
 
     def dataset(self) -> xr.Dataset:
-        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
+        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_hypotheses`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)

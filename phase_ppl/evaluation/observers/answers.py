@@ -15,8 +15,9 @@ from jax import Array
 from scipy import special, stats
 
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.stepwise_hypotheses import summed_by_pair
+from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, summed_by_pair
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.stepwise_table import table_of
 from phase_ppl.evaluation.judgments import Study
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
@@ -306,8 +307,9 @@ def _table(event_id: str, made: Made) -> tuple[FloatArray, FloatArray]:
 
 
 def _of_frames(post: StepwisePosterior) -> tuple[FloatArray, FloatArray]:
-    seen = post.dataset["log_likelihood"].values[: post.frame + 1]
-    frames = seen.reshape(len(seen), -1)
+    table = table_of(post.dataset)
+    assert isinstance(table, PhaseTable), "people are fitted in PHASE only"
+    frames = table.by_pairs()[: post.frame + 1]
     age = np.arange(len(frames))[::-1, None]
     found = float(post.dataset.attrs["weight"]) * np.array(
         [(0.5 ** (age / half_life) * frames).sum(axis=0) for half_life in HALF_LIVES]

@@ -16,6 +16,8 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.analysis import stepwise_own
+from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, summed_by_pair
+from phase_ppl.analysis.stepwise_table import table_of
 from phase_ppl.closed_loop import own_simulator
 from phase_ppl.inference.stepwise import TableRunner
 from phase_ppl.models import roles, sites
@@ -269,6 +271,18 @@ def test_another_prior_is_another_run_and_a_file_says_the_same(
     assert odds["log_odds"].values[-1] == pytest.approx(
         np.log(1 / exact.query("P(not strength_red > strength_green)") - 1)
     )
+
+
+def test_pairs_of_goals_have_what_frames_say_whatever_the_strengths(
+    exact: ppl.StepwisePosterior,
+) -> None:
+    table = table_of(exact.dataset)
+    assert isinstance(table, PhaseTable)
+    prior = summed_by_pair(exact.dataset["log_prior"].values).ravel()
+    with np.errstate(invalid="ignore"):
+        mass = np.exp(prior + table.by_pairs().sum(axis=0))
+    found = np.nan_to_num(mass / np.nansum(mass)).reshape(36, 36)
+    np.testing.assert_allclose(found, exact.joint("goal_red", "goal_green"), atol=1e-9)
 
 
 def test_what_frames_say_of_strengths_depends_on_goals(exact: ppl.StepwisePosterior) -> None:
