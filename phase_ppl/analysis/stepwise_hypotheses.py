@@ -13,7 +13,7 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -29,8 +29,8 @@ from phase_ppl.world.hypothesis import ALPHAS, effective_pairs, effective_table
 from phase_ppl.world.scene import World
 from phase_ppl.world.space import HypothesisSpace, space_of
 
-STATED: Final = ("stated_goal_red", "stated_goal_green", "alpha")
-STRENGTHS: Final = ("strength_red", "strength_green")
+STATED: Final[tuple[str, ...]] = ("stated_goal_red", "stated_goal_green", "alpha")
+STRENGTHS: Final[tuple[str, ...]] = ("strength_red", "strength_green")
 
 _GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
 
@@ -39,6 +39,10 @@ def check_size(found: xr.Dataset, name: str, size: int) -> None:
     """Raise InvalidEventError unless a dimension has this size."""
     if found.sizes[name] != size:
         raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
+
+
+Dimensions: TypeAlias = Mapping[str, tuple[str, ...]]
+"""Variable of a file -> its dimensions."""
 
 
 class GoalRows(NamedTuple):
@@ -71,7 +75,7 @@ class Table:
     """
 
     schema: ClassVar[str]
-    dimensions: ClassVar[Mapping[str, tuple[str, ...]]] = {
+    dimensions: ClassVar[Dimensions] = {
         "unexplained": ("time",),
         "trajectory": ("time", "entity", "coord"),
     }
@@ -85,7 +89,9 @@ class Table:
     that of all, are left out of tables."""
 
     combinations: FloatArray
-    sampled = own = is_exact = False
+    sampled: bool = False
+    own: ClassVar[bool] = False
+    is_exact: bool = False
 
     def __init__(self, found: xr.Dataset) -> None:
         self.space = space_of(kept_world(found))
@@ -269,8 +275,10 @@ class Table:
 class PhaseTable(Table):
     """All hypotheses about a video of PHASE, with any prior."""
 
-    dimensions: ClassVar = {"log_prior": (*STATED, *STRENGTHS), **Table.dimensions}
-    most_rows, least_of_best, least_of_all = math.inf, 1e-12, 1e-12
+    dimensions: ClassVar[Dimensions] = {"log_prior": (*STATED, *STRENGTHS), **Table.dimensions}
+    most_rows: ClassVar[float] = math.inf
+    least_of_best: ClassVar[float] = 1e-12
+    least_of_all: ClassVar[float] = 1e-12
 
     def __init__(self, found: xr.Dataset) -> None:
         super().__init__(found)
@@ -367,7 +375,7 @@ class Ways(NamedTuple):
 class WorldTable(Table):
     """Hypotheses about a video of another world."""
 
-    dimensions: ClassVar = {
+    dimensions: ClassVar[Dimensions] = {
         "combinations": ("combination", "agent"),
         "log_prior_goals": ("agent", "goal"),
         "log_prior_company": ("way",),

@@ -13,7 +13,13 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, Table, Ways, WorldTable
+from phase_ppl.analysis.stepwise_hypotheses import (
+    Dimensions,
+    PhaseTable,
+    Table,
+    Ways,
+    WorldTable,
+)
 from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
@@ -56,9 +62,10 @@ def to_read(
     """
     n = space.n_agents
     grid = np.array(np.meshgrid(*[np.arange(len(levels))] * n, indexing="ij")).reshape(n, -1).T
+    goals: IntArray
     if space.is_phase:
         possible = np.isfinite(prior["log_prior"]).reshape(-1, len(grid))
-        goals = effective_table().reshape(-1, n)
+        goals = effective_table().reshape(-1, n).astype(np.int64)
     else:
         ways = Ways.of(space, prior["log_prior_goals"], prior["log_prior_company"])
         of_levels = np.isfinite(prior["log_prior_strengths"])[np.arange(n), grid].all(axis=1)
@@ -70,7 +77,7 @@ def to_read(
     np.logical_or.at(chosen, place.reshape(-1), possible)
     some = chosen.any(axis=1)
     check_number(int(some.sum()), int(chosen.any(axis=0).sum()))
-    return Read(different[some].astype(np.int64), np.array(levels)[grid], chosen[some])
+    return Read(different[some], np.array(levels)[grid], chosen[some])
 
 
 def check_number(n_goals: int, n_strengths: int) -> None:
@@ -95,18 +102,21 @@ class OwnTable(Table):
         samples: for each hypothesis and frame; 0 where the simulator has a density.
     """
 
-    own = True
-    dimensions: ClassVar = {
+    own: ClassVar[bool] = True
+    dimensions: ClassVar[Dimensions] = {
         "goals": ("read", "agent"),
         "log_likelihood": ("time", "read", "combination"),
         "log_likelihood_without": ("part", "time", "read", "combination"),
     }
     attrs = (*Table.attrs, "samples")
-    most_rows, least_of_best, least_of_all = np.inf, _LEAST, _LEAST
+    most_rows: ClassVar[float] = np.inf
+    least_of_best: ClassVar[float] = _LEAST
+    least_of_all: ClassVar[float] = _LEAST
 
     def __init__(self, found: xr.Dataset) -> None:
         super().__init__(found)
         self.samples = int(found.attrs["samples"])
+        self.is_exact = self.samples == 0
         self._at, self._sums = -1, np.zeros(0)
         rows, shape = self.hypotheses, (self.space.n_goals,) * self.space.n_agents
         asked = np.ravel_multi_index(found["goals"].values.T, shape)
@@ -136,10 +146,6 @@ class OwnTable(Table):
     def n_sets(self) -> int:
         """Parts of the samples, or 1."""
         return max(1, int(self._found.sizes["part"]))
-
-    @property
-    def is_exact(self) -> bool:
-        return self.samples == 0
 
     def _so_far(self, frame: int) -> FloatArray:
         """Return (table, goals, combination) log likelihoods of the frames up to ``frame``."""
@@ -196,7 +202,7 @@ class OwnPhaseTable(OwnTable, PhaseTable):
     """Hypotheses about a video of PHASE as a simulator of one's own was asked about them."""
 
     schema = "phase_ppl/stepwise-own/1"
-    dimensions: ClassVar = {**PhaseTable.dimensions, **OwnTable.dimensions}
+    dimensions: ClassVar[Dimensions] = {**PhaseTable.dimensions, **OwnTable.dimensions}
 
     def by_pairs(self) -> FloatArray:
         """Strengths are averaged over, as they are believed to be given the frames before."""
@@ -212,5 +218,5 @@ class OwnWorldTable(OwnTable, WorldTable):
     """Hypotheses about a video of another world as a simulator of one's own was asked."""
 
     schema = "phase_ppl/stepwise-own-roles/1"
-    dimensions: ClassVar = {**WorldTable.dimensions, **OwnTable.dimensions}
+    dimensions: ClassVar[Dimensions] = {**WorldTable.dimensions, **OwnTable.dimensions}
     attrs = (*OwnTable.attrs, "world")

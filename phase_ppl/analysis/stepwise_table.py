@@ -18,6 +18,7 @@ import xarray as xr
 from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.analysis.stepwise_hypotheses import (
     STRENGTHS,
+    Dimensions,
     GoalRows,
     PhaseTable,
     Table,
@@ -48,7 +49,7 @@ class PairTable(PhaseTable):
     """Hypotheses about a video of PHASE, by pairs of effective goals."""
 
     schema = "phase_ppl/stepwise/2"
-    dimensions: ClassVar = {
+    dimensions: ClassVar[Dimensions] = {
         "log_likelihood": ("time", "goal_red", "goal_green"),
         "log_likelihood_without": ("planner_seed", "time", "goal_red", "goal_green"),
         "strengths": ("time", *STRENGTHS),
@@ -101,7 +102,7 @@ class PolicyTable(WorldTable):
     """Hypotheses about a video of any world: all, or drawn."""
 
     schema = "phase_ppl/stepwise-roles/1"
-    dimensions: ClassVar = {
+    dimensions: ClassVar[Dimensions] = {
         "density": ("time", "joint_action"),
         "policies": ("time", "agent", "policy", "planner_seed", "action"),
         "policy_of": ("time", "agent", "standpoint"),

@@ -97,10 +97,9 @@ class Watch:
         tracking, in_phase = likelihood.tracking, scene.world == PHASE
         if in_phase:
             checked_sites(self.model.prior)
-        self._constant: dict[str, Any]
-        self._constant, self._attrs = stepwise_prior(
-            self.model.prior, scene.world, tracking.strengths
-        )
+        masses, attrs = stepwise_prior(self.model.prior, scene.world, tracking.strengths)
+        self._constant: dict[str, Any] = dict(masses)
+        self._attrs: dict[str, Any] = dict(attrs)
         self._own = self.model.simulator is not None
         self._weight = likelihood.frame_weight(self._own)
         self._filter = self._own_filter() if self._own else self._joint_filter(in_phase)
@@ -123,10 +122,17 @@ class Watch:
         asked = to_read(space, self._constant, tracking.strengths)
         self._constant |= {"combinations": asked.combinations, "goals": asked.goals}
         found = SimulatorFilter(
-            *(self.model.simulator, self._scene, asked.hypotheses(space), asked.chosen),
-            *(self._frames, tracking, self._likelihood.samples, self._seed, self.threads),
+            self.model.simulator,
+            self._scene,
+            asked.hypotheses(space),
+            asked.chosen,
+            self._frames,
+            tracking,
+            samples=self._likelihood.samples,
+            seed=self._seed,
+            workers=self.threads,
         )
-        self._attrs = {**self._attrs, "samples": found.samples}
+        self._attrs["samples"] = found.samples
         return found
 
     def __enter__(self) -> Self:
