@@ -40,7 +40,7 @@ from phase_ppl.world.event import Event, Observation
 
 KINDS = ("goal", "relation")
 SHARPNESS, LAPSE = (4.0, 6.0), (0.1, 0.2, 0.3)
-WEIGHT = sorted({StepwiseLikelihood().weight, 0.3, 0.5, 1.0})
+WEIGHT = sorted({StepwiseLikelihood().frame_weight(), 0.3, 0.5, 1.0})
 SEEDS = (1, 2, 4)
 JITTERS, STRENGTH_WEIGHTS = (0.0, 0.05), (1.0, 0.3, 0.1, 0.05, 0.03)
 OWN_FRAMES = 31
@@ -279,7 +279,7 @@ def of_truth(task: tuple[Event, int]) -> dict[str, float]:
     simple = ppl.RadialLikelihood().log_prob(errors).sum()
     return {
         "stepwise": stepwise,
-        "stepwise_weighted": likelihood.weight * stepwise,
+        "stepwise_weighted": likelihood.frame_weight() * stepwise,
         "simple": float(simple),
     }
 

@@ -151,6 +151,15 @@ def test_an_observer_of_ones_own_is_fitted_beside_others(run_script: Callable[..
         assert text in said
 
 
+@pytest.mark.slow
+def test_a_simulator_of_ones_own_is_sampled_and_read_step_by_step(
+    run_script: Callable[..., str],
+) -> None:
+    sampled, read = run_script(EXAMPLES_FOLDER / "own_simulator.py").split("step by step, ", 1)
+    assert "200 whole videos" in sampled
+    assert "goal_red Get red agent to red lm 0.9" in read
+
+
 def test_every_example_is_listed_and_says_how_to_run_it() -> None:
     listed = (EXAMPLES_FOLDER / "README.md").read_text(encoding="utf-8")
     for script in EXAMPLES_FOLDER.glob("*.py"):

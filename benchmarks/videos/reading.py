@@ -153,8 +153,8 @@ class Kept:
 
     def surprise(self, likelihood: StepwiseLikelihood) -> FloatArray:
         """Return (step,) nats by which frames are less probable than a perfect match."""
-        tables = self.log_likelihood(likelihood.conduct, likelihood.weight)
-        before = log_prior() + likelihood.weight * np.vstack(
+        tables = self.log_likelihood(likelihood.conduct, likelihood.frame_weight())
+        before = log_prior() + likelihood.frame_weight() * np.vstack(
             [np.zeros((1, N_GOALS, N_GOALS)), tables.cumsum(axis=0)[:-1]]
         )
         flat = before.reshape(len(tables), -1)
@@ -228,7 +228,7 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     sets = Recorder(
         event.scene, PlannerConfig.fast(), likelihood.tracking, seed, 1, likelihood.planner_seeds
     )
-    goals = PairFilter(sets, likelihood.conduct, likelihood.weight, log_prior())
+    goals = PairFilter(sets, likelihood.conduct, likelihood.frame_weight(), log_prior())
     with contextlib.closing(goals):
         readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began

@@ -17,7 +17,13 @@ from phase_ppl.analysis.estimate import total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import Vocabulary
-from phase_ppl.analysis.tree import array, effective_goals, log_weight_of_draws, space_of_tree
+from phase_ppl.analysis.tree import (
+    SIMULATED,
+    array,
+    effective_goals,
+    log_weight_of_draws,
+    space_of_tree,
+)
 from phase_ppl.analysis.with_arviz import ess
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, check_name
@@ -353,7 +359,8 @@ def efficiency(post: Posterior) -> dict[str, float]:
         "ess_per_simulation": size / simulations,
         "ess_per_second": size / float(post.cost["seconds"]),
         "simulations": float(simulations),
-        "frames": float(array(post.tree, "simulations", "frames_simulated").sum()),
+        # nothing is simulated where a table is looked up
+        "frames": float(array(post.tree, "simulations", "frames_simulated").sum()) or np.nan,
         "seconds": float(post.cost["seconds"]),
     }
 
@@ -374,7 +381,7 @@ def curve(
     # draws are those after the last iterations: a run can have more of these, or one fewer
     first = int(iteration.max(initial=0)) - n_draws + 1
     is_table, total = (
-        "log_likelihood_without" in tree["sample_stats"],
+        "trajectory" not in tree[SIMULATED],
         int(post.cost["simulations"]),
     )
     if n_draws == 1 or (first not in (0, 1) and not is_table):

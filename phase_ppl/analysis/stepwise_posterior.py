@@ -22,15 +22,9 @@ from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
-from phase_ppl.analysis.stepwise_table import (
-    MOST_HYPOTHESES,
-    SCHEMAS,
-    PairTable,
-    PolicyTable,
-    Table,
-    summed_by_pair,
-    table_of,
-)
+from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, Table, summed_by_pair
+from phase_ppl.analysis.stepwise_own import OwnTable
+from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, SCHEMAS, PolicyTable, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
@@ -45,6 +39,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import existing_file
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.picture import wrapped
 from phase_ppl.world.scene import PHASE
 
@@ -88,6 +83,10 @@ class StepwisePosterior(EventPosterior):
     ``weight``, or for strengths ``Tracking.strength_weight``, is not 1, frames count less than they
     would under the model (:class:`phase_ppl.StepwiseLikelihood` says how these were chosen).
 
+    With a simulator of one's own nothing is filtered, strengths go along with goals, and a frame
+    counts in full. By its own density the posterior is exact and errors are 0; by samples they come
+    from the jackknife over parts of these.
+
     What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`; beside that
     ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
 
@@ -123,6 +122,8 @@ class StepwisePosterior(EventPosterior):
         rows, without = self._table.rows(self._frame)
         n = self.planner_seeds
         self._over_sets = Jackknife(without, n - 1.0) if n > 1 else None
+        if self._table.is_exact:  # there is nothing to leave out
+            self._over_sets = Jackknife(rows.weights[None], 0.0)
         rows = dataclasses.replace(rows, values=words.completed(rows.values))
         super().__init__(words, found.attrs, found, words.quantities, rows)
 
@@ -145,7 +146,7 @@ class StepwisePosterior(EventPosterior):
                 f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
                 "post.with_prior(prior)"
             )
-        assert isinstance(self._table, PairTable)
+        assert isinstance(self._table, PhaseTable)
         found = with_sites(self._prior, self._table, self._frame, self._words)
         return found._defining({**self._own, **self._of_sites})
 
@@ -204,7 +205,8 @@ class StepwisePosterior(EventPosterior):
         One filter follows these, whatever the sets of searches find: how far the sets differ says
         nothing of them.
         """
-        return all((column == column[self._first_alike]).all() for column in columns)
+        same = ((column == column[self._first_alike]).all() for column in columns)
+        return self._table.own or all(same)
 
     @functools.cached_property
     def _first_alike(self) -> IntArray:
@@ -217,12 +219,12 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def planner_seeds(self) -> int:
-        """Independent sets of beliefs and searches that were made."""
+        """Independent sets of beliefs and searches that were made; or parts of samples."""
         return self._table.n_sets
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read: variables as in :class:`phase_ppl.analysis.stepwise_table.Table`."""
+        """What was read: variables as in :class:`phase_ppl.analysis.stepwise_hypotheses.Table`."""
         return self._found
 
     @property
@@ -271,13 +273,16 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def tempering(self) -> str:
-        counts = {"goals": float(self._found.attrs["weight"]), "strengths": self._strength_weight}
+        weight, of_strengths = float(self._found.attrs["weight"]), self._strength_weight
+        counts = {"goals": weight, "strengths": weight if self._table.own else of_strengths}
         words = [f"{count:g} for {what}" for what, count in counts.items() if count != 1]
         return f"tempered: a frame counts {' and '.join(words)}" if words else ""
 
     @property
     def _strength_weight(self) -> float:
-        """What a frame counts as evidence for strengths; 1 where it is not known."""
+        """What a frame counts as evidence for strengths apart; 1 where it is not known."""
+        if self._table.own:
+            return 1.0
         tracking = self.settings.get("likelihood", {}).get("tracking", {})
         return float(tracking.get("strength_weight", 1.0))
 
@@ -297,8 +302,11 @@ class StepwisePosterior(EventPosterior):
         """Return (time,) nats by which each frame was less probable than a perfect match.
 
         A perfect match is a frame exactly where an action puts it, were that action certain; what
-        was expected is the posterior given the frames before. 0 for the first frame.
+        was expected is the posterior given the frames before. 0 for the first frame. NaN of all
+        with a simulator of one's own, of which no perfect match is known.
         """
+        if self._table.own:
+            return np.full(self._frame + 1, np.nan)
         found = self._found["log_peak"].values - self._table.log_predictive
         return np.asarray(found[: self._frame + 1])
 
@@ -320,7 +328,8 @@ class StepwisePosterior(EventPosterior):
     def diagnostics(self) -> dict[str, Any]:
         """Return whether this can be trusted.
 
-        Keys: ``frames``; ``planner_seeds`` and ``weight``, of the likelihood; ``leading``, the most
+        Keys: ``frames``; ``planner_seeds`` and ``weight``, of the likelihood; ``samples``, of a
+        simulator of one's own (0: it has a density), else None; ``leading``, the most
         probable goals and relation (:meth:`leaders`), and whether all are ``decided``;
         ``surprise_median`` (nats, of :meth:`surprise` less what no action explains) and
         ``surprising_share``, that of frames above ``surprise_reference``; ``unexplained_most`` and
@@ -331,17 +340,18 @@ class StepwisePosterior(EventPosterior):
         unexplained = np.array(found["unexplained"].values, float)
         surprise = self.surprise() - unexplained
         leading = self.leaders()
-        known = np.isfinite(surprise[1:]).any()
+        known, seen = np.isfinite(surprise[1:]).any(), np.isfinite(unexplained[1:]).any()
         result = {
             "frames": self._frame + 1,
             "planner_seeds": self.planner_seeds,
             "weight": float(found.attrs["weight"]),
+            "samples": getattr(self._table, "samples", None),
             "leading": leading,
             "decided": all(one["sure"] for one in leading.values()),
             "surprise_median": float(np.median(surprise[1:])) if known else None,
             "surprise_reference": SURPRISE,
             "surprising_share": float((surprise[1:] > SURPRISE).mean()) if known else None,
-            "unexplained_most": float(unexplained[1:].max()) if known else None,
+            "unexplained_most": float(unexplained[1:].max()) if seen else None,
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
             "overlapping_frames": overlapping_frames(self.observed(), self.scene),
         }
@@ -383,8 +393,8 @@ class StepwisePosterior(EventPosterior):
 
         By the jackknife; NaN where there is a single set.
         """
-        if self._over_sets is None:
-            return np.full(np.shape(value), np.nan)
+        if self._over_sets is None or self._table.is_exact:
+            return np.full(np.shape(value), 0.0 if self._table.is_exact else np.nan)
         return self._over_sets.error(without, value)
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
@@ -418,11 +428,12 @@ class StepwisePosterior(EventPosterior):
         return self._odds(odds, error, event, over)
 
     def by_frame(self) -> xr.Dataset | None:
-        if not isinstance(self._table, PairTable):
+        if not isinstance(self._table, PhaseTable):
             return None
         found = self._found.isel(time=slice(None, self._frame + 1))
         goals = ("goal_red", "goal_green")
-        log_likelihood = float(found.attrs["weight"]) * found["log_likelihood"].values
+        by_pairs = self._table.by_pairs()[: self._frame + 1].reshape(-1, N_GOALS, N_GOALS)
+        log_likelihood = float(found.attrs["weight"]) * by_pairs
         log_prior = summed_by_pair(found["log_prior"].values)
         return xr.Dataset(
             {"log_likelihood": (("time", *goals), log_likelihood), "log_prior": (goals, log_prior)},
@@ -464,6 +475,9 @@ class StepwisePosterior(EventPosterior):
         found, cost = self.diagnostics(), self.cost
         seeds = found["planner_seeds"]
         searched = f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
+        if isinstance(self._table, OwnTable):
+            samples, simulator = self._table.samples, self.settings["model"]["simulator"]
+            searched = f"by {f'{samples} samples' if samples else 'the density'} of {simulator}"
         head = (
             f"{self.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
             f"{searched}"
@@ -479,7 +493,8 @@ class StepwisePosterior(EventPosterior):
         if self.tempering:
             lines += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
-        words = f"{cost['searches']} searches, {cost['searches'] / steps:.0f} a step"
+        what = "calls" if self._table.own else "searches"
+        words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "
             words += f"simulated s lasts {cost['video_seconds']:.1f} s"
@@ -505,11 +520,16 @@ class StepwisePosterior(EventPosterior):
 def _verdict(found: Mapping[str, Any]) -> str:
     """Return in a few sentences whether the posterior can be trusted, the worst sign first."""
     n, n_sets, share = found["frames"] - 1, found["planner_seeds"], found["surprising_share"]
+    samples, own = found["samples"], found["samples"] is not None
     signs = []
     if found["unexplained_frames"]:
+        which = frames_text(found["unexplained_frames"])
         signs.append(
-            f"No action explains {frames_text(found['unexplained_frames'])}: a body is where "
-            "nothing could have put it. The probabilities hold only for a video that this is not."
+            f"No sample of the simulator comes near {which}: its tails decide, of which samples "
+            "say nothing."
+            if own
+            else f"No action explains {which}: a body is where nothing could have put it. The "
+            "probabilities hold only for a video that this is not."
         )
     if found["overlapping_frames"]:
         signs.append(overlap_sign(found["overlapping_frames"]))
@@ -518,24 +538,33 @@ def _verdict(found: Mapping[str, Any]) -> str:
             f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
             f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
         )
-    if n_sets > 1 and n:
+    if (n_sets > 1 or own) and n:
         signs += undecided(found["leading"])
     errors = {name: one["error"] for name, one in found["leading"].items()}
     worst = max(errors, key=lambda name: np.nan_to_num(errors[name]))
     if n_sets > 1 and errors[worst] > DISAGREE:
+        sets = "parts of the samples" if own else "sets of searches"
         signs.append(
-            f"The {n_sets} sets of searches disagree on {worst} (standard error "
-            f"{errors[worst]:.2f}): use more, planner_seeds={2 * n_sets}."
+            f"The {n_sets} {sets} disagree on {worst} (standard error {errors[worst]:.2f}): "
+            f"use more, {f'samples={4 * samples}' if own else f'planner_seeds={2 * n_sets}'}."
         )
-    if n_sets == 1 and n:
+    if n_sets == 1 and n and not own:
         signs.append(
             "With one set of searches nothing tells how much of this is the planner's chance."
         )
-    if share is None and n:
+    if share is None and n and not own:
         signs.append("Nothing was kept that would tell whether the model expects such a video.")
     if n == 0:
         signs.append("Nothing was seen but the start: this is the prior.")
-    if not signs:
+    if not signs and own:
+        signs.append(
+            f"Samples come near every frame, and their {n_sets} parts agree (largest standard "
+            f"error of a leading probability: {errors[worst]:.2g})."
+            if samples
+            else "The simulator's own density was summed over all hypotheses: there is no error "
+            "but the model's."
+        )
+    elif not signs:
         signs.append(
             f"Actions explain every frame, {1 - share:.0%} of them are such as the model expects, "
             f"and the {n_sets} sets of searches agree (largest standard error of a leading "

@@ -183,6 +183,12 @@ class Reading(NamedTuple):
     log_peak: float  # log density of the latter
     searches: int  # searches that were made
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """What a file keeps of it."""
+        kept = {name: value for name, value in self._asdict().items() if name != "of_goals"}
+        return {**kept, **self.of_goals}
+
 
 class GoalFilter:
     """Takes in a video frame by frame; what it says of a frame never changes afterwards.

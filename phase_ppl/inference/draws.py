@@ -135,7 +135,7 @@ def build_tree(
         SIMULATED: xr.Dataset(
             {"trajectory": ((*DRAW, *FRAME), _trajectories(records, index))},
             {**draw_coords, **frame_coords},
-            _tempering(model.likelihood),
+            _tempering(model),
         ),
         "observed_data": xr.Dataset(
             {"trajectory": (FRAME, event.observation.trajectory)}, frame_coords
@@ -172,8 +172,10 @@ class Table(Protocol):
         """Return (row, time) the errors, nats, of goals (row, 2) and strengths (row, 2)."""
         ...
 
-    def log_likelihood_without(self, goals: NDArray[Any]) -> NDArray[np.float64]:
-        """Return (set, row) log likelihoods less those with all sets, of goals (row, 2)."""
+    def log_likelihood_without(
+        self, goals: NDArray[Any], strengths: NDArray[Any]
+    ) -> NDArray[np.float64] | None:
+        """Return (set, row) log likelihoods without each set of searches, less those with all."""
         ...
 
 
@@ -205,8 +207,8 @@ def table_tree(
     names = list(table)
     goals = np.stack([table[name] for name in space.goal_sites], axis=1).astype(np.int64)
     strengths = {name: table[name] for name in space.strength_sites}
-    errors = found.errors_of(goals, np.stack(list(strengths.values()), axis=1))
-    without = found.log_likelihood_without(goals).T
+    newtons = np.stack(list(strengths.values()), axis=1)
+    errors, without = found.errors_of(goals, newtons), found.log_likelihood_without(goals, newtons)
     chain, draw = np.nonzero(moved)
     n = len(chain)
     log_prior, effective = _log_priors(model, raw, goals, strengths)
@@ -239,13 +241,10 @@ def table_tree(
             ),
             "sample_stats": xr.Dataset(
                 {name: (DRAW, values) for name, values in stats.items()}
-                | {
-                    "step_error": ((*DRAW, "time"), errors.astype(np.float32)[index]),
-                    "log_likelihood_without": ((*DRAW, "planner_seed"), without[index]),
-                },
+                | {"step_error": ((*DRAW, "time"), errors.astype(np.float32)[index])},
                 {**coords, "time": time},
             ),
-            SIMULATED: xr.Dataset(attrs=_tempering(model.likelihood)),
+            SIMULATED: xr.Dataset(attrs=_tempering(model)),
             "observed_data": xr.Dataset(
                 {"trajectory": (FRAME, event.observation.trajectory)}, frame
             ),
@@ -257,6 +256,10 @@ def table_tree(
             "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
         }
     )  # fmt: skip
+    if without is not None:
+        stats_kept = tree["sample_stats"].to_dataset()
+        by_draw = {"log_likelihood_without": ((*DRAW, "planner_seed"), without.T[index])}
+        tree["sample_stats"] = xr.DataTree(stats_kept.assign(by_draw))
     counted = 0 if kernel.weighted else burn_in(shape[1])
     tree.attrs = {"event_id": event.id, "weights": "count", "burn_in": counted, "schema": SCHEMA}
     tree.attrs |= attrs
@@ -279,10 +282,11 @@ def _log_priors(
     return log_prior, by_pair[of_pair.reshape(-1)] + of_strengths - of_strengths[0]
 
 
-def _tempering(likelihood: object) -> dict[str, float]:
+def _tempering(model: Model) -> dict[str, float]:
     """Return as attributes what tempers a likelihood of this package."""
+    likelihood = model.likelihood
     if is_stepwise(likelihood):
-        return {"frame_weight": likelihood.weight}
+        return {"frame_weight": likelihood.frame_weight(model.simulator is not None)}
     return {"beta": likelihood.beta} if type(likelihood) is RadialLikelihood else {}
 
 

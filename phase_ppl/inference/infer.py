@@ -158,7 +158,6 @@ def infer(
             "infer(event, **phase_ppl.preset(...))"
         )
     of_sampling |= {"chains": chains, "settings": settings, **kernel_options}
-    model_is_given = model is not None
     if kernel is None:
         for name, value in of_sampling.items():
             if value != (CHAINS if name == "chains" else getattr(RunOptions, name, None)):
@@ -176,17 +175,24 @@ def infer(
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
     settings = SimpleSettings() if settings is None else settings
-    model = _complete_model(model, planner, settings)
     of_run = kernel, kernel_options, settings, chains, seed
-    if is_stepwise(model.likelihood) and not isinstance(event, StepwisePosterior):
-        Run(check_event(event), model, *of_run).check(iterations, budget)  # before it is read
-        event = infer(event, model, seed=seed, workers=workers, progress=progress)
     if isinstance(event, StepwisePosterior):
         from phase_ppl.inference.table_run import event_of, model_of, sample_table
 
-        given = model if model_is_given else None
-        return sample_table(event, Run(event_of(event), model_of(event, given), *of_run), options)
+        if planner is not None or settings != dataclasses.replace(settings, beta=None):
+            changed = f"planner={shown(planner)}" if planner is not None else "beta"
+            raise InvalidSettingError(f"{changed} is for simulations: the video was read before")
+        model = model_of(event, model)
+        return sample_table(event, Run(event_of(event), model, *of_run), options)
+    model = _complete_model(model, planner, settings)
     run = Run(check_event(event), model, *of_run)
+    if is_stepwise(model.likelihood):
+        from phase_ppl.inference.table_run import check_looked_up, sample_table
+
+        check_looked_up(options)
+        run.check(iterations, budget)  # before it is read
+        read = infer(event, model, seed=seed, workers=workers, progress=progress)
+        return sample_table(read, run, options)
     if checkpoint is not None:
         from phase_ppl.inference.checkpoint import SUFFIXES
 

@@ -13,11 +13,21 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_table import STRENGTHS, kind_of_table, summed_by_pair
+from phase_ppl.analysis.stepwise_hypotheses import STRENGTHS, summed_by_pair
+from phase_ppl.analysis.stepwise_own import to_read
+from phase_ppl.analysis.stepwise_table import kind_of_table
 from phase_ppl.analysis.tree import scene_dataset
-from phase_ppl.closed_loop.goal_filter import PairFilter, PolicyFilter, SearchSets, stacked
+from phase_ppl.closed_loop.goal_filter import (
+    GoalFilter,
+    PairFilter,
+    PolicyFilter,
+    SearchSets,
+    stacked,
+)
+from phase_ppl.closed_loop.own_simulator import SimulatorFilter
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
+from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
@@ -29,29 +39,30 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
+from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
-_OF_FRAMES: Final = ("strengths", "actions", "held", "unexplained", "log_peak")
 
 
 class Watch:
     """An observer of one event, to be given its frames one by one.
 
     What it says after a frame is the same whatever follows, and after the last frame it is what
-    :func:`phase_ppl.infer` returns. It holds threads until ``close()``; as a context manager it
-    closes itself.
+    :func:`phase_ppl.infer` returns. It holds threads or processes until ``close()``; as a context
+    manager it closes itself.
 
     Args:
         scene: where everything starts.
-        model: prior and planner, with a :class:`phase_ppl.StepwiseLikelihood`.
-        seed: of the agents' beliefs and searches.
-        threads: searches at a time; the result does not depend on it.
+        model: prior, and planner or simulator, with a :class:`phase_ppl.StepwiseLikelihood`.
+        seed: of the agents' beliefs and searches, or of a simulator's samples.
+        threads: searches at a time; with a simulator of one's own, processes at most, which are
+            started if a frame takes long enough. The result does not depend on it.
         event_id: name of the event.
 
     Raises:
-        InvalidSettingError: the model has another likelihood, or a simulator of its own.
+        InvalidSettingError: the model has another likelihood, or a simulator that cannot go on from
+            what was seen, or a prior with too many hypotheses for one that can.
     """
 
     def __init__(
@@ -77,16 +88,43 @@ class Watch:
         tracking, in_phase = likelihood.tracking, scene.world == PHASE
         if in_phase:
             checked_sites(self.model.prior)
-        prior, self._attrs = stepwise_prior(self.model.prior, scene.world, tracking.strengths)
+        masses, attrs = stepwise_prior(self.model.prior, scene.world, tracking.strengths)
+        self._constant: dict[str, Any] = dict(masses)
+        self._attrs: dict[str, Any] = dict(attrs)
+        self._own = self.model.simulator is not None
+        self._weight = likelihood.frame_weight(self._own)
+        self._filter = self._own_filter() if self._own else self._joint_filter(in_phase)
+        self._readings: list[Any] = [self._filter.at_start()]
+
+    def _joint_filter(self, in_phase: bool) -> GoalFilter:
+        likelihood, prior, of = self._likelihood, self._constant, self._scene
         sets = SearchSets(
-            *(scene, self.model.planner_config(), tracking, self._seed, self.threads),
+            *(of, self.model.planner_config(), likelihood.tracking, self._seed, self.threads),
             likelihood.planner_seeds,
         )
         kind = PairFilter if in_phase else PolicyFilter
         of_goals = summed_by_pair(prior["log_prior"]) if in_phase else prior["log_prior_goals"]
-        self._prior = prior
-        self._filter = kind(sets, likelihood.conduct, likelihood.weight, of_goals)
-        self._readings = [self._filter.at_start()]
+        found = kind(sets, likelihood.conduct, self._weight, of_goals)
+        prior["combinations"] = found.combinations
+        return found
+
+    def _own_filter(self) -> SimulatorFilter:
+        tracking, space = self._likelihood.tracking, space_of(self._scene.world)
+        asked = to_read(space, self._constant, tracking.strengths)
+        self._constant |= {"combinations": asked.combinations, "goals": asked.goals}
+        found = SimulatorFilter(
+            self.model.simulator,
+            self._scene,
+            asked.hypotheses(space),
+            asked.chosen,
+            self._frames,
+            tracking,
+            samples=self._likelihood.samples,
+            seed=self._seed,
+            workers=self.threads,
+        )
+        self._attrs["samples"] = found.samples
+        return found
 
     def __enter__(self) -> Self:
         return self
@@ -95,7 +133,7 @@ class Watch:
         self.close()
 
     def close(self) -> None:
-        """End the threads; what was read stays."""
+        """End the threads or processes; what was read stays."""
         self._filter.close()
 
     def take(self, frame: ArrayLike) -> None:
@@ -110,6 +148,7 @@ class Watch:
                 the arena. What was read before stays, and the next frame can follow.
             InvalidSettingError: an earlier frame was interrupted while it was read. What was
                 read before that stays.
+            SimulationError: the simulator failed, or nothing that it deems possible is left.
         """
         name = f"frame {len(self._frames)}"
         pose = finite_array(name, frame, (len(self._scene.world.entities), 3))
@@ -140,43 +179,46 @@ class Watch:
         return StepwisePosterior(self.dataset(), prior=self.model.prior)
 
     def dataset(self) -> xr.Dataset:
-        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
+        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_hypotheses`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)
-        readings, kind = self._readings[:n], kind_of_table(scene.world)
+        readings, kind = self._readings[:n], kind_of_table(scene.world, self._own)
         settings = {
             "model": self.model.fingerprint(),
-            "likelihood": likelihood.to_dict(),
+            "likelihood": {**likelihood.to_dict(), "weight": self._weight},
             "seed": self._seed,
             "turning": scene.turning,
             "resets_velocity": scene.resets_velocity,
         }
+        columns: dict[str, list[Any]] = {
+            name: [one.columns[name] for one in readings] for name in readings[0].columns
+        }
         cost = {
-            "searches": sum(one.searches for one in readings),
+            "searches": sum(columns.pop("searches", [])),
+            **({"calls": sum(columns.pop("calls"))} if self._own else {}),
             "frames": n,
             "seconds": time.perf_counter() - self._clock,
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
             "threads": self.threads,
         }
-        columns = {name: [getattr(one, name) for one in readings] for name in _OF_FRAMES}
-        columns |= {name: [one.of_goals[name] for one in readings] for name in readings[0].of_goals}
         columns["trajectory"] = self._frames
-        found: dict[str, Any] = {"combinations": self._filter.combinations, **self._prior}
+        found = dict(self._constant)
         for name, values in columns.items():
             along = kind.dimensions[name].index("time")
             found[name] = stacked(list(map(np.asarray, values)), along)
         coords: dict[str, Any] = dict(kind.labels(scene.world))
         if scene.world == PHASE:
             levels = list(likelihood.tracking.strengths)
-            found["strengths"] = found["strengths"].reshape(-1, len(levels), len(levels))
+            if not self._own:
+                found["strengths"] = found["strengths"].reshape(-1, len(levels), len(levels))
             coords |= {name: levels for name in STRENGTHS}
         coords["time"] = "time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}
         attrs = {
             "schema": kind.schema,
             **self._attrs,
             "event_id": self._event_id,
-            "weight": float(likelihood.weight),
+            "weight": self._weight,
             "settings": json.dumps(settings, default=repr),
             "cost": json.dumps(cost),
             "version": phase_ppl.__version__,
@@ -204,18 +246,15 @@ def watch(
 
 
 def _likelihood_of(model: Model) -> StepwiseLikelihood:
-    instance_of("model", model, Model, "a phase_ppl.Model")
-    likelihood = model.likelihood
-    if not isinstance(likelihood, StepwiseLikelihood):
+    """Return the likelihood of a model; refuse a simulator that cannot go on from what was seen."""
+    if model.simulator is not None and not goes_on(model.simulator):
         raise InvalidSettingError(
-            f"likelihood={shown(likelihood)}: to read step by step takes a StepwiseLikelihood"
+            f"simulator={shown(model.simulator)} cannot go on from what was seen, as reading step "
+            f"by step takes: add a method {LOG_PROB_NEXT} or {NEXT_FRAMES}, or name a kernel that "
+            'samples whole simulations, as in infer(..., kernel="local_mh")'
         )
-    if model.simulator is not None:
-        raise InvalidSettingError(
-            "the stepwise likelihood asks the agents of the joint simulator for their policies; "
-            "the model has a simulator of its own"
-        )
-    return likelihood
+    assert isinstance(model.likelihood, StepwiseLikelihood), "it is that for reading"
+    return model.likelihood
 
 
 # --- the whole video ------------------------------------------------------------------------------
@@ -250,8 +289,7 @@ def filter_event(
     Args:
         event: what to explain; only scene, observation and id are read.
         model: with a :class:`phase_ppl.StepwiseLikelihood`.
-        seed: of the agents' beliefs and searches.
-        threads: searches at a time; by default one per usable core.
+        seed, threads: as of :class:`Watch`; by default one per usable core.
         progress: whether to show a bar on stderr, with the time that is left; by default where
             that is a terminal. Elsewhere one line says how long it will take, if that is more
             than a minute; with False nothing does.

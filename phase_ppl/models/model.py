@@ -37,6 +37,7 @@ from phase_ppl.models.roles import (
     space_of_prior,
 )
 from phase_ppl.models.sites import HYPOTHESIS_SITES
+from phase_ppl.simulator.contract import goes_on
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.identity import qualified_name, source_hash
 from phase_ppl.world.scene import PHASE, World
@@ -60,8 +61,9 @@ class Model:
         prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
             name of a ready-made one (:mod:`phase_ppl.models.priors`). For events of other worlds
             than PHASE a program of one argument, the world (:mod:`phase_ppl.models.roles`).
-        simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
-            simulator of the paper (Algorithm 1).
+        simulator: generator function ``(scene, hypothesis, rng)`` of frames, or an object with
+            methods (:class:`phase_ppl.simulator.contract.Simulator`); None for the joint simulator
+            of the paper (Algorithm 1).
         likelihood: one that compares a simulation with the video
             (:mod:`phase_ppl.models.likelihood`), or a :class:`phase_ppl.StepwiseLikelihood`. None:
             the default of how the model is used, a ``StepwiseLikelihood`` where the video is read
@@ -89,7 +91,9 @@ class Model:
         check_name("noise", self.noise, ("fresh", "fixed"))
         if self.simulator is None:
             object.__setattr__(self, "planner", self.planner_config())
-        elif not callable(self.simulator):
+        elif not callable(self.simulator) and not (
+            is_stepwise(self.likelihood) and goes_on(self.simulator)
+        ):
             raise InvalidSettingError(
                 f"simulator={self.simulator!r}: expected a generator function "
                 "(scene, hypothesis, rng) of frames"

@@ -37,14 +37,16 @@ class Lookup(NamedTuple):
     explains it better. A strength counts as the nearest level that was followed.
     """
 
-    frames: jax.Array  # (time, goal_red, goal_green) nats; inf: impossible
+    # (time, goal_red, goal_green) nats, or by levels of strength too; inf: impossible
+    frames: jax.Array
     strengths: jax.Array  # (level, level) nats, of the first frame
     edges: jax.Array  # (level - 1,) newtons, between the levels
 
     def errors(self, goals: jax.Array, strengths: jax.Array) -> jax.Array:
         """Return (time,) errors of effective goals (2,) with strengths (2,) in newtons."""
-        found = self.frames[:, goals[0], goals[1]]
         red, green = jnp.searchsorted(self.edges, strengths)
+        found = self.frames[:, goals[0], goals[1]]
+        found = found if found.ndim == 1 else found[:, red, green]
         return found.at[0].add(self.strengths[red, green])
 
 

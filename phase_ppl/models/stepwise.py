@@ -4,6 +4,9 @@ SIMPLE compares the video with one free-running simulation, which drifts away fr
 even under the true hypothesis. Here each frame is predicted from the frames before it: what the
 agents would do now, by the same planner at what was seen, and where that would put them. There is
 no noise of simulations in it but the planner's own, and all pairs of goals are read at once.
+
+A simulator of one's own that can go on from what was seen is read likewise, under every hypothesis
+that has prior mass, strengths along with goals.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import Tracking
@@ -25,6 +28,11 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.scene import PHASE, World
+
+WEIGHT: Final = 0.2  # what a frame counts of the joint simulator, unless it is said
+
+FEWEST: Final = 20
+"""Samples at least: a covariance of some dimensions, without a part of them too."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,13 +51,23 @@ class StepwiseLikelihood:
     on those videos are in-sample. What is computed is approximate in the planner's searches and in
     the filter of the hidden state.
 
+    A simulator of one's own (:class:`phase_ppl.simulator.contract.Simulator`) is read by its own
+    density of the next frame, if it has one: then the posterior is exact. Otherwise by a kernel
+    density of so many ``samples`` of the positions of all entities
+    (:mod:`phase_ppl.closed_loop.next_frame`), which is biased where kernels are wide or few are
+    near what was seen, and less the more samples. Planner and hidden state have no part in it: of
+    ``tracking`` there are ``strengths``, ``scale``, which kernels have as standard deviation at
+    least, and ``noise``, which adds to it, 0 if it is None.
+
     Attributes:
         sharpness: exponent of the visits.
         lapse: probability, by frame, that an agent does anything whatever.
-        weight: what a frame counts; with 1 the posterior is not tempered.
+        weight: what a frame counts; with 1 the posterior is not tempered. None: 0.2, or 1 with a
+            simulator of one's own.
         planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
             with errors unknown. Only the most probable pairs of goals are searched by all sets.
         tracking: how hidden velocities, holds and strengths are followed.
+        samples: next frames of a simulator of one's own, for each hypothesis and frame.
 
     Raises:
         InvalidSettingError: a value that cannot be used.
@@ -57,14 +75,17 @@ class StepwiseLikelihood:
 
     sharpness: float = 4.0
     lapse: float = 0.3
-    weight: float = 0.2
+    weight: float | None = None
     planner_seeds: int = 4
     tracking: Tracking = dataclasses.field(default_factory=Tracking)
+    samples: int = 100
 
     def __post_init__(self) -> None:
         for name in ("sharpness", "lapse"):
             nonnegative_number(name, getattr(self, name))
-        positive_number("weight", self.weight)
+        if self.weight is not None:
+            positive_number("weight", self.weight)
+        whole_number("samples", self.samples, minimum=FEWEST)
         whole_number("planner_seeds", self.planner_seeds)
         if not 0 < self.lapse <= 1:
             raise InvalidSettingError(
@@ -72,6 +93,11 @@ class StepwiseLikelihood:
             )
         if not isinstance(self.tracking, Tracking):
             raise InvalidSettingError(f"tracking={shown(self.tracking)}, expected a Tracking")
+
+    def frame_weight(self, own: bool = False) -> float:
+        """Return what a frame counts, with a simulator of one's own or the joint one."""
+        usual = 1.0 if own else WEIGHT
+        return usual if self.weight is None else float(self.weight)
 
     @property
     def conduct(self) -> Conduct:

@@ -14,7 +14,7 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
@@ -43,18 +43,41 @@ class Simulator(Protocol):
     and alpha = (0, 0), or is a :class:`Roles` of them in other worlds than PHASE. All randomness
     comes from ``rng``. Ending early, raising, or a value that is not finite is a failed simulation.
 
-    A simulator may have three more methods:
+    A simulator may have more methods:
 
     * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, entity, 3)``, for an
       engine that runs many simulations at once; where there is one, it is used, in this process.
     * ``settings() -> dict``: what else determines its simulations, as plain data, to be kept with
       a run.
     * ``warm_up()``: does once what all processes can then share, such as compiling.
+
+    To be read step by step (:class:`phase_ppl.StepwiseLikelihood`) it needs one of two, which are
+    told what was ``seen``, (t, entity, 3), of the frames before the next; with the first, the
+    second is not called, and with either it may do without ``__call__``:
+
+    * ``log_prob_next(scene, hypothesis, seen, frame) -> float``: log density of the next frame,
+      (entity, 3); -inf where it is impossible.
+    * ``next_frames(scene, hypothesis, seen, rng, n) -> (n, entity, 3)``: so many independent next
+      frames. Under all hypotheses ``rng`` begins alike.
     """
 
     def __call__(
         self, scene: Scene, hypothesis: Any, rng: np.random.Generator, /
     ) -> Iterable[NDArray[Any]]: ...
+
+
+LOG_PROB_NEXT: Final = "log_prob_next(scene, hypothesis, seen, frame) -> float"
+NEXT_FRAMES: Final = "next_frames(scene, hypothesis, seen, rng, n) -> (n, entity, 3)"
+
+
+def has_density(simulator: object) -> bool:
+    """Whether a simulator says how probable a next frame is."""
+    return callable(getattr(simulator, "log_prob_next", None))
+
+
+def goes_on(simulator: object) -> bool:
+    """Whether a simulator can go on from what was seen, to be read step by step."""
+    return has_density(simulator) or callable(getattr(simulator, "next_frames", None))
 
 
 class Cancelled(PhasePPLError):
@@ -271,6 +294,61 @@ def simulate_trajectory(
     except (Exception, SystemExit) as error:
         raise SimulationError(
             f"simulation of [{hypothesis}] with seed {seed} failed: {error_text(error)}"
+        ) from error
+
+
+def log_prob_next(
+    simulator: Any,
+    scene: Scene,
+    hypothesis: Hypothesis | Roles,
+    seen: FloatArray,
+    frame: FloatArray,
+) -> float:
+    """Return a simulator's own log density of the next frame (entity, 3), -inf at least.
+
+    Raises:
+        SimulationError: it raised, or returned no such number.
+    """
+    with _named("log_prob_next", hypothesis, seen):
+        given = simulator.log_prob_next(scene, hypothesis, seen, frame)
+        value = np.asarray(given)
+        if value.shape != () or value.dtype.kind not in "biuf" or not value < np.inf:
+            raise SimulationError(f"it returned {shown(given)}, expected a log density")
+        return float(value)
+
+
+def next_frames(
+    simulator: Any,
+    scene: Scene,
+    hypothesis: Hypothesis | Roles,
+    seen: FloatArray,
+    rng: np.random.Generator,
+    n: int,
+) -> FloatArray:
+    """Return (n, entity, 3) next frames that a simulator drew.
+
+    Raises:
+        SimulationError: it raised, or returned no such frames.
+    """
+    with _named("next_frames", hypothesis, seen):
+        given = simulator.next_frames(scene, hypothesis, seen, rng, n)
+        frames, expected = np.asarray(given), (n, len(scene.world.entities), 3)
+        if frames.shape != expected:
+            raise SimulationError(f"it returned shape {frames.shape}, expected {expected}")
+        if frames.dtype.kind not in "biuf" or not (np.abs(frames) < _FINITE).all():
+            raise SimulationError("it returned a value that is not finite")
+        return frames.astype(np.float64, copy=False)
+
+
+@contextlib.contextmanager
+def _named(method: str, hypothesis: Hypothesis | Roles, seen: FloatArray) -> Iterator[None]:
+    """Say of an error which frame and hypothesis it was about."""
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        why = str(error) if isinstance(error, SimulationError) else error_text(error)
+        raise SimulationError(
+            f"{method} failed at frame {len(seen)} under [{hypothesis}]: {why}"
         ) from error
 
 

@@ -11,8 +11,9 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.analysis.stepwise_hypotheses import STRENGTHS
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import STRENGTHS, PairTable
+from phase_ppl.analysis.stepwise_table import PairTable
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
 from phase_ppl.world.hypothesis import ALPHAS
