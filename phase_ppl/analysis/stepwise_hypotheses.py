@@ -173,8 +173,8 @@ class Table:
         With all sets of searches; of strengths these frames say nothing here.
         """
         rows = self.hypotheses
-        seen = self._so_far(last)[0] - self._so_far(first)[0]
-        # what has become impossible before stays so
+        with np.errstate(invalid="ignore"):  # what has become impossible before stays so
+            seen = self._so_far(last)[0] - self._so_far(first)[0]
         seen = np.where(np.isnan(seen), -np.inf, seen)
         return np.asarray(rows.log_prior - rows.log_drawn + self._weight * seen)
 

@@ -31,6 +31,7 @@ from phase_ppl.models.program import Lookup
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_memory, shown
 from phase_ppl.world.event import Event, Observation
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.identity import qualified_name, stable, versions
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import PHASE, check_is_phase
