@@ -12,7 +12,7 @@ import numpyro
 from jax import random
 from numpyro import handlers
 
-from phase_ppl.models.bridge import request_p
+from phase_ppl.models.bridge import request
 from phase_ppl.models.density import Sites, draw, latent_sites, log_density, trace_log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import space_of_prior
@@ -110,7 +110,7 @@ class EventProgram:
         names = tuple(sorted(sites))
         numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
         given = (self.bridge, log_prior, seed, *numbers, *(sites[name] for name in names))
-        return request_p.bind(*map(jnp.asarray, given), names=names, n_frames=self.n_frames)
+        return request(names, self.n_frames, *map(jnp.asarray, given))
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
         """Return the seed, int32, with which a proposed hypothesis is simulated.
