@@ -36,7 +36,7 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
     "posterior": {},
     "sample_stats": {
         **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), DRAW),
-        **dict.fromkeys(("frames_simulated", "sim_seed"), DRAW),
+        "sim_seed": DRAW,
         "step_error": (*DRAW, "time"),
     },
     SIMULATED: {"trajectory": (*DRAW, *FRAME)},
@@ -54,7 +54,7 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
 simulations have: ``HypothesisSpace.columns`` of the world."""
 
 OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
-    "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), DRAW),
+    "sample_stats": dict.fromkeys(("log_weight", "log_evidence", "frames_simulated"), DRAW),
     "simulations": {"step_log_likelihood": ("simulation", "time")},
 }
 """Group -> further variable -> dimensions: not all files and kernels have them."""

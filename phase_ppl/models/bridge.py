@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import itertools
 import math
+import threading
 import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol
@@ -69,18 +70,24 @@ class SimulatorBridge:
         runner: simulates.
         n_frames: of the observation.
         space: what values of sites stand for; by default that of PHASE.
+        raises: whether an exception leaves at once, through JAX, instead of waiting.
 
     Attributes:
         handle: number by which compiled code knows this bridge (``EventProgram``).
         records: every simulation so far.
         iteration: what new records are labelled with.
-        failure: the exception that ended a call, if one did. It waits for whoever drives the chain,
-            who then raises it; until then all is answered with infinite errors. Raised at once, it
-            would be logged by JAX and replaced by an exception of another class.
+        failure: the last exception that ended a call, if one did. It waits for whoever drives the
+            chain, who then raises it; until then all is answered with infinite errors. Raised at
+            once, it would be logged by JAX and replaced by an exception of another class.
     """
 
     def __init__(
-        self, runner: RunsSimulations, n_frames: int, space: HypothesisSpace | None = None
+        self,
+        runner: RunsSimulations,
+        n_frames: int,
+        space: HypothesisSpace | None = None,
+        *,
+        raises: bool = False,
     ) -> None:
         self.handle = next(_handles)
         self.records: list[Record] = []
@@ -90,6 +97,7 @@ class SimulatorBridge:
         self._stops_early: bool = getattr(runner, "stops_early", True)
         self._n_frames = n_frames
         self._space = space_of(PHASE) if space is None else space
+        self._raises, self._one_call = raises, threading.Lock()
         self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
         _open[self.handle] = self
 
@@ -99,11 +107,14 @@ class SimulatorBridge:
         The numbers are log_prior, seed, error_ceiling, log_proposal and log_bound of each, as of
         :meth:`phase_ppl.models.program.EventProgram.simulate`.
         """
-        if self.failure is None:
+        if self.failure is None or self._raises:
             try:
-                return self._simulate(columns, *numbers)
+                with self._one_call:  # chains may run in threads
+                    return self._simulate(columns, *numbers)
             except BaseException as error:
                 self.failure = error
+                if self._raises:
+                    raise
         return np.full((*numbers[1].shape, self._n_frames), np.inf, np.float32)
 
     def remember(self, record: Record) -> None:
@@ -178,6 +189,7 @@ class SimulatorBridge:
 _handles: Final = itertools.count()
 _open: Final[weakref.WeakValueDictionary[int, SimulatorBridge]] = weakref.WeakValueDictionary()
 
+
 def answered(*arguments: Any, names: tuple[str, ...], n_frames: int) -> NDArray[np.float32]:
     """Return what a request asks for, on the host; errors beyond the observation's end are 0."""
     # NumPy from the first line on: calling JAX in here can deadlock
@@ -202,7 +214,8 @@ def request(names: tuple[str, ...], n_frames: int, *given: jax.Array) -> jax.Arr
 
 
 @request.defjvp
-def _no_gradient(*_: Any) -> Any:
+def no_gradient(*_: Any) -> Any:
+    """Refuse to be differentiated."""
     raise InvalidSettingError(
         "a simulation has no gradient, which this sampler asks for: take a kernel of "
         "phase_ppl.kernels, or one without gradients, such as NumPyro's SA or AIES"

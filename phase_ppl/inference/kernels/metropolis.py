@@ -51,6 +51,7 @@ class EventKernel(MCMCKernel):
     """
 
     sample_field: ClassVar[str] = "z"
+    default_fields: ClassVar[tuple[str, ...]] = ("z", "sim_seed", "accepted")
 
     def __init__(
         self,
@@ -60,6 +61,8 @@ class EventKernel(MCMCKernel):
     ) -> None:
         self._program = program
         self._guide = guide
+        # one of ``phase_ppl.program`` has settings, and a guide by them
+        settings = getattr(program, "settings", None) if settings is None else settings
         self.settings = SimpleSettings() if settings is None else settings
 
     def bound_to(self, program: EventProgram, guide: Program, settings: SimpleSettings) -> Self:
@@ -76,9 +79,11 @@ class EventKernel(MCMCKernel):
 
     @property
     def guide(self) -> Program:
-        if self._guide is None:
+        guide = getattr(self._program, "guide", None) if self._guide is None else self._guide
+        if guide is None:
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
-        return self._guide
+        found: Program = guide
+        return found
 
     def init(
         self,
