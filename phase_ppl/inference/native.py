@@ -1,7 +1,7 @@
 """NumPyro's own route: the model of an event as a NumPyro program, for NumPyro's ``MCMC``.
 
 :func:`program` opens one with workers that simulate; ``Posterior.from_numpyro`` makes our posterior
-of the run. ``infer`` is the route that stops by a budget, resumes, and notices Ctrl-C.
+of the run. ``infer`` is the route with budgets, checkpoints, and what was done kept at Ctrl-C.
 """
 
 from __future__ import annotations
@@ -204,9 +204,10 @@ def program(
 
     ``program()`` samples the simulator's seed and the prior's sites, simulates by
     ``jax.pure_callback``, and has a ``numpyro.factor`` of how well that fits. Vectorised chains
-    simulate together. An exception of the simulator, or Ctrl-C in it, reaches NumPyro as one of
-    JAX's; the ``with`` block raises what it was. Without NumPyro's progress bar a run notices
-    Ctrl-C at its end only.
+    simulate together. The seed is a site of the chain's state, so that the same point always has
+    the same likelihood (pseudo-marginal); with ``Model(noise="fixed")`` it follows from the
+    hypothesis. An error or Ctrl-C within a simulation leaves NumPyro as one of JAX's; the ``with``
+    block raises what it was.
 
     Args:
         event, model, workers, executor, on_failure, retries, simulation_seconds: as in

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Iterator
 from typing import Any
@@ -19,6 +20,7 @@ from numpyro.infer.util import log_density
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference.native import OpenProgram
+from phase_ppl.inference.tables import window_count
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.simulator.contract import SimulationResult, Statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
@@ -160,6 +162,18 @@ def drawn(model: Any, key: jax.Array, given: Any = None) -> Any:
     return handlers.trace(handlers.seed(handlers.substitute(model, given or {}), key)).get_trace()
 
 
+def test_the_guide_draws_from_a_window_or_from_the_whole_video(program: OpenProgram) -> None:
+    guide = program.guide
+    assert guide.whole == window_count(N_FRAMES, SETTINGS.window)
+    for window in (0, guide.whole):
+        z = guide.draw(KEY, window)
+        log_q = guide.log_prob(z, window)
+        assert log_q >= np.log(SETTINGS.prior_share) + program.log_prior(z) - 1e-4
+        assert guide.log_prob({**z, "goal_red": jnp.int32(1)}, window) == -np.inf
+    with pytest.raises(InvalidSettingError, match="LocalMH needs a guide"):
+        _ = ppl.kernels.LocalMH(ppl.EventProgram(FEW, 0, N_FRAMES)).guide
+
+
 # --- kernels --------------------------------------------------------------------------------------
 
 METHODS = [(m, bar) for m in ("vectorized", "sequential") for bar in (False, True)]
@@ -284,6 +298,9 @@ def test_runs_that_make_no_posterior_are_refused(program: OpenProgram) -> None:
     given = handlers.condition(program, {"goal_red": jnp.int32(0)})
     with pytest.raises(InvalidSettingError, match=r"no phase_ppl\.program"):
         ppl.Posterior.from_numpyro(MCMC(AIES(given), num_warmup=0, num_samples=1))
+    del short._states["sim_seed"]
+    with pytest.raises(InvalidSettingError, match=r"add extra_fields=\('sim_seed',\) to mcmc.run"):
+        ppl.Posterior.from_numpyro(short)
     short._states["z"].pop("alpha")
     with pytest.raises(InvalidSettingError, match="the samples lack alpha"):
         ppl.Posterior.from_numpyro(short)
@@ -342,20 +359,23 @@ def test_what_is_no_event_or_simulates_nothing_is_refused() -> None:
 
 def test_a_prior_can_be_stepped_through_in_infer_and_in_mcmc() -> None:
     """Without compiling: values are numbers, which a debugger shows."""
-    seen: list[str] = []
+    seen: list[int] = []
 
     def watched() -> None:
         red, _ = ppl.sites.goals()
         ppl.sites.alpha()
         ppl.sites.strengths()
-        seen.append(str(red))
+        with contextlib.suppress(jax.errors.ConcretizationTypeError):
+            seen.append(int(red))
 
     model = ppl.Model(prior=watched, simulator=MODEL.simulator)
+    few = {"chains": 2, "iterations": None, "budget": ppl.simulations(4)}
     with opened(model) as program, jax.disable_jit():
         seen.clear()
-        sampled(ppl.kernels.PriorMH(program), 1, 1)
-        assert seen
-        assert all("val = Array(" in text for text in seen)
+        mcmc = sampled(ppl.kernels.PriorMH(program), 1, 1)
+        assert int(mcmc.get_samples()["goal_red"][0]) in seen
         assert len(program.records) == 2
-        post = ppl.infer(EVENT, model, **{**OPTIONS, "chains": 2, "iterations": 1})
+        seen.clear()
+        post = ppl.infer(EVENT, model, **{**OPTIONS, **few})
+        assert seen
     assert post.tree["posterior"].sizes["draw"] == 1
