@@ -67,10 +67,12 @@ from phase_ppl.evaluation.registry import register_model as register_model
 from phase_ppl.evaluation.report import report as report
 from phase_ppl.evaluation.reproduce import reproduce as reproduce
 from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
+from phase_ppl.inference import kernels as kernels
 from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
 from phase_ppl.inference.compare import compare as compare
 from phase_ppl.inference.infer import infer as infer
 from phase_ppl.inference.infer import resume as resume
+from phase_ppl.inference.native import program as program
 from phase_ppl.inference.registry import available_kernels as available_kernels
 from phase_ppl.inference.registry import kernel_info as kernel_info
 from phase_ppl.inference.registry import register_kernel as register_kernel

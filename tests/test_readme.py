@@ -160,6 +160,15 @@ def test_a_simulator_of_ones_own_is_sampled_and_read_step_by_step(
     assert "goal_red Get red agent to red lm 0.9" in read
 
 
+@pytest.mark.slow
+def test_a_program_of_numpyro_is_traced_conditioned_and_sampled(
+    run_script: Callable[..., str],
+) -> None:
+    said = run_script(EXAMPLES_FOLDER / "numpyro_native.py")
+    for text in ("sim_seed        sample", "strong red: off by", "simulations,", "friendly"):
+        assert text in said
+
+
 def test_every_example_is_listed_and_says_how_to_run_it() -> None:
     listed = (EXAMPLES_FOLDER / "README.md").read_text(encoding="utf-8")
     for script in EXAMPLES_FOLDER.glob("*.py"):

@@ -130,6 +130,29 @@ class Posterior(EventPosterior):
             return None
         return Jackknives((over_chains, Jackknife(self._without_sets, n_sets - 1.0)))
 
+    @classmethod
+    def from_numpyro(cls, mcmc: Any, program: Any = None) -> Posterior:
+        """Return the posterior of a run of NumPyro's ``MCMC`` on a :func:`phase_ppl.program`.
+
+        Nothing is simulated again. All draws that NumPyro kept count; its warm-up does not.
+
+        Args:
+            mcmc: after its ``run``, with all sites sampled.
+            program: what was sampled, where the kernel does not say.
+
+        Raises:
+            InvalidSettingError: nothing was run yet, sites are missing, or the program is needed.
+        """
+        model = getattr(mcmc.sampler, "program", None) if program is None else program
+        model = getattr(mcmc.sampler, "model", None) if model is None else model
+        model = getattr(model, "__self__", model)  # of a method such as ``program.uniform``
+        if not hasattr(model, "draws"):
+            raise InvalidSettingError(
+                f"the model of {type(mcmc.sampler).__name__} is no phase_ppl.program: expected "
+                "Posterior.from_numpyro(mcmc, program)"
+            )
+        return cls(model.draws(mcmc))
+
     @property
     def tree(self) -> xr.DataTree:
         """The draws and simulations."""

@@ -36,7 +36,7 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
     "posterior": {},
     "sample_stats": {
         **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), DRAW),
-        **dict.fromkeys(("frames_simulated", "sim_seed"), DRAW),
+        "sim_seed": DRAW,
         "step_error": (*DRAW, "time"),
     },
     SIMULATED: {},
@@ -55,7 +55,7 @@ simulations have: ``HypothesisSpace.columns`` of the world."""
 
 OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "sample_stats": {
-        **dict.fromkeys(("log_weight", "log_evidence"), DRAW),
+        **dict.fromkeys(("log_weight", "log_evidence", "frames_simulated"), DRAW),
         "log_likelihood_without": (*DRAW, "planner_seed"),
     },
     SIMULATED: {"trajectory": (*DRAW, *FRAME)},

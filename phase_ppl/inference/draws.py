@@ -22,6 +22,7 @@ from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import kept_prior, log_prior_of_effective, space_of_prior
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.space import HypothesisSpace
 
@@ -108,7 +109,30 @@ def build_tree(
     Particles are the initial ones and those after every iteration; the kernel says which are draws.
     """
     iterations = kept_iterations(len(particles) - 1, kernel)
-    steps = [particles[i] for i in iterations]
+    tree = tree_of(event, model, [particles[i] for i in iterations], records, iterations)
+    n_draws = len(iterations)
+    short = n_draws < LONG and not kernel.weighted and has_proposals(tree)
+    tree.attrs = {
+        "event_id": event.id,
+        "weights": "stratified" if short else "count",
+        "burn_in": 0 if kernel.weighted else burn_in(n_draws),
+        "schema": SCHEMA,
+        **attrs,
+    }
+    return tree
+
+
+def tree_of(
+    event: Event,
+    model: Model,
+    steps: Sequence[Columns],
+    records: Sequence[Record],
+    iterations: range | None = None,
+) -> xr.DataTree:
+    """Return the tree of draws of those particles, without attributes.
+
+    The iterations are those after which they were the particles; None where nobody knows.
+    """
     space = space_of_prior(model.prior)
     own = [name for name in records[0].sites if name not in space.sites]
     raw = {name: np.array([r.sites[name] for r in records]) for name in (*space.sites, *own)}
@@ -153,16 +177,7 @@ def build_tree(
         ),
         "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
     }
-    tree = xr.DataTree.from_dict(groups)
-    short = n_draws < LONG and not kernel.weighted and has_proposals(tree)
-    tree.attrs = {
-        "event_id": event.id,
-        "weights": "stratified" if short else "count",
-        "burn_in": 0 if kernel.weighted else burn_in(n_draws),
-        "schema": SCHEMA,
-        **attrs,
-    }
-    return tree
+    return xr.DataTree.from_dict(groups)
 
 
 class Table(Protocol):
@@ -368,21 +383,23 @@ def _nearest(sites: Mapping[str, Any], seed: int, records: Sequence[Record]) -> 
         return sum(float(np.abs(asked[name] - value).sum()) for name, value in sites.items())
 
     found = [row for row, one in enumerate(records) if one.result.seed == seed]
-    return min((row for row in found if records[row].result.completed), key=apart)
+    done = [row for row in found if records[row].result.completed]
+    if not done:
+        raise InvalidSettingError(
+            f"a draw (simulator's seed {seed}) rests on no completed simulation: its chain began "
+            "where simulations fail, and had not moved yet; expected a longer warm-up"
+        )
+    return min(done, key=apart)
 
 
 def _sample_stats(
     steps: Sequence[Columns],
-    iterations: range,
+    iterations: range | None,
     records: Sequence[Record],
     table: Columns,
     index: NDArray[np.int64],
 ) -> dict[str, Any]:
     errors = np.array([record.result.errors for record in records], np.float32)
-    frames = np.zeros((len(index), iterations[-1] + 1), np.int64)
-    within = table["iteration"] < frames.shape[1]
-    where = table["chain"][within], table["iteration"][within]
-    np.add.at(frames, where, table["frames_simulated"][within])
     paid = {"long_name": "frames simulated for this iteration's proposal, accepted or not"}
     weight = {"long_name": "log weight of the draw, up to a constant; 0 where all are equal"}
     drawn = {name: np.stack([step[name] for step in steps], axis=1) for name in _PARTICLE}
@@ -391,11 +408,16 @@ def _sample_stats(
         "total_error": (DRAW, table["total_error"][index], {"units": "units of length"}),
         "accepted": (DRAW, drawn["accepted"]),
         "window": (DRAW, drawn["window"]),
-        "frames_simulated": (DRAW, frames[:, list(iterations)], paid),
         "sim_seed": (DRAW, table["seed"][index]),
         "step_error": ((*DRAW, "time"), errors[index]),
         "log_weight": (DRAW, drawn["log_weight"], weight),
     }
+    if iterations is not None:
+        frames = np.zeros((len(index), iterations[-1] + 1), np.int64)
+        within = table["iteration"] < frames.shape[1]
+        where = table["chain"][within], table["iteration"][within]
+        np.add.at(frames, where, table["frames_simulated"][within])
+        stats["frames_simulated"] = (DRAW, frames[:, list(iterations)], paid)
     if not np.isnan(drawn["log_evidence"]).all():
         stats["log_evidence"] = (DRAW, drawn["log_evidence"])
     return stats

@@ -26,7 +26,7 @@ from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
 from phase_ppl.inference.tables import BottomUpTables
-from phase_ppl.models.density import Program, draw, log_density, remembered
+from phase_ppl.models.density import Program, Sites, draw, log_density, remembered
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.roles import space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, OneOf
@@ -57,10 +57,11 @@ def bottom_up_guide(
     The prior's latent sites come with their shapes, in the order in which it samples them; the
     index after the last window stands for the whole observation; ``prior_share`` is in [0, 1).
     """
-    local = _local_program(prior, sites, tables)
+    local, whole = _local_program(prior, sites, tables), len(tables.goal_logits) - 1
     if prior_share == 0:
-        return Mixture((local,), (1.0,), sites)
-    return Mixture((local, lambda window: prior()), (1 - prior_share, prior_share), sites)
+        return Mixture((local,), (1.0,), sites, whole=whole)
+    weights = 1 - prior_share, prior_share
+    return Mixture((local, lambda window: prior()), weights, sites, whole=whole)
 
 
 def _local_program(
@@ -219,6 +220,7 @@ class Mixture:
 
     Attributes:
         programs: of which it is a mixture.
+        whole: argument of the bottom-up proposal with which it looks at the whole observation.
     """
 
     def __init__(
@@ -226,8 +228,9 @@ class Mixture:
         programs: Sequence[Program],
         weights: Sequence[float],
         sites: Mapping[str, tuple[int, ...]],
+        whole: int = 0,
     ) -> None:
-        self.programs = programs
+        self.programs, self.whole = programs, whole
         self._log_weights = np.log(np.array(weights, np.float32))
         self._sites = sites
 
@@ -246,8 +249,13 @@ class Mixture:
         numpyro.factor("mixture", logsumexp(self._log_weights + jnp.stack(parts)))
 
     def draw(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
-        """Return what :func:`~phase_ppl.models.density.draw` does, without the density."""
+        """Return a hypothesis, with any further sites; of a window, its number is the argument."""
+        # what ``models.density.draw`` does, without the density
         return self._drawn(random.split(key)[1], *args)
+
+    def log_prob(self, sites: Sites, *args: Any) -> jax.Array:
+        """Return the log density of a hypothesis, -inf outside the support."""
+        return log_density(self, sites, *args)
 
     def _drawn(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
         key_which, *keys = random.split(key, 1 + len(self.programs))

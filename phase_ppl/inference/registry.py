@@ -81,8 +81,7 @@ class KernelInfo:
         except TypeError as error:
             raise InvalidSettingError(f"kernel {self.name!r}: {error}") from None
         made = self.factory(program, **options)
-        if isinstance(made, HMC):
-            raise _needs_gradient(f"{self.name!r}, which makes a {type(made).__name__},")
+        refuse_numpyros(type(made), f"{self.name!r}, which makes a {type(made).__name__},")
         if not isinstance(made, MCMCKernel):
             hint = " (does the function return it?)" if made is None else ""
             raise InvalidSettingError(
@@ -99,11 +98,24 @@ class KernelInfo:
         return tuple(one.name for one in given if one.name not in NEEDS)
 
 
-def _needs_gradient(kernel: str) -> InvalidSettingError:
-    return InvalidSettingError(
-        f"kernel {kernel} needs a gradient, which a simulator has not; available_kernels() lists "
-        "those that need none"
-    )
+_OURS: Final = {"SA": "sa", "AIES": "aies", "Gibbs": "gibbs", "DiscreteGibbs": "gibbs"}
+"""NumPyro's kernel -> the name under which it runs here."""
+
+
+def refuse_numpyros(kind: type, kernel: str) -> None:
+    """Refuse what is one of NumPyro's kernels as it stands, and say what to write instead."""
+    if issubclass(kind, HMC):
+        raise InvalidSettingError(
+            f"kernel {kernel} needs a gradient, which a simulator has not; available_kernels() "
+            "lists those that need none"
+        )
+    if issubclass(kind, MCMCKernel) and kind.__module__.startswith("numpyro."):
+        ours = _OURS.get(kind.__name__)
+        write = f"write kernel={ours!r} for it, or run it" if ours else "run it"
+        raise InvalidSettingError(
+            f"kernel {kernel} keeps no seed of the simulator: {write} by numpyro.infer.MCMC on a "
+            "phase_ppl.program"
+        )
 
 
 KERNELS: Final = Registry[KernelInfo](
@@ -173,8 +185,7 @@ def info_of(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         raise InvalidSettingError(f"kernel={shown(kernel)} is neither a name nor a kernel")
     name = getattr(kernel, "__name__", type(kernel).__name__)
     factory: Any = getattr(kernel, "bound_to", None) if is_made else kernel
-    if issubclass(kernel if isinstance(kernel, type) else type(kernel), HMC):
-        raise _needs_gradient(name)
+    refuse_numpyros(kernel if isinstance(kernel, type) else type(kernel), name)
     if factory is None:
         raise InvalidSettingError(
             f"kernel {name}: give the class, or a function that makes the kernel from the "

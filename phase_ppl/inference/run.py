@@ -108,7 +108,7 @@ class Run:
         self.info = info_of(self.kernel)
         if is_stepwise(model.likelihood):
             check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
-        self.model = model.in_world(world).for_sampling()
+        self.model = model.for_sampling().in_world(world)
         self.settings = self.settings.settled(world)
         self.chains = whole_number("chains", self.chains)
         self.seed = whole_number("seed", self.seed, minimum=0)

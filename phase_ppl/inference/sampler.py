@@ -376,8 +376,10 @@ class Sampler:
         return started_again(state, completed)
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
+        stepped = jax.config.jax_disable_jit  # in a debugger; JAX knows it by thread
+
         def worked() -> Result:
-            with on_cpu():
+            with on_cpu(), jax.disable_jit() if stepped else contextlib.nullcontext():
                 return jax.block_until_ready(work())
 
         with futures.ThreadPoolExecutor(1, thread_name_prefix="phase_ppl") as executor:

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import itertools
 import math
+import threading
 import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol
@@ -14,11 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
-from jax.interpreters import batching, mlir
 from numpy.typing import NDArray
 
 from phase_ppl.models.density import NO_DENSITY
 from phase_ppl.simulator.contract import SimulationResult
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.scene import PHASE
 from phase_ppl.world.space import HypothesisSpace, space_of
 
@@ -69,18 +70,24 @@ class SimulatorBridge:
         runner: simulates.
         n_frames: of the observation.
         space: what values of sites stand for; by default that of PHASE.
+        raises: whether an exception leaves at once, through JAX, instead of waiting.
 
     Attributes:
         handle: number by which compiled code knows this bridge (``EventProgram``).
         records: every simulation so far.
         iteration: what new records are labelled with.
-        failure: the exception that ended a call, if one did. It waits for whoever drives the chain,
-            who then raises it; until then all is answered with infinite errors. Raised at once, it
-            would be logged by JAX and replaced by an exception of another class.
+        failure: the last exception that ended a call, if one did. It waits for whoever drives the
+            chain, who then raises it; until then all is answered with infinite errors. Raised at
+            once, it would be logged by JAX and replaced by an exception of another class.
     """
 
     def __init__(
-        self, runner: RunsSimulations, n_frames: int, space: HypothesisSpace | None = None
+        self,
+        runner: RunsSimulations,
+        n_frames: int,
+        space: HypothesisSpace | None = None,
+        *,
+        raises: bool = False,
     ) -> None:
         self.handle = next(_handles)
         self.records: list[Record] = []
@@ -90,6 +97,7 @@ class SimulatorBridge:
         self._stops_early: bool = getattr(runner, "stops_early", True)
         self._n_frames = n_frames
         self._space = space_of(PHASE) if space is None else space
+        self._raises, self._one_call = raises, threading.Lock()
         self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
         _open[self.handle] = self
 
@@ -99,11 +107,14 @@ class SimulatorBridge:
         The numbers are log_prior, seed, error_ceiling, log_proposal and log_bound of each, as of
         :meth:`phase_ppl.models.program.EventProgram.simulate`.
         """
-        if self.failure is None:
+        if self.failure is None or self._raises:
             try:
-                return self._simulate(columns, *numbers)
+                with self._one_call:  # chains may run in threads
+                    return self._simulate(columns, *numbers)
             except BaseException as error:
                 self.failure = error
+                if self._raises:
+                    raise
         return np.full((*numbers[1].shape, self._n_frames), np.inf, np.float32)
 
     def remember(self, record: Record) -> None:
@@ -178,10 +189,6 @@ class SimulatorBridge:
 _handles: Final = itertools.count()
 _open: Final[weakref.WeakValueDictionary[int, SimulatorBridge]] = weakref.WeakValueDictionary()
 
-request_p: Final = core.Primitive("phase_ppl_request")
-"""Stands for a simulation in a traced program: (handle, log_prior, seed, error_ceiling,
-log_proposal, log_bound, sites) -> errors. All particles of a vectorised program are one request."""
-
 
 def answered(*arguments: Any, names: tuple[str, ...], n_frames: int) -> NDArray[np.float32]:
     """Return what a request asks for, on the host; errors beyond the observation's end are 0."""
@@ -194,30 +201,34 @@ def answered(*arguments: Any, names: tuple[str, ...], n_frames: int) -> NDArray[
     return np.pad(found, padding)
 
 
-def _from_within(*arguments: Any, names: tuple[str, ...], n_frames: int) -> jax.Array:
-    shape = jax.ShapeDtypeStruct((*jnp.shape(arguments[2]), n_frames), jnp.float32)
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def request(names: tuple[str, ...], n_frames: int, *given: jax.Array) -> jax.Array:
+    """Return (time,) the errors of a simulation, from inside compiled code.
+
+    It is asked for with (handle, log_prior, seed, error_ceiling, log_proposal, log_bound, sites).
+    All particles of a vectorised program are one call.
+    """
     host = functools.partial(answered, names=names, n_frames=n_frames)
-    return jax.pure_callback(host, shape, *arguments)
+    errors = jax.ShapeDtypeStruct((*jnp.shape(given[2]), n_frames), np.float32)
+    return jax.pure_callback(host, errors, *given, vmap_method="broadcast_all")
 
 
-def _as_one(
-    arguments: Sequence[jax.Array], axes: Sequence[int | None], **params: Any
-) -> tuple[jax.Array, int]:
-    """Return the errors of a batch of requests, the batch first."""
-    n = next(a.shape[i] for a, i in zip(arguments, axes, strict=True) if i is not None)
-    whole = (
-        jnp.broadcast_to(a, (n, *jnp.shape(a))) if i is None else jnp.moveaxis(a, i, 0)
-        for a, i in zip(arguments, axes, strict=True)
+@request.defjvp
+def no_gradient(*_: Any) -> Any:
+    """Refuse to be differentiated."""
+    raise InvalidSettingError(
+        "a simulation has no gradient, which this sampler asks for: take a kernel of "
+        "phase_ppl.kernels, or one without gradients, such as NumPyro's SA or AIES"
     )
-    return request_p.bind(*whole, **params), 0
 
 
-request_p.def_impl(_from_within)
-request_p.def_abstract_eval(
-    lambda *kinds, names, n_frames: jax.core.ShapedArray((*kinds[2].shape, n_frames), np.float32)
-)
-batching.primitive_batchers[request_p] = _as_one
-mlir.register_lowering(request_p, mlir.lower_fun(_from_within, multiple_results=False))
+def asked_for(equation: core.JaxprEqn) -> dict[str, Any] | None:
+    """Return the names of sites and the length with which an equation asks for a simulation.
+
+    None where it does something else.
+    """
+    host = getattr(equation.params.get("callback"), "callback_func", None)
+    return host.keywords if getattr(host, "func", None) is answered else None
 
 
 def request_key(sites: Mapping[str, NDArray[Any]], seed: int) -> tuple[Any, ...]:

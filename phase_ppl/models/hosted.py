@@ -30,7 +30,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jax.extend import core
 
-from phase_ppl.models.bridge import answered, request_p
+from phase_ppl.models.bridge import answered, asked_for
 from phase_ppl.models.density import compiled_quickly, on_cpu
 from phase_ppl.physics.jit import cache_folder
 from phase_ppl.world.errors import OutputError
@@ -113,8 +113,8 @@ def write(name: str, content: bytes) -> None:
             old.unlink(missing_ok=True)
 
 
-_CALLS: Final = ("jit", "pjit")
-"""Names of the primitive that calls a function compiled on its own, new and old."""
+_CALLS: Final = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
+"""Primitives that call a function, new and old -> the parameter that has it."""
 
 
 _Given: TypeAlias = tuple[int | None, Any]  # number of a value; or None, and the value itself
@@ -164,6 +164,8 @@ class Hosted:
         leaves, treedef = jax.tree.flatten(args)
         kind = treedef, tuple(map(jax.typeof, leaves))
         with on_cpu():
+            if jax.config.jax_disable_jit:  # to be stepped through
+                return self._function(*args)
             if kind not in self._made:
                 self._made[kind] = self._remembered(kind) or self._make(args, kind)
             return self._made[kind](*args)
@@ -200,7 +202,7 @@ class Hosted:
             after: _Request | None = None
             if request is not None:
                 (errors,) = numbered(request.outvars)
-                after = errors, tuple(map(one, request.invars)), request.params
+                after = errors, tuple(map(one, request.invars)), asked_for(request) or {}
             code = _hash(lowered.as_text())  # what it computes, and for what machine
             pieces.append(_Piece(code, numbered(inputs), numbered(outputs), after))
             if (compiled := read_code(code, len(inputs), len(outputs))) is None:
@@ -264,12 +266,12 @@ def _written_out(traced: core.ClosedJaxpr) -> core.ClosedJaxpr | None:
         seen.add(id(jaxpr))
         for equation in jaxpr.eqns:
             given = outside(equation.invars)
-            if equation.primitive is request_p or not _requests(equation):
+            if asked_for(equation) or not _requests(equation):
                 equations.append(equation.replace(invars=given))
                 continue
             if equation.primitive.name not in _CALLS:
                 return False
-            inner = equation.params["jaxpr"]
+            inner = equation.params[_CALLS[equation.primitive.name]]
             constants.update(zip(inner.jaxpr.constvars, inner.consts, strict=True))
             known.update(zip(inner.jaxpr.invars, given, strict=True))
             if not write(inner.jaxpr):
@@ -287,7 +289,7 @@ def _written_out(traced: core.ClosedJaxpr) -> core.ClosedJaxpr | None:
 
 def _requests(equation: core.JaxprEqn) -> bool:
     """Return whether an equation, or any within it, asks for a simulation."""
-    if equation.primitive is request_p:
+    if asked_for(equation):
         return True
     kinds = core.Jaxpr | core.ClosedJaxpr
     params = list(equation.params.values())
@@ -311,7 +313,7 @@ def _pieces(
         if needed.isdisjoint(equation.outvars):
             continue
         needed = (needed - set(equation.outvars)) | _variables(equation.invars)
-        if equation.primitive is request_p:
+        if asked_for(equation):
             cut.append(([], needed, equation))
         else:
             cut[-1][0].append(equation)

@@ -230,7 +230,7 @@ RESERVED_SITES: Final = frozenset(
         *("goal_kind_red", "goal_kind_green", "target_red", "target_green"),
         *("landmark_red", "landmark_green", "sign_red", "sign_green"),
         *("given", "self", "error", "bound", "probability"),
-        *("log_joint", "step_log_likelihood"),
+        *("log_joint", "step_log_likelihood", "sim_seed", "uniform"),
     )
 )
 """Names that a prior's own sites cannot have."""

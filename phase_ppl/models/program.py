@@ -9,25 +9,36 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro
+import numpyro.distributions as dist
 from jax import random
 from numpyro import handlers
 
-from phase_ppl.models.bridge import request_p
-from phase_ppl.models.density import (
-    NO_DENSITY,
-    Sites,
-    draw,
-    latent_sites,
-    log_density,
-    trace_log_density,
-)
+from phase_ppl.models.bridge import request
+from phase_ppl.models.density import NO_DENSITY, Sites, draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import space_of_prior
+from phase_ppl.models.uniform import IMPOSSIBLE, SEED_BITS, dimensions, in_steps, sites_at
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.scene import Scene
 
 MAX_SEED: Final = 2**31 - 1  # simulator seeds lie below this
+SEED_SITE: Final = "sim_seed"
+
+_NEVER: Final = {
+    "enumerate": "never: a simulation has no gradient, and no seeds to sum over. Take a kernel of "
+    "phase_ppl.kernels, or SA or AIES on program.uniform"
+}
+"""What NumPyro's HMC, NUTS, SA and AIES say of the site when they refuse it."""
+
+
+class SimulatorSeed(dist.DiscreteUniform):
+    """Any seed of the simulator, as likely as any other; too many to be enumerated."""
+
+    has_enumerate_support = False
+
+    def __init__(self) -> None:
+        super().__init__(0, MAX_SEED - 1)
 
 
 class Lookup(NamedTuple):
@@ -53,9 +64,14 @@ class Lookup(NamedTuple):
 class EventProgram:
     """The model of one event, bound to whatever runs its simulations.
 
-    Called, it is a NumPyro program ``program(seed, error_ceiling=inf)``: it samples the prior,
-    simulates, and weighs by the likelihood of the observed trajectory. Kernels that must know
-    the prior density before a simulation is paid for use its parts.
+    Called, it is the paper's model as a NumPyro program, to be traced, seeded, conditioned and
+    sampled as any other; :meth:`uniform` is the same law without discrete sites. Kernels that must
+    know the prior density before a simulation is paid for use its parts.
+
+    The simulator is noisy, and its seed w is a latent site, ``sim_seed``: the target is
+    P(h) p(w) L(e(h, w)), and the same point always has the same likelihood. Of a chain on it the
+    hypotheses h are those of the posterior under the mean likelihood over seeds (pseudo-marginal),
+    whatever exact kernel moves both. With ``noise="fixed"`` the seed follows from the hypothesis.
 
     Args:
         model: prior, likelihood, noise.
@@ -86,13 +102,38 @@ class EventProgram:
         self.is_padded = observed is not None
         self.observed = n_frames if observed is None else observed
 
-    def __call__(self, seed: jax.Array, error_ceiling: jax.Array | float = np.inf) -> None:
+    def __call__(self) -> None:
+        fresh = self.model.noise == "fresh"
+        # before the hypothesis, so that samplers that cannot handle it refuse it at once
+        drawn = numpyro.sample(SEED_SITE, SimulatorSeed(), infer=_NEVER) if fresh else None
         with handlers.trace() as trace:
             self.model.prior()
-        sites = {name: site["value"] for name, site in latent_sites(trace).items()}
-        errors = self.simulate(sites, trace_log_density(trace), seed, error_ceiling)
+        sites = {name: trace[name]["value"] for name in self.model.sites}
+        seed = numpyro.deterministic(SEED_SITE, self._fixed_seed(sites)) if drawn is None else drawn
+        errors = self.simulate(sites, self.log_prior(sites), seed)
         numpyro.deterministic("step_error", errors)
         numpyro.factor("trajectory", self.log_likelihood(errors).sum())
+
+    def uniform(self) -> None:
+        """The same law as a NumPyro program of one site, ``uniform``, (dimension,) numbers.
+
+        For samplers that know no discrete sites: NumPyro's SA, AIES, ESS. The hypothesis and the
+        seed are deterministic sites, functions of the numbers (:mod:`phase_ppl.models.uniform`).
+
+        Raises:
+            InvalidSettingError: a site of the prior has no inverse distribution function.
+        """
+        n = dimensions(self.model)
+        u = in_steps(numpyro.sample("uniform", dist.Uniform().expand([n]).to_event(1)))
+        with handlers.block():
+            sites = sites_at(self.model, u)
+        seed = self.seed_at(u[-1], sites)
+        errors = self.simulate(sites, self.log_prior(sites), seed)
+        for name, value in {**sites, SEED_SITE: seed, "step_error": errors}.items():
+            numpyro.deterministic(name, value)
+        log_likelihood = self.log_likelihood(errors).sum()
+        possible = jnp.isfinite(log_likelihood)
+        numpyro.factor("trajectory", jnp.where(possible, log_likelihood, -IMPOSSIBLE))
 
     def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis, with any further sites, from the prior."""
@@ -100,7 +141,8 @@ class EventProgram:
 
     def log_prior(self, sites: Sites) -> jax.Array:
         """Return the log density of the prior, -inf outside its support."""
-        return log_density(self.model.prior, sites)
+        with handlers.block():  # where it is asked for within a program
+            return log_density(self.model.prior, sites)
 
     def log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return (time,) the log density of each observed frame."""
@@ -144,7 +186,7 @@ class EventProgram:
         names = tuple(sorted(sites))
         numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
         given = (self.bridge, log_prior, seed, *numbers, *(sites[name] for name in names))
-        return request_p.bind(*map(jnp.asarray, given), names=names, n_frames=self.n_frames)
+        return request(names, self.n_frames, *map(jnp.asarray, given))
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
         """Return the seed, int32, with which a proposed hypothesis is simulated.
@@ -153,11 +195,20 @@ class EventProgram:
         simulator is told: effective goals and strengths.
         """
         if self.model.noise == "fixed":
-            key = random.fold_in(random.key(self.salt), self._effective(sites))
-            for name in self.space.strength_sites:
-                strength = jnp.asarray(sites[name], jnp.float32)
-                key = random.fold_in(key, strength.view(jnp.uint32))
+            return self._fixed_seed(sites)
         return random.randint(key, (), 0, MAX_SEED, jnp.int32)
+
+    def _fixed_seed(self, sites: Sites) -> jax.Array:
+        key = random.fold_in(random.key(self.salt), self._effective(sites))
+        for name in self.space.strength_sites:
+            strength = jnp.asarray(sites[name], jnp.float32)
+            key = random.fold_in(key, strength.view(jnp.uint32))
+        return random.randint(key, (), 0, MAX_SEED, jnp.int32)
+
+    def seed_at(self, uniform: jax.Array, sites: Sites) -> jax.Array:
+        """Return the seed for a number in [0, 1); with fixed noise it does not count."""
+        number = jnp.floor(uniform * 2**SEED_BITS).astype(jnp.uint32)
+        return self.simulator_seed(random.fold_in(random.key(0), number), sites)
 
     def effective_goals(self, sites: Sites) -> jax.Array:
         """Return (agent,) the codes of the goals that agents act on."""

@@ -14,7 +14,6 @@ import numpyro.distributions as dist
 import pytest
 from jax import random
 from numpy.typing import NDArray
-from numpyro.infer import MCMC
 
 import phase_ppl as ppl
 from phase_ppl.inference.kernels.generic_mh import MixtureMH, PriorMH, RandomWalkMH
@@ -196,27 +195,7 @@ def test_strengths_of_few_values_and_of_no_upper_end_are_walked_as_the_prior_has
     assert (green.mean(), green.std()) == pytest.approx((200.0, 100.0), rel=0.08)
 
 
-# --- options and what NumPyro asks for ------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_draws_are_the_same_under_numpyros_chain_methods() -> None:
-    program, _bridge = table_program(TableRunner(ERRORS))
-    draws = []
-    for method in ("vectorized", "sequential"):
-        mcmc = MCMC(
-            PriorMH(program),
-            num_warmup=0,
-            num_samples=30,
-            num_chains=2,
-            chain_method=method,
-            progress_bar=False,
-        )
-        mcmc.run(KEYS)
-        draws.append(mcmc.get_samples(group_by_chain=True))
-    for name, values in draws[0].items():
-        assert values.shape == (2, 30)
-        np.testing.assert_allclose(values, draws[1][name], 1e-5, err_msg=name)
+# --- options -----------------------------------------------------------------------------------
 
 
 def test_what_cannot_be_is_refused() -> None:

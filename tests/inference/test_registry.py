@@ -4,7 +4,7 @@ import dataclasses
 from typing import Any
 
 import pytest
-from numpyro.infer import NUTS
+from numpyro.infer import AIES, ESS, NUTS, SA
 
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
@@ -103,6 +103,15 @@ def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
             info_of(kernel)
     with pytest.raises(InvalidSettingError, match="which makes a NUTS, needs a gradient"):
         info_of(lambda program: NUTS(program)).make(program)
+    for given, write in (
+        (SA, "write kernel='sa'"),
+        (AIES(lambda: None), "write kernel='aies'"),
+        (ESS, "run it by"),
+    ):
+        with pytest.raises(InvalidSettingError, match=f"keeps no seed of the simulator: {write}"):
+            info_of(given)
+    with pytest.raises(InvalidSettingError, match="which makes a SA, keeps no seed"):
+        info_of(lambda program: SA(program)).make(program)
     with pytest.raises(InvalidSettingError, match=r"makes None: .*does the function return it"):
         info_of(lambda program: None).make(program)  # type: ignore[arg-type,return-value]
 

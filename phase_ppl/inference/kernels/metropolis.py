@@ -32,7 +32,7 @@ from phase_ppl.inference.guide import Mixture
 from phase_ppl.inference.registry import Validity
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_count
-from phase_ppl.models.density import NO_DENSITY, Program, Sites, draw
+from phase_ppl.models.density import NO_DENSITY, Program, Sites, compiled_quickly, draw
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
 
@@ -51,6 +51,7 @@ class EventKernel(MCMCKernel):
     """
 
     sample_field: ClassVar[str] = "z"
+    default_fields: ClassVar[tuple[str, ...]] = ("z", "sim_seed", "accepted")
 
     def __init__(
         self,
@@ -60,6 +61,8 @@ class EventKernel(MCMCKernel):
     ) -> None:
         self._program = program
         self._guide = guide
+        # one of ``phase_ppl.program`` has settings, and a guide by them
+        settings = getattr(program, "settings", None) if settings is None else settings
         self.settings = SimpleSettings() if settings is None else settings
 
     def bound_to(self, program: EventProgram, guide: Program, settings: SimpleSettings) -> Self:
@@ -76,7 +79,8 @@ class EventKernel(MCMCKernel):
 
     @property
     def guide(self) -> Program:
-        if self._guide is None:
+        guide = getattr(self._program, "guide", None) if self._guide is None else self._guide
+        if guide is None:
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
         if self.settings.prior_share == 0 and getattr(self, "validity", "exact") != "approximate":
             raise InvalidSettingError(
@@ -84,7 +88,8 @@ class EventKernel(MCMCKernel):
                 "which only a share of the prior keeps above 0 wherever the prior is; expected a "
                 "number in (0, 1), or kernel='local_mh' with rule='paper', the ratio as printed"
             )
-        return self._guide
+        found: Program = guide
+        return found
 
     def init(
         self,
@@ -99,10 +104,11 @@ class EventKernel(MCMCKernel):
         ``init_params`` is the hypothesis to start from, by default what the kernel proposes; the
         other arguments are ignored: nothing is tuned, and the program knows its event.
         """
+        within = isinstance(rng_key, jax.core.Tracer)  # options are of what is compiled as a whole
+        start = (jax.jit if within else compiled_quickly)(self._start)
         if is_prng_key(rng_key):
-            one = rng_key, init_params
-            return as_batch_of_one(lambda batch: jax.jit(self._start)(*batch), one)
-        return jax.jit(self._start)(rng_key, init_params)
+            return as_batch_of_one(lambda batch: start(*batch), (rng_key, init_params))
+        return start(rng_key, init_params)
 
     def sample(self, state: Any, model_args: Any = (), model_kwargs: Any = None) -> Any:
         return self._sample_fn(state)
@@ -173,10 +179,10 @@ class ParticleKernel(EventKernel):
             first = self._initial_sites(key_sites) if given is None else given
             return _strongly_typed(self.start_one(key, key_start, first))
 
-        return jax.vmap(start)(keys, sites)
+        return for_each(start, keys, sites)
 
     def _step(self, state: Any) -> Any:
-        return jax.vmap(self.step_one)(state)
+        return for_each(self.step_one, state)
 
     def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return the first of some initial hypotheses that has prior mass.
@@ -186,13 +192,13 @@ class ParticleKernel(EventKernel):
         if self.initial_tries == 1:
             return self.propose_initial(key)
         keys = random.split(key, self.initial_tries)
-        tries = jax.vmap(self.propose_initial)(keys[1:])
+        tries = for_each(self.propose_initial, keys[1:])
         last = self.program.draw_prior(keys[0])
         tries = {
             name: jnp.append(values, last[name][None].astype(values.dtype), axis=0)
             for name, values in tries.items()
         }
-        possible = jax.vmap(self.program.log_prior)(tries) > NO_DENSITY
+        possible = for_each(self.program.log_prior, tries) > NO_DENSITY
         return {name: values[jnp.argmax(possible)] for name, values in tries.items()}
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
@@ -216,6 +222,19 @@ def log_uniform(key: jax.Array) -> jax.Array:
 def chosen(accepted: jax.Array, new: Any, old: Any) -> Any:
     """Return ``new`` where accepted, else ``old``, for whole trees of arrays."""
     return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
+
+
+def for_each(function: Callable[..., Any], *trees: Any) -> Any:
+    """Return what ``jax.vmap(function)(*trees)`` does.
+
+    Where nothing is compiled (``jax.disable_jit``) one after the other, so that a debugger shows
+    numbers.
+    """
+    if not jax.config.jax_disable_jit:
+        return jax.vmap(function)(*trees)
+    n = len(jax.tree.leaves(trees)[0])
+    rows = [function(*jax.tree.map(lambda leaf, i=i: leaf[i], trees)) for i in range(n)]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
 
 
 def as_batch_of_one(function: Callable[[Any], Any], tree: Any) -> Any:

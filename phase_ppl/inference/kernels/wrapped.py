@@ -1,17 +1,13 @@
 """Samplers of NumPyro: composable Gibbs, site by site, and those that know real vectors only.
 
-These see the model as a function of uniform numbers: every latent site of the prior is its inverse
-distribution function at a uniform number, site after site, and the simulator's seed is a function
-of one more. Such a model has no discrete site, and its prior is the same for every site; samplers
+These see the model as a function of uniform numbers (:mod:`phase_ppl.models.uniform`); samplers
 move on the whole real line, u = 1 / (1 + exp(-x)).
 """
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import functools
-import math
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Final, NamedTuple
@@ -30,59 +26,13 @@ from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.kernels.metropolis import EventKernel, ParticleKernel, chosen, log_uniform
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.models.density import draw, latent_sites, trace_log_density
+from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
+from phase_ppl.models.uniform import IMPOSSIBLE, dimensions, in_steps, sites_at
 from phase_ppl.world.errors import InvalidSettingError, positive_number, whole_number
-
-SEED_BITS: Final = 24  # so many bits of a uniform number in single precision make a seed
-
-IMPOSSIBLE: Final = 1e8
-"""Potential of what has no mass. Finite: NumPyro's SA never gives up a point with an infinite
-one."""
-
-_STEPS: Final = 2**16  # distinct values of a uniform number
 
 Found = tuple[dict[str, jax.Array], jax.Array, jax.Array]
 """What a point stands for: sites, seed, and the errors (time,) of the simulation, units."""
-
-
-def _uniform(point: jax.Array) -> jax.Array:
-    # in steps: compiled code rounds the same sum differently in different places, and what was
-    # simulated must be known again when the sampler has moved there; once in some thousand
-    # iterations a step is missed, and simulated again
-    steps = jnp.minimum(jnp.floor(jax.nn.sigmoid(point) * _STEPS), _STEPS - 1)
-    return (steps + 0.5) / _STEPS
-
-
-def seed_of(program: EventProgram, uniform: jax.Array, sites: dict[str, jax.Array]) -> jax.Array:
-    """Return the simulator's seed for a number in [0, 1); with fixed noise it does not count."""
-    number = jnp.floor(uniform * 2**SEED_BITS).astype(jnp.uint32)
-    return program.simulator_seed(random.fold_in(random.key(0), number), sites)
-
-
-def quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
-    """Return where a distribution function reaches ``uniform``, element by element."""
-    while isinstance(distribution, dist.Independent | dist.ExpandedDistribution):
-        distribution = distribution.base_dist  # broadcasting gives the shape back
-    if not distribution.event_shape:
-        with contextlib.suppress(NotImplementedError, ImportError):
-            if distribution.has_enumerate_support:
-                return _discrete_quantile(distribution, uniform)
-            value: jax.Array = distribution.icdf(uniform)
-            return value
-    raise InvalidSettingError(
-        f"site {name!r} ({type(distribution).__name__}) has no inverse distribution function, "
-        "which this kernel needs"
-    )
-
-
-def _discrete_quantile(distribution: Any, uniform: jax.Array) -> jax.Array:
-    support = distribution.enumerate_support(expand=True)
-    reached = jnp.cumsum(jnp.exp(distribution.log_prob(support)), axis=0)
-    reached = reached / reached[-1]
-    index = (uniform[None] > reached[:-1]).sum(axis=0)
-    values = jnp.broadcast_to(support, (len(support), *uniform.shape))
-    return jnp.take_along_axis(values, index[None], axis=0)[0]
 
 
 class WrappedState(NamedTuple):
@@ -127,8 +77,7 @@ class UniformKernel(EventKernel):
     @property
     def dimensions(self) -> int:
         """Numbers that make a point: those of the sites, and the seed's unless noise is fixed."""
-        shapes = self.program.model.sites.values()
-        return sum(map(math.prod, shapes)) + (self.program.model.noise == "fresh")
+        return dimensions(self.program.model)
 
     def potential(self, point: jax.Array) -> jax.Array:
         """Return - log density of a point (dimension,), up to a constant."""
@@ -157,25 +106,12 @@ class UniformKernel(EventKernel):
     def _simulated(self, point: jax.Array) -> Found:
         program, sites = self.program, self._sites(point)
         # the number after the sites' is the seed's; with fixed noise there is none, and no need
-        seed = seed_of(program, _uniform(point)[-1], sites)
+        seed = program.seed_at(in_steps(jax.nn.sigmoid(point))[-1], sites)
         return sites, seed, program.simulate(sites, program.log_prior(sites), seed)
 
     def _sites(self, point: jax.Array) -> dict[str, jax.Array]:
         """Return the hypothesis, with any further sites, that a point stands for."""
-        uniform, begin = _uniform(point), 0
-        numbers: dict[str, jax.Array] = {}
-        for name, shape in self.program.model.sites.items():
-            numbers[name] = uniform[begin : begin + math.prod(shape)].reshape(shape)
-            begin += math.prod(shape)
-
-        def value(site: dict[str, Any]) -> jax.Array | None:
-            name = site["name"]
-            free = name in numbers and site["value"] is None
-            return quantile(name, site["fn"], numbers[name]) if free else None
-
-        prior = handlers.substitute(self.program.model.prior, substitute_fn=value)
-        found = latent_sites(handlers.trace(prior).get_trace())
-        return {name: site["value"] for name, site in found.items()}
+        return sites_at(self.program.model, in_steps(jax.nn.sigmoid(point)))
 
     @abstractmethod
     def start(self, keys: jax.Array, points: jax.Array) -> Any:
@@ -414,9 +350,8 @@ class GibbsKernel(ParticleKernel):
             sites = {name: trace[name]["value"] for name in program.model.sites}
             uniform = numpyro.sample(SEED_SITE, dist.Uniform()) if fresh else jnp.zeros(())
             # looks at the support of all sites, whether Gibbs holds them fixed or not
-            with handlers.block():
-                log_prior = program.log_prior(sites)
-            error = program.simulate(sites, log_prior, seed_of(program, uniform, sites))
+            log_prior = program.log_prior(sites)
+            error = program.simulate(sites, log_prior, program.seed_at(uniform, sites))
             log_likelihood = program.relative_log_likelihood(error)
             possible = jnp.isfinite(log_prior) & jnp.isfinite(log_likelihood)
             numpyro.factor("trajectory", jnp.where(possible, log_likelihood, -jnp.inf))
@@ -443,7 +378,7 @@ class GibbsKernel(ParticleKernel):
             start[SEED_SITE] = uniform
         inner = self._gibbs().init(key, 0, start, (), {})
         none = jnp.zeros((), jnp.int32)
-        seed = seed_of(self.program, uniform, sites)
+        seed = self.program.seed_at(uniform, sites)
         error = self.program.simulate(sites, self.program.log_prior(sites), seed)
         return WrappedState(none, sites, seed, error, inner, none > 0, none, key)
 
@@ -459,6 +394,6 @@ class GibbsKernel(ParticleKernel):
         inner = gibbs.sample(before, (), {})
         sites = {name: inner.z[name] for name in state.z}
         moved = jnp.stack([jnp.any(inner.z[n] != state.inner.z[n]) for n in inner.z]).any()
-        seed = seed_of(self.program, inner.z.get(SEED_SITE, jnp.zeros(())), sites)
+        seed = self.program.seed_at(inner.z.get(SEED_SITE, jnp.zeros(())), sites)
         error = self.program.simulate(sites, self.program.log_prior(sites), seed)
         return state.after(inner, moved, (sites, seed, error), key)
