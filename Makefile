@@ -5,7 +5,7 @@
 
 # Pythons to try, in this order, for the virtual environment.
 PYTHON = python3.11 python3.12 python3.13 python3.14 python3 python
-# What the demo infers, and the folder for its results.
+# What the demo infers, SIMPLE's planner, and the folder for the results.
 EVENT = collaborate
 PLANNER = fast
 SEED = 0
@@ -21,7 +21,7 @@ INSTALL = $(BIN)/python -m pip install --disable-pip-version-check -c constraint
 .PHONY: help demo docs test test-all check lint types imports dist format clean
 
 help:
-	@echo "make demo     infer who wants what in a bundled event; results in $(OUT)/"
+	@echo "make demo     infer who wants what in a bundled event, by both models; results in $(OUT)/"
 	@echo "make test     run the tests; make test-all those too that take long"
 	@echo "make check    lint, types and imports together:"
 	@echo "make lint       style and format of the code (ruff)"
@@ -33,7 +33,11 @@ help:
 	@echo "make clean    remove the virtual environment, caches and demo-out/"
 
 demo: $(VENV)/.installed
-	$(BIN)/phase-ppl infer $(EVENT) --planner $(PLANNER) --seed $(SEED) --out $(OUT) --overwrite
+	@echo "The closed loop: each frame is explained by those before it, under all hypotheses."
+	$(BIN)/phase-ppl infer $(EVENT) --seed $(SEED) --out $(OUT)/closed_loop --overwrite
+	@echo "SIMPLE: hypotheses are sampled, and whole simulations are compared with the video."
+	$(BIN)/phase-ppl infer $(EVENT) --model simple --planner $(PLANNER) --seed $(SEED) \
+	    --out $(OUT)/simple --overwrite
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 40 --durations-min 4 $(ARGS)

@@ -69,21 +69,33 @@ def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
     monkeypatch.setattr(ppl.PlannerConfig, "fast", lambda: faster)
 
 
-def test_the_readmes_lines_print_a_posterior_and_write_its_files(
+def test_the_readmes_first_lines_print_a_posterior_and_write_its_files(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten(monkeypatch, 7)
-    shown, _ = examples(README)
+    printed = run_script(saved(examples(README)[0], tmp_path))
+    assert "posterior    collaborate: read step by step, 7 frames" in printed
+    for name in ("run.nc", "run.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_the_readmes_further_lines_sample_and_compare(
+    tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten(monkeypatch, 7)
+    closed_loop, sampled, _ = examples(README)
+    shown = closed_loop + sampled.replace("20_000)", "60), repeats=1")
     printed = run_script(saved(shown, tmp_path))
     assert "posterior    collaborate: 15 particles x 6 iterations" in printed
-    for name in ("run.nc", "run.png", "why.mp4"):
-        assert (tmp_path / name).stat().st_size > 1000
+    assert "reference: the exact sum over the table that the closed loop has read" in printed
+    assert (tmp_path / "why.mp4").stat().st_size > 1000
 
 
 def test_the_readmes_scene_is_simulated_and_drawn(
     tmp_path: Path, run_script: Callable[..., str]
 ) -> None:
-    _, shown = examples(README)
+    *_, shown = examples(README)
     run_script(saved(shown.replace("frames=50", "frames=8"), tmp_path))
     for name in ("helps.png", "hinders.png"):
         assert (tmp_path / name).stat().st_size > 1000
