@@ -10,6 +10,8 @@ EVENT = collaborate
 PLANNER = fast
 SEED = 0
 OUT = demo-out
+# What is installed to test with; without PyTorch: make test EXTRAS=dev,oracle
+EXTRAS = dev,neural,oracle
 # More arguments for pytest, such as ARGS="tests/world -k goal", and its processes.
 ARGS =
 JOBS = auto
@@ -87,7 +89,7 @@ $(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
 $(VENV)/.installed-dev: $(BIN)/python pyproject.toml constraints.txt
 	@echo "Installing phase_ppl and its tests into $(VENV); the first time takes a few minutes."
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip
-	$(INSTALL) -e '.[dev,oracle]'
+	$(INSTALL) -e '.[$(EXTRAS)]'
 	@touch $(VENV)/.installed $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed

@@ -11,16 +11,13 @@ from typing import Any
 import pytest
 
 NAMES = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
-REQUIRED = os.environ.get("PHASE_PPL_BROWSER") == "required"
-"""Whether tests that need a browser fail where there is none, instead of being skipped."""
-
 
 _named = os.environ.get("CHROMIUM")
 BROWSER = shutil.which(_named) if _named else next(filter(None, map(shutil.which, NAMES)), None)
 
 WHY = f"there is no browser here ($CHROMIUM, or {', '.join(NAMES)})"
 
-needs_browser = pytest.mark.skipif(BROWSER is None and not REQUIRED, reason=WHY)
+needs_browser = pytest.mark.skipif(BROWSER is None, reason=WHY)
 
 
 def browser_path() -> str:
@@ -32,14 +29,8 @@ def browser_path() -> str:
 
 @contextlib.contextmanager
 def running_browser() -> Iterator[Any]:
-    """Yield a running browser, as Playwright has it; without Playwright the test is skipped.
-
-    It fails instead where a browser is required.
-    """
-    if REQUIRED:
-        import playwright.sync_api as playwright
-    else:
-        playwright = pytest.importorskip("playwright.sync_api", reason="there is no Playwright")
+    """Yield a running browser, as Playwright has it; without Playwright the test is skipped."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="there is no Playwright")
     with playwright.sync_playwright() as running:
         # a sandbox is not to be had by root, much shared memory not in a container
         found = running.chromium.launch(

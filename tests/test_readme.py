@@ -156,11 +156,53 @@ def test_citation_and_changelog_are_of_this_version() -> None:
     assert f"\n## [{ppl.__version__}] - {released['date-released']}\n" in changes
 
 
-@pytest.mark.slow
-def test_an_observer_of_ones_own_is_fitted_beside_others(run_script: Callable[..., str]) -> None:
-    said = run_script(EXAMPLES_FOLDER / "own_observer.py", "--quick")
-    for text in ("timid: r = ", "saturating: r = ", "nats more than"):
-        assert text in said
+SHOWN: dict[str, list[str]] = {
+    "alternative_prior": ["uniform: ", "E[kindness] = ", "sensitivity.png"],
+    "chain_diagnostics": [
+        "4 iterations of 8 particles: Not decided",
+        "move_rate",
+        "diagnostics.png",
+    ],
+    "compare_kernels": ["reference: enumeration", "prior_mh", "comparison.png"],
+    "glide": ["<event glide: 12 frames"],
+    "own_kernel": ["from_prior ('", "local_mh ('"],
+    "own_observer": ["the model: r = ", "timid: r = "],
+    "own_world": ["goals, such as", "Ann: ('", "nursery.png", "over_time.png"],
+    "posterior_queries": ["P(both are after the same thing) = ", "I(goal_red; goal_green) = "],
+    "real_videos": ["videos in Videos_Test_humanratings", "people say ", "    relation: ('"],
+}
+"""Example -> what it prints, and the pictures that it draws."""
+
+LONG = ("compare_kernels", "own_observer")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in SHOWN]
+)
+def test_an_example_shows_its_point(
+    name: str, run_script: Callable[..., str], tmp_path: Path
+) -> None:
+    said = run_script(EXAMPLES_FOLDER / f"{name}.py")
+    if name == "real_videos" and "git clone" in said:
+        pytest.skip("the original recordings (../shared/phase-test) are not here")
+    for expected in SHOWN[name]:
+        if expected.endswith(".png"):
+            assert (tmp_path / expected).stat().st_size > 1000
+        else:
+            assert expected in said
+
+
+def test_real_videos_are_read_from_what_is_given_or_it_is_said_where_to_get_them(
+    run_script: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = EXAMPLES_FOLDER / "real_videos.py"
+    monkeypatch.setenv("PHASE_TEST", str(tmp_path))
+    said = run_script(script)
+    assert "git clone https://github.com/Isik-lab/SocialGNN" in said
+    (tmp_path / "Videos_Test_humanratings").write_bytes(b"\x80\x02]q\x00.")  # an empty list
+    for arguments in ((), (str(tmp_path / "Videos_Test_humanratings"),)):
+        with pytest.raises(ppl.PhasePPLError, match="the list is empty"):
+            run_script(script, *arguments)
 
 
 @pytest.mark.slow
@@ -183,6 +225,7 @@ def test_a_program_of_numpyro_is_traced_conditioned_and_sampled(
 
 def test_every_example_is_listed_and_says_how_to_run_it() -> None:
     listed = (EXAMPLES_FOLDER / "README.md").read_text(encoding="utf-8")
+    assert {*SHOWN} == {script.stem for script in EXAMPLES_FOLDER.glob("*.py")}
     for script in EXAMPLES_FOLDER.glob("*.py"):
         assert f"[{script.name}]({script.name})" in listed
         assert f"python examples/{script.name}" in script.read_text(encoding="utf-8")

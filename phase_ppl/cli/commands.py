@@ -58,7 +58,7 @@ COMMANDS: Final = {
                  "PHASE"),
     "train": ("generate", "train a model of social perception on a generated data set"),
     "study": ("study", "put events before people, in the browser"),
-    "export": ("events", "write events in another format, or read the pickles of PHASE's authors"),
+    "export": ("events", "write events in another format"),
 }  # fmt: skip
 """Command -> the module that adds it, which is imported where it is asked for; what it does."""
 

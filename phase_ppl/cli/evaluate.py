@@ -39,6 +39,8 @@ _OF_WORK: Final = (
 
 _NOTHING_SAVED: Final = "\nNothing was saved; --out DIR keeps predictions, metrics and figures."
 
+_JUDGMENTS: Final = "people's judgments: a .csv file, or a folder of raters' files"
+
 _LABEL: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
@@ -76,7 +78,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
     cli.share(parser, "workers", "dask", "shard")
     cli.add(parser, "--seed N", "default 0", cli.whole(0))
-    cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
+    cli.add(parser, "--judgments FILE", _JUDGMENTS, Path)
     says = (
         "results of another model, or a model whose predictions the events carry, for "
         f"paired differences; written to {AGAINST}. With several models: the one of them from "
@@ -168,7 +170,7 @@ def options_of(
 def _evaluate(options: argparse.Namespace) -> int:
     if options.events is None:
         return _show_again(options)
-    from phase_ppl.evaluation.judgments import all_events
+    from phase_ppl.evaluation.judgments import all_events, load_judgments
 
     models = models_of(options.model)
     labelled = len(models) > 1 or list(models) != list(models.values())  # each has a folder
@@ -179,6 +181,10 @@ def _evaluate(options: argparse.Namespace) -> int:
         plain[name] = own.taken(plain[name], name, named=name != "simulator")
     of_models = options_of(models, plain, options.option)
     events = all_events(options.events, options.split)
+    if options.judgments is not None:
+        options.judgments = load_judgments(options.judgments, events)
+        if options.judgments.summary:
+            print(f"people: {options.judgments.summary}")
     if labelled:
         _check_several(options, events, models, of_models)
     else:
@@ -476,7 +482,7 @@ def _add_fit_people(commands: Any) -> None:
         "answers of people, and where they hesitate.",
     )
     cli.add(parser, "events EVENTS", "an event file or a folder of event files")
-    cli.add(parser, "--judgments FILE", "a .csv file; default: those in the events", Path)
+    cli.add(parser, "--judgments FILE", f"{_JUDGMENTS}; default: those in the events", Path)
     cli.add(parser, "--observer NAME", "default company; of several, the best", action="append")
     says = (
         "the model whose evidence observers go by, or the folder of its evaluation, which is "
@@ -540,7 +546,7 @@ def _add_reproduce(commands: Any) -> None:
         "full: and all lesions, and what is beyond the paper"
     )
     cli.add(parser, "--profile", says, choices=("quick", "paper", "full"), default="quick")
-    cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
+    cli.add(parser, "--judgments FILE", _JUDGMENTS, Path)
     cli.add(parser, "--vlm-store DIR", "stored answers of a vision-language model", Path)
     cli.add(parser, "--tags FILE", "people's labels, a .csv file", Path)
     cli.add(parser, "--likeness FILE", "people's ratings of likeness, a .csv file", Path)

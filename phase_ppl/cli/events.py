@@ -14,7 +14,7 @@ import phase_ppl
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
 from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
-from phase_ppl.dataset.load import EXPORTS, PHASE_PICKLE
+from phase_ppl.dataset.load import EXPORTS
 from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
 from phase_ppl.dataset.statistics import PHASE
 from phase_ppl.evaluation.judgments import all_events
@@ -294,19 +294,13 @@ def _add_export(commands: Any) -> None:
         "phase-ppl export collaborate compete --to phase-test --out two.json",
     )
     cli.add(parser, "events EVENTS", "files of events, or bundled events' names", nargs="+")
-    says = "the files are pickles of PHASE's authors; plain data are read, no code is run"
-    cli.add(parser, "--from", says, dest="source", choices=(PHASE_PICKLE,))
     cli.add(parser, "--to", choices=tuple(EXPORTS), required=True)
     cli.add(parser, "--out FILE", type=Path, required=True)
 
 
 def _export(options: argparse.Namespace) -> int:
     writable_folder(options.out.parent)
-    events = [
-        event
-        for path in options.events
-        for event in phase_ppl.load_events(path, format=options.source)
-    ]
+    events = [event for path in options.events for event in phase_ppl.load_events(path)]
     phase_ppl.export_events(events, options.out, options.to)
     print(f"{len(events)} event{'s' * (len(events) != 1)} written to {options.out}")
     return 0

@@ -26,25 +26,34 @@ from phase_ppl.world.files import existing_file
 
 T = TypeVar("T")
 MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
-PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
+_PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _HEAD_BYTES: Final = 64
 _OLD_PICKLE: Final = re.compile(rb"\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
 """How pickles of the text protocols begin; JSON never does."""
 
 
 def read_document(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the JSON object in the file ``path``.
-
-    A pickle is recognised by its name or its first bytes and never loaded: loading one runs
-    whatever code its author put into it.
-    """
-    if Path(path).suffix.lower() in PICKLE_SUFFIXES:
-        raise InvalidEventError(_REFUSED_PICKLE)
+    """Return the JSON object in the file ``path``. A pickle is refused, not loaded."""
     with reading_bytes("an event file"), open(path, "rb") as file:
         content = file.read(_HEAD_BYTES)
         _refuse_binary(content)
         content += file.read(MAX_BYTES + 1 - len(content))
     return parse_document(content)
+
+
+def is_pickle(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a pickle by its first bytes, or claims to be one by its name."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError:  # said by who reads it
+        return False
+    return _begins_a_pickle(head) or Path(path).suffix.lower() in _PICKLE_SUFFIXES
+
+
+def _begins_a_pickle(head: bytes) -> bool:
+    new_style = len(head) > 1 and head[0] == 0x80 and head[1] <= 0x0F
+    return new_style or _OLD_PICKLE.match(head) is not None
 
 
 @contextlib.contextmanager
@@ -114,17 +123,12 @@ def parse_text(text: str) -> dict[str, Any]:
     return document
 
 
-_REFUSED_PICKLE: Final = (
-    "is a pickle, which is never loaded as an event because loading one can run any code; "
-    "expected a JSON file; for a pickle of PHASE's authors say so by format='phase-pickle', or "
-    "convert it by 'phase-ppl export --from phase-pickle'"
-)
-
-
 def _refuse_binary(head: bytes) -> None:
-    new_style = len(head) > 1 and head[0] == 0x80 and head[1] <= 0x0F
-    if new_style or _OLD_PICKLE.match(head):
-        raise InvalidEventError(_REFUSED_PICKLE)
+    if _begins_a_pickle(head):
+        raise InvalidEventError(
+            "is a pickle, which is not loaded here because loading one can run any code; expected "
+            "a JSON file"
+        )
     if b"\0" in head:
         raise InvalidEventError("is a binary file, expected a JSON file")
 

@@ -12,7 +12,14 @@ from types import ModuleType
 from typing import Any, Final
 
 from phase_ppl.dataset import events_json
-from phase_ppl.dataset.documents import check_ids, naming, parse_document, read_document
+from phase_ppl.dataset.documents import (
+    check_ids,
+    in_front,
+    is_pickle,
+    naming,
+    parse_document,
+    read_document,
+)
 from phase_ppl.dataset.events_json import Entries, event_from_record, turned
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, instance_of
 from phase_ppl.world.event import Event
@@ -34,9 +41,6 @@ EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Format -> endings of the names of its files."""
 
-PHASE_PICKLE: Final = "phase-pickle"
-"""The format of the authors' pickles, which are read only where this is said."""
-
 
 def bundled_events() -> list[str]:
     """Return the names of the bundled events, sorted."""
@@ -55,20 +59,18 @@ def load_event(
     path: PathLike,
     video: str | None = None,
     turning: Turning | None = None,
-    *,
-    format: str | None = None,
 ) -> Event:
     """Read one event.
 
     Args:
-        path: an event file, JSON (:mod:`phase_ppl.dataset.events_json`) or NetCDF
-            (:mod:`phase_ppl.dataset.events_netcdf`), or the name of a bundled event, with or
-            without ".json", where no file of that name exists.
+        path: an event file, which is known by its content: JSON
+            (:mod:`phase_ppl.dataset.events_json`), NetCDF
+            (:mod:`phase_ppl.dataset.events_netcdf`) or a pickle of PHASE's authors
+            (:mod:`phase_ppl.dataset.authors.videos`), of which only plain data are read: no code
+            in it is run. Or the name of a bundled event, with or without ".json", where no file
+            of that name exists.
         video: id of the wanted event; must be given if the file holds several.
         turning: "both", "ccw" or "cw" instead of what the file says or shows.
-        format: "phase-pickle" for a pickle of PHASE's authors
-            (:mod:`phase_ppl.dataset.authors.videos`), of which only plain data are read; no code
-            in it is run. All other files say themselves what they are.
 
     Raises:
         InvalidEventError: the file cannot be read as an event; the message names file and value.
@@ -76,7 +78,7 @@ def load_event(
         InvalidSettingError: the file holds several events and none was named.
     """
     _check_turning(turning)
-    entries = _entries(path, format)
+    entries = _entries(path)
     ids = [name for name, _ in entries]
     if video is None and len(ids) > 1:
         some = ", ".join(repr(name) for name in ids[:3]) + (", ..." if len(ids) > 3 else "")
@@ -88,16 +90,14 @@ def load_event(
     return _read(path, entries[index], turning)
 
 
-def load_events(
-    path: PathLike, turning: Turning | None = None, *, format: str | None = None
-) -> Sequence[Event]:
+def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Event]:
     """Read all events of a file, in the order of the file, or of a generated data set.
 
     Args:
         path: as for :func:`load_event`, or the folder of a generated data set, which comes as
             :class:`~phase_ppl.dataset.generated.GeneratedEvents`, whose events are read
             when they are asked for.
-        turning, format: as for :func:`load_event`.
+        turning: as for :func:`load_event`.
 
     Raises:
         InvalidEventError, InvalidSettingError: as for :func:`load_event`.
@@ -110,24 +110,23 @@ def load_events(
         from phase_ppl.dataset.generated import GeneratedEvents
 
         return GeneratedEvents(folder, turning)
-    return [_read(path, entry, turning) for entry in _entries(path, format)]
+    return [_read(path, entry, turning) for entry in _entries(path)]
 
 
-def _entries(path: PathLike, format: str | None) -> Entries:
-    if format is not None:
-        check_name("format", format, [PHASE_PICKLE])
-    bundled = None if format else _bundled_name(path)
+def _entries(path: PathLike) -> Entries:
+    bundled = _bundled_name(path)
     if bundled is not None:
         file = _folder() / f"{bundled}{_JSON}"
         return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]
     from phase_ppl.dataset.hdf5 import is_hdf5
 
     with naming(path):
-        if format:
+        if is_pickle(path):
             # imported only here, as it brings the simulator
             from phase_ppl.dataset.authors import videos
 
-            entries = videos.read(path)
+            with in_front("is a pickle, of which only those of PHASE's authors are read: "):
+                entries = videos.read(path)
         elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
             # likewise xarray
             from phase_ppl.dataset import events_netcdf
@@ -207,9 +206,8 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
         format: "json" or "netcdf", as :func:`save_events` writes them;
             "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.dataset.events_json`);
             "phase-processed", a pickle of plain data and arrays as the authors have them
-            (:mod:`phase_ppl.dataset.authors.videos`), which
-            ``load_events(path, format="phase-pickle")`` reads. The first two keep everything, the
-            others what they have a place for.
+            (:mod:`phase_ppl.dataset.authors.videos`). All are read again by :func:`load_events`;
+            the first two keep everything, the others what they have a place for.
 
     Raises:
         UnknownNameError: there is no such format.

@@ -14,6 +14,9 @@ others. A cell may be empty except in the first two; nothing is assumed in its p
 separated by commas; case and spaces around an answer do not matter. About events of another world
 than PHASE the questions are that world's (:func:`~phase_ppl.evaluation.prediction.questions_of`),
 as ``goal_purple`` and ``relation_red_purple``.
+
+The folder of the raters' files of a public study of PHASE is read too
+(:mod:`phase_ppl.evaluation.raters`).
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
+from phase_ppl.evaluation.raters import is_raters, read_raters
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -45,7 +49,8 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.files import as_path
+from phase_ppl.world.scene import PHASE, World, check_is_phase
 
 
 def columns_of(world: World) -> tuple[str, ...]:
@@ -61,10 +66,12 @@ class Study:
         table: a row per participant and video, with the columns :func:`columns_of`; answers as the
             labels spell them, None where there is none; response times in seconds, NaN likewise.
         world: of the events.
+        summary: which of the raters' files were kept, and why others were not; "" of a CSV file.
     """
 
     table: pd.DataFrame
     world: World = PHASE
+    summary: str = ""
 
     @property
     def participants(self) -> tuple[str, ...]:
@@ -100,7 +107,7 @@ class Study:
     def __repr__(self) -> str:
         return (
             f"<Study of {len(self.judgments)} videos, {len(self.participants)} participants, "
-            f"{len(self.table)} rows>"
+            f"{len(self.table)} rows{self.summary and f': {self.summary}'}>"
         )
 
 
@@ -108,12 +115,15 @@ def load_judgments(
     path: str | os.PathLike[str],
     events: str | os.PathLike[str] | Sequence[Event] | None = None,
 ) -> Study:
-    """Read a study from a CSV file of the form that the module describes.
+    """Read a study from a CSV file of the form that the module describes, or from raters' files.
 
     Args:
-        path: of the file.
+        path: of the file; or the folder of raters' files of a public study of PHASE, or one of them
+            (:mod:`phase_ppl.evaluation.raters`), of which complete ones whose attention checks are
+            right are kept.
         events: those that may be judged, or their file or folder, of one world, whose questions
-            are asked; a row about another video is an error. Default: any of PHASE.
+            are asked; a row about another video is an error, a rater's answer about one is left
+            out. Default: any of PHASE.
 
     Raises:
         InvalidEventError: there is no such file, or it is no such table: columns are missing, a
@@ -125,7 +135,11 @@ def load_judgments(
     judged = None if events is None else all_events(events)
     videos = None if judged is None else [event.id for event in judged]
     world = world_of(judged or ())
-    questions = questions_of(world)
+    source = as_path(path)
+    if is_raters(source):
+        check_is_phase(world, "a rater's file")
+        rows, summary = read_raters(source, videos)
+        return _study(path, rows, world, summary)
 
     def check(cells: dict[str, str]) -> dict[str, Any]:
         row = _row(cells, world)
@@ -135,11 +149,21 @@ def load_judgments(
 
     check_header = functools.partial(_check_header, world, events is not None)
     rows = read_rows(path, check, check_header, once=("participant", "video"))
-    if not any(row[question] for row in rows for question in questions):
-        raise InvalidEventError(f"{path}: holds no judgments")
+    return _study(path, rows, world)
+
+
+def _study(
+    path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]], world: World, summary: str = ""
+) -> Study:
+    if not any(row.get(question) for row in rows for question in questions_of(world)):
+        raise InvalidEventError(f"{path}: holds no judgments{' of these events' * bool(summary)}")
     # plain objects: pandas' own text would make NaN of None
-    table = pd.DataFrame(rows, columns=list(columns_of(world)), dtype=object)
-    return Study(table.astype({"response_time": float}), world)
+    table = pd.DataFrame(
+        [[row.get(name) for name in columns_of(world)] for row in rows],
+        columns=list(columns_of(world)),
+        dtype=object,
+    )
+    return Study(table.astype({"response_time": float}), world, summary)
 
 
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:

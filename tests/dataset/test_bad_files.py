@@ -40,12 +40,27 @@ def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_a_pickle_is_refused_without_being_loaded(tmp_path: Path, protocol: int) -> None:
-    for content in (Trap(os.mkdir, str(tmp_path / "sprung")), {"format": "phase-ppl-event-1"}):
-        for name in ("event.pkl", "event.json"):
+def test_other_pickles_than_the_authors_are_refused_without_running_them(
+    tmp_path: Path, protocol: int
+) -> None:
+    for content, why in (
+        (Trap(os.mkdir, str(tmp_path / "sprung")), f"asks for '{os.mkdir.__module__}.mkdir'"),
+        ({"format": "phase-ppl-event-1"}, "has no entity_color_code"),
+        (["videos"], "videos[0] is 'videos', expected a dict"),
+    ):
+        for name in ("event.pkl", "event.json", "event"):
             path = tmp_path / name
             path.write_bytes(pickle.dumps(content, protocol))
-            assert "is a pickle, which is never loaded" in refused(path)
+            said = refused(path)
+            assert "is a pickle, of which only those of PHASE's authors are read: " in said
+            assert why in said
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_a_pickle_in_place_of_another_document_is_not_loaded(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_bytes(pickle.dumps(Trap(os.mkdir, str(tmp_path / "sprung"))))
+    with pytest.raises(InvalidEventError, match="is a pickle, which is not loaded here"):
+        load_events(tmp_path)
     assert not (tmp_path / "sprung").exists()
 
 

@@ -145,7 +145,7 @@ def test_what_is_no_file_or_too_large_is_refused(
     monkeypatch.setattr("phase_ppl.dataset.documents.MAX_BYTES", 100)
     for path, message in (
         (tmp_path / "none.csv", "no such file"),
-        (tmp_path, "no such file"),
+        (tmp_path, "the folder holds no raters' files"),
         (write(tmp_path, STUDY), "is larger than"),
     ):
         with pytest.raises(InvalidEventError, match=message):

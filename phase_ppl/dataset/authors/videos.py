@@ -1,9 +1,9 @@
 """Events from the pickles of PHASE's authors, and in their processed form.
 
-Two kinds of file are read. Both are described in words only, so that none of this was tried on an
-original:
+Two kinds of file are read:
 
-* a list of videos, the processed form: per video ``name`` (of its film), ``trajectories`` (per body
+* a list of videos, the processed form, as ``Videos_Test_humanratings`` of the public repository
+  Isik-lab/SocialGNN: per video ``name`` (of its film), ``trajectories`` (per body
   rows of x, y, vx, vy, angle; one per frame), ``entity_sizes``, ``entity_color_code``,
   ``wall_segs``, ``landmark_centers`` and ``social_goals`` (the relation that most raters saw);
 * one record of the generator, whose file has the film's name: ``sizes`` in place of
@@ -15,10 +15,11 @@ What is done to them:
 * Goals and strengths are those of the film's name, which has them in that order;
   ``physical_goals`` mixes two numberings and is not read. A name is such as
   ``D082020_1817530_0_F8_E8.1_G['LMO', 0, 2, 1]_['LMO', 0, 2, 1]_ST3_1_..._R0.0_0.0_....mp4``: a
-  time stamp (here followed by the first of two observation switches, 0_0), the layout (8) and how
-  it was reflected (.1), a goal [type, entity, target, sign] and a strength per agent, red first,
-  then more that is not used here. Entities have the numbers of their colours: agents 0 red, 1
-  green, items 0 blue, 1 pink, in "TE" both; landmarks 0 blue, 1 green, 2 red, 3 yellow.
+  time stamp of 7 digits, of 8 in some training videos, whose last is the first of two observation
+  switches (0_0), the layout (8) and how it was reflected (.1), a goal [type, entity, target, sign]
+  and a strength per agent, red first, then more that is not used here. Entities have the numbers
+  of their colours: agents 0 red, 1 green, items 0 blue, 1 pink, in "TE" both; landmarks 0 blue, 1
+  green, 2 red, 3 yellow.
 * Items' tracks are cut to the length of the agents', after which nothing moves.
 * A record's substeps are averaged in fives, as the processed form has them. It starts with the
   initial state, or, in reflected copies, with the first substep.
@@ -74,15 +75,15 @@ sign 1 (to) or -1 (away from)."""
 ALPHA: Final = 10.0  # weight of the other's goal, in names
 _LONGEST: Final = 1000
 _PLACE: Final = re.compile(
-    r"(?P<stamp>.*?)_?(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"
+    r"(?P<stamp>.*?)(?P<between>_?)(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"
 )
 _PARAMETERS: Final = re.compile(
     r"_G(?P<goals>.*)_ST(?P<red>[0-3]|None)_(?P<green>[0-3]|None)(?=_|$)"
 )
 _BETWEEN: Final = "[^A-Za-z0-9-]+"
 _GOAL: Final = re.compile(rf"([A-Z]+){_BETWEEN}(\d+){_BETWEEN}(\d+){_BETWEEN}(-?1)(?!\d)")
-_STAMP: Final = re.compile(r"D\d{6}_\d{6}")
-_ID: Final = re.compile(r"(D\d{6}_\d{6})(\d)_E(\d+)(?:\.([0-3]))?")
+_STAMP: Final = re.compile(r"D\d{6}_\d{6,7}")
+_ID: Final = re.compile(r"(D\d{6}_\d{6,7})(\d)_E(\d+)(?:\.([0-3]))?")
 _SUFFIXES: Final = re.compile(r"\.(mp4|pik|pkl|pickle)$")
 
 
@@ -122,7 +123,7 @@ def parse_name(name: str) -> Recorded:
     found = matches[-1]  # an id may look like part of a name
     stamp = stem[: found.start()] + found["stamp"]
     place = Place(int(found["layout"]), None if found["copy"] is None else int(found["copy"]))
-    if _STAMP.fullmatch(stamp):
+    if _STAMP.fullmatch(stamp) and not found["between"]:
         stamp += f"{found['switch']}_{place}"
     return Recorded(stamp or stem, place, _truth(stem[found.end() :]))
 
@@ -219,6 +220,7 @@ def read(path: str | os.PathLike[str]) -> Entries:
     """
     content = read_pickle(path)
     if isinstance(content, dict):
+        require(content, "entity_color_code", dict)
         said = parse_name(Path(path).name)
         return [(event_id({"id": said.id}), functools.partial(_event, content, said, raw=True))]
     if not isinstance(content, list):
@@ -413,7 +415,8 @@ def repaired(angles: FloatArray, radius: float) -> FloatArray:
 
     Of all ways in which the angle may have passed the cut, the one that takes the least turning,
     where a frame that passes it must lie near it: as near as at most a full turn, which an agent of
-    this radius can make, explains. Angles that lie beyond the cut anyway were never wrapped and
+    this radius can make, explains. Where it passed the cut forth and back within one frame, that
+    frame alone is off. Angles that lie beyond the cut anyway were never wrapped and
     stay as they are.
     """
     if (angles > _ROUNDING).any() or (angles < -_TURN - _ROUNDING).any():
@@ -438,7 +441,7 @@ def repaired(angles: FloatArray, radius: float) -> FloatArray:
         best = flat.argmin(axis=1)
         choices.append(best)
         cost = flat[np.arange(len(share)), best] + misfit[frame]
-    return _followed(before, way, choices, int(cost.argmin()))
+    return _without_spikes(_followed(before, way, choices, int(cost.argmin())), radius)
 
 
 def _misfit(before: FloatArray, radius: float) -> FloatArray:
@@ -453,6 +456,22 @@ def _misfit(before: FloatArray, radius: float) -> FloatArray:
     ends = np.stack([after - 3, after - 2, 0 * after]) * (full_turn(radius) / 3)
     off = np.maximum(np.maximum(ends.min(axis=0) - beyond, beyond - ends.max(axis=0)), 0.0)
     return np.where(way == 0, 0.0, (_MISFIT * off) ** 2)
+
+
+def _without_spikes(angles: FloatArray, radius: float) -> FloatArray:
+    """Return angles without frames that are off by more than an agent can turn, forth and back.
+
+    They are put near their neighbours if that is near the cut.
+    """
+    most, share = full_turn(radius), _TURN / SUBSTEPS
+    mended = np.array(angles)
+    for frame in range(1, len(mended) - 1):
+        forth, back = angles[frame] - mended[frame - 1], angles[frame] - angles[frame + 1]
+        if forth * back > 0 and min(abs(forth), abs(back)) > most:
+            moved = angles[frame] - share * np.round((forth + back) / 2 / share)
+            if abs(moved - _TURN * np.round(moved / _TURN)) < most / 3:
+                mended[frame] = moved
+    return mended
 
 
 def _followed(

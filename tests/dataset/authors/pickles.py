@@ -1,4 +1,4 @@
-"""Files as PHASE's authors have them, made from a description: none of theirs is at hand.
+"""Files as PHASE's authors have them, where a test must know what is in them.
 
 What happens in them is made up: two agents that drive in circles and two items that drift.
 """

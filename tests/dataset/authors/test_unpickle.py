@@ -435,7 +435,7 @@ def test_a_damaged_file_holds_events_or_none(tmp_path: Path) -> None:
         for _ in range(15):
             path.write_bytes(damaged(whole, rng))
             try:
-                said = f"{path}: {len(load_events(path, format='phase-pickle'))} event"
+                said = f"{path}: {len(load_events(path))} event"
             except PhasePPLError as error:
                 said = str(error)
             assert said.startswith(str(path))

@@ -51,10 +51,6 @@ def write(folder: Path, content: Any, name: str = "videos.pkl", protocol: int = 
     return path
 
 
-def load(path: Path) -> list[Event]:
-    return load_events(path, format="phase-pickle")
-
-
 def assert_shows(event: Event, copy: int | None) -> None:
     made = expected(copy)
     got, wanted = event.observation.trajectory, made.trajectory
@@ -74,12 +70,12 @@ def assert_shows(event: Event, copy: int | None) -> None:
 @pytest.mark.parametrize("copy", KINDS)
 def test_videos_and_records_become_what_they_show(tmp_path: Path, copy: int | None) -> None:
     for code in (SHUFFLED, SHORT, {0: 1, 1: 0, 2: 3, 3: 2}):
-        (event,) = load(write(tmp_path, [processed(copy, code)]))
+        (event,) = load_events(write(tmp_path, [processed(copy, code)]))
         assert_shows(event, copy)
         assert event.id == f"{STAMP}_E8" + ("" if copy is None else f".{copy}")
         assert event.observation.n_frames == FRAMES
         assert event.judgments == {"majority": "neutral"}
-    (event,) = load(write(tmp_path, record(copy), name_of(copy) + ".pik"))
+    (event,) = load_events(write(tmp_path, record(copy), name_of(copy) + ".pik"))
     assert_shows(event, copy)
     assert event.judgments is None
 
@@ -90,21 +86,27 @@ def test_the_made_up_angles_are_spoiled_before_they_are_repaired() -> None:
 
 
 def test_ids_are_stamp_and_place_or_what_the_name_says(tmp_path: Path) -> None:
-    event = load_event(write(tmp_path, record(None), "mine.pik"), format="phase-pickle")
+    event = load_event(write(tmp_path, record(None), "mine.pik"))
     assert (event.id, event.truth) == ("mine", None)
     path = write(tmp_path, [processed(copy) for copy in KINDS])
-    assert [event.id for event in load(path)] == [
+    assert [event.id for event in load_events(path)] == [
         f"{STAMP}_E8{suffix}" for suffix in ("", ".0", ".1", ".2", ".3")
     ]
-    event = load_event(path, f"{STAMP}_E8.2", "both", format="phase-pickle")
+    event = load_event(path, f"{STAMP}_E8.2", "both")
     assert_shows(event, 2)
     assert event.scene.turning == "both"
     with pytest.raises(UnknownNameError, match=r"videos.pkl: unknown video 'other'"):
-        load_event(path, "other", format="phase-pickle")
+        load_event(path, "other")
+    # stamps have 7 digits or 8
+    for stamp in (STAMP, f"{STAMP[:-1]}00", f"{STAMP[:-1]}10"):
+        made = [processed(copy, stamp=stamp) for copy in KINDS]
+        found = [event.id for event in load_events(write(tmp_path, made))]
+        assert found == [f"{stamp}_E8{suffix}" for suffix in ("", ".0", ".1", ".2", ".3")]
+        assert [place_in_id(id) for id in found] == [Place(8, copy) for copy in KINDS]
     # two of one stamp and place go by their whole names
     first, second = processed(0), processed(0)
     second["name"] = second["name"].replace("_e0", "_e1")
-    ids = [event.id for event in load(write(tmp_path, [first, second, processed(1)]))]
+    ids = [event.id for event in load_events(write(tmp_path, [first, second, processed(1)]))]
     assert ids == [first["name"], second["name"], f"{STAMP}_E8.1"]
 
 
@@ -115,25 +117,47 @@ def test_the_way_agents_turn_is_read_off_their_angles(tmp_path: Path) -> None:
     turns[1:51], turns[51:] = steps, steps[-1]
     video["trajectories"][1][:, 4] = averaged(turns[:, None], 1)[:, 0]
     video["trajectories"][0][:, 4] = 0.0
-    (event,) = load(write(tmp_path, [video]))
+    (event,) = load_events(write(tmp_path, [video]))
     assert event.scene.turning == "ccw"
 
 
 def test_all_tracks_may_be_one_array(tmp_path: Path) -> None:
     video = processed(1)
     video["trajectories"] = np.stack([track[:FRAMES] for track in video["trajectories"]])
-    (event,) = load(write(tmp_path, [video], protocol=5))
+    (event,) = load_events(write(tmp_path, [video], protocol=5))
     assert_shows(event, 1)
 
 
-def test_a_pickle_is_read_only_when_asked_for(tmp_path: Path) -> None:
-    path = write(tmp_path, [processed(None)])
-    with pytest.raises(InvalidEventError, match=r"is a pickle.*format='phase-pickle'"):
-        load_events(path)
-    with pytest.raises(UnknownNameError, match=r"unknown format 'pickle'.*'phase-pickle'"):
-        load_events(path, format="pickle")
-    with pytest.raises(InvalidEventError, match="collaborate: no such file"):
-        load_events("collaborate", format="phase-pickle")  # a bundled one
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_a_pickle_is_known_by_its_content_whatever_its_name(tmp_path: Path, protocol: int) -> None:
+    for name in ("Videos", "videos.json", "videos.pkl"):
+        (event,) = load_events(write(tmp_path, [processed(None)], name, protocol))
+        assert_shows(event, None)
+
+
+ORIGINAL = DEV.parent / "original" / "Videos_Test_humanratings"
+
+
+@pytest.mark.skipif(
+    not ORIGINAL.is_file(), reason="the original recordings (../shared/phase-test) are not here"
+)
+def test_the_original_file_shows_what_its_conversion_says() -> None:
+    converted = {event.id: event for event in load_events(DEV)}
+    found = load_events(ORIGINAL)
+    assert sorted(event.id for event in found) == sorted(converted)
+    for event in found:
+        like = converted[event.id]
+        tracks, others = event.observation.trajectory, like.observation.trajectory
+        np.testing.assert_allclose(tracks[..., :2], others[..., :2], atol=1e-4)
+        angles = tracks[:, :2, 2] - others[:, :2, 2]
+        turns = TURN * np.round(angles[:1] / TURN)
+        np.testing.assert_allclose(angles, np.broadcast_to(turns, angles.shape), atol=1e-4)
+        for name in ("radius", "walls", "landmark_centres"):
+            mine, theirs = getattr(event.scene, name), getattr(like.scene, name)
+            np.testing.assert_allclose(np.sort(mine, axis=0), np.sort(theirs, axis=0), atol=1e-4)
+        assert event.scene.turning == like.scene.turning
+        assert event.truth == like.truth
+        assert event.judgments == {"majority": (like.judgments or {})["majority"]}
 
 
 TRACKS = processed(None)["trajectories"]
@@ -195,7 +219,7 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path) -> None:
         for content in contents:
             path = write(tmp_path, content)
             with pytest.raises(PhasePPLError) as raised:
-                load(path)
+                load_events(path)
             said = str(raised.value)
             assert said.startswith(str(path))
             assert "\n" not in said
@@ -203,7 +227,7 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path) -> None:
     made = record(None)
     made["trajectories"] = [rows[:-2] for rows in made["trajectories"]]
     with pytest.raises(InvalidEventError, match="has 194 rows, expected a multiple of 5, or one"):
-        load(write(tmp_path, made))
+        load_events(write(tmp_path, made))
 
 
 # --- names ----------------------------------------------------------------------------------------
@@ -258,10 +282,12 @@ truths = st.none() | st.builds(
     Truth, goals, goals, strength_red=strengths, strength_green=strengths
 )
 ids = st.text(st.characters(codec="utf-8", categories=("L", "N", "P")), min_size=1, max_size=40)
-stamps = st.from_regex(r"D[0-9]{6}_[0-9]{7}_E[0-9]{1,2}(\.[0-3])?", fullmatch=True)
+stamps = st.from_regex(r"D[0-9]{6}_[0-9]{7,8}_E[0-9]{1,2}(\.[0-3])?", fullmatch=True)
+
+bare = st.from_regex(r"D[0-9]{6}_[0-9]{5,9}", fullmatch=True)  # nearly the authors'
 
 
-@given(id=ids | stamps, place=places, truth=truths)
+@given(id=ids | stamps | bare, place=places, truth=truths)
 def test_a_name_that_is_written_says_the_same_when_read(
     id: str, place: Place, truth: Truth | None
 ) -> None:
@@ -329,6 +355,17 @@ def test_frames_that_pass_the_cut_are_wrong_before() -> None:
     angles = turning([1] * 10, 0.8, -1.0)
     off = spoiled(angles) - averaged(angles, 1)
     assert ((off % TURN > 0.1) & (off % TURN < TURN - 0.1)).sum() == 2
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize("radius", SIZES)
+def test_an_agent_that_passes_the_cut_forth_and_back_within_a_frame(n: int, radius: float) -> None:
+    for cut, side in itertools.product((0.0, -TURN), (1, -1)):
+        angles = np.full(101, cut - 0.02 * side)
+        angles[41 : 41 + n] = cut + 0.03 * side
+        got, wanted = repaired(spoiled(angles), radius), averaged(angles, 1)
+        turns = np.round((got - wanted)[0] / TURN)
+        np.testing.assert_allclose(got, wanted + TURN * turns, atol=1e-9)
 
 
 def test_an_agent_at_rest_and_angles_that_were_never_wrapped_are_left_alone() -> None:

@@ -1,6 +1,6 @@
 """How the bundled events were made: simulate from drawn scenes, keep what shows its type.
 
-    python examples/make_bundled_events.py FOLDER
+    python benchmarks/bundled_events.py FOLDER
 
 For each type the first draw stands in which the type can be seen: goals reached (collaborative,
 independent), both hold the item (competing), the agents meet again and again (opposing).

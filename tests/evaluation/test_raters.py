@@ -1,0 +1,157 @@
+"""Raters' files of a public study of PHASE, made from their answers as they were recounted."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.dataset.authors.videos import file_name, place_in_id
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError
+from phase_ppl.world.event import Truth
+from phase_ppl.world.hypothesis import RELATIONS
+from tests.evaluation.judged import COLLABORATIVE, COMPETING, make_event
+from tests.world.examples import DEV, needs_dev
+
+BLUE, PINK = "Get blue item to red lm", "Get pink item to green lm"
+CHECKS = {
+    "friendly": Truth(BLUE, BLUE),
+    "neutral": Truth(BLUE, PINK),
+    "adversarial": Truth("get to green agent", "get away from red agent"),
+}
+ID = "D082020_18175{:02}_E8"
+"""Of made-up videos, with stamps of 7 digits; ``ID_8`` has 8."""
+
+ID_8 = "D082020_181759{:02}_E8.3"
+
+
+def film(id: str, truth: Truth | None = None) -> str:
+    place = place_in_id(id)
+    assert place is not None
+    return file_name(id, place, truth or CHECKS["neutral"], 40)
+
+
+def lines_of(answers: Mapping[str, str], wrong: str = "", american: bool = False) -> list[str]:
+    """Return a file's lines: about the person, the checks, and answers to twenty videos."""
+    checks = {
+        film(ID.format(90 + i), truth).replace(".mp4", "_mm.mp4"): (
+            "neutral" if right == wrong else right
+        )
+        for i, (right, truth) in enumerate(CHECKS.items())
+    }
+    others = (ID_8.format(n) for n in range(10, 40))
+    unseen = {film(id): "friendly" for id in itertools.islice(others, 20 - len(answers))}
+    lines = [json.dumps([["age", "33"], ["gender", "f"], ["ethnicity", "none of them"]])]
+    said = {**checks, **{film(id): relation for id, relation in answers.items()}, **unseen}
+    for n, (name, relation) in enumerate(said.items()):
+        line = {
+            "video_name": name,
+            "time": f"{'9/16' if american else '16/9'}/2021 @ 14:{n}:5",
+            "subjectID": "5d6f",
+            "csv_name": "list_3.csv",
+            "question_name": "relation",
+            "likert_response": relation,
+        }
+        lines.append(json.dumps(list(line.items())))
+    return lines
+
+
+def write(folder: Path, name: str, lines: list[str]) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+@needs_dev
+def test_files_of_the_raters_give_the_counts_that_were_made_of_them(tmp_path: Path) -> None:
+    answers: dict[str, dict[str, str]] = {}
+    with (DEV.parent / "raters.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            answers.setdefault(row["participant"], {})[row["video"]] = row["relation"]
+    folder = tmp_path / "responses"
+    for n, (rater, given) in enumerate(answers.items()):
+        write(folder, f"{rater}.txt", lines_of(given, american=n % 2 == 0))
+    some = next(iter(answers.values()))
+    write(folder, "left.txt", lines_of(some)[:-1])
+    write(folder, "restarted.txt", [*lines_of(some), lines_of(some)[-1]])
+    write(folder, "asleep.txt", lines_of(some, wrong="adversarial"))
+    events = ppl.load_events(DEV)
+    study = ppl.load_judgments(folder, events)
+    assert str(study).endswith(
+        "67 of 70 raters' files kept, 2 incomplete, 1 with a wrong attention check>"
+    )
+    assert len(study.participants) == 67
+    for event in events:
+        counted = (event.judgments or {})["relation_counts"]
+        found = study.judgments[event.id].counts["relation"].tolist()
+        assert dict(zip(RELATIONS, found, strict=True)) == counted
+
+
+EVENTS = [make_event(ID.format(1), COLLABORATIVE), make_event(ID_8.format(1), COMPETING)]
+SAID = {EVENTS[0].id: "friendly", EVENTS[1].id: "adversarial"}
+
+
+def test_nothing_about_the_person_is_kept(tmp_path: Path) -> None:
+    folder = write(tmp_path / "responses", "5d6f_2021-09-16.txt", lines_of(SAID))
+    for path in (folder, folder / "5d6f_2021-09-16.txt"):
+        study = ppl.load_judgments(path, EVENTS)
+        assert study.participants == ("rater-1",)
+        kept = study.table.to_csv() + repr(study) + str(ppl.with_judgments(EVENTS, study))
+        for personal in ("33", "none of them", "5d6f", "ethnicity"):
+            assert personal not in kept
+    lines = ["[personal, and no JSON", *lines_of(SAID)[1:]]
+    study = ppl.load_judgments(write(folder, "5d6f_2021-09-16.txt", lines), EVENTS)
+    assert study.table["relation"].tolist() == ["friendly", "adversarial"]
+
+
+@pytest.mark.parametrize("check", list(CHECKS))
+def test_a_file_with_a_wrong_check_is_left_out(tmp_path: Path, check: str) -> None:
+    lines = lines_of(SAID, wrong=check)
+    if check == "neutral":
+        lines[2] = lines[2].replace('"neutral"', '"friendly"')
+    path = write(tmp_path / "responses", "a.txt", lines) / "a.txt"
+    with pytest.raises(InvalidEventError, match=r"0 of 1 raters' files kept, 1 with a wrong att"):
+        ppl.load_judgments(path, EVENTS)
+
+
+def test_what_is_no_raters_file_is_named(tmp_path: Path) -> None:
+    good = lines_of(SAID)
+    for line, message in {
+        "{": "is no JSON list of [key, value] pairs",
+        "[1, 2]": "is no JSON list of [key, value] pairs",
+        "[" * 100_000: "is no JSON list of [key, value] pairs",
+        '[["video_name", "x.mp4"]]': "has no likert_response",
+        '[["video_name", 7], ["likert_response", "neutral"]]': "video_name is 7",
+        good[4].replace('"friendly"', '"nice"'): "unknown relation 'nice'",
+    }.items():
+        folder = write(tmp_path / "responses", "a.txt", [*good[:4], line, *good[5:]])
+        with pytest.raises(PhasePPLError) as raised:
+            ppl.load_judgments(folder, EVENTS)
+        assert str(raised.value).startswith(f"{folder / 'a.txt'}, line 5: {message}")
+    write(folder, "a.txt", ["[" + "x" * 2**20])
+    with pytest.raises(InvalidEventError, match=r"a.txt: is larger than the 1 MB"):
+        ppl.load_judgments(folder, EVENTS)
+    (folder / "a.txt").unlink()
+    with pytest.raises(InvalidEventError, match=r"responses: the folder holds no raters' files"):
+        ppl.load_judgments(folder, EVENTS)
+    with pytest.raises(InvalidEventError, match="holds no judgments of these events"):
+        ppl.load_judgments(write(folder, "a.txt", good), [make_event("other", COMPETING)])
+
+
+def test_the_command_says_whose_answers_count(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ppl.save_events(EVENTS, tmp_path / "events.json")
+    folder = write(tmp_path / "responses", "a.txt", lines_of(SAID))
+    write(folder, "b.txt", lines_of(SAID)[:3])
+    arguments = ["evaluate", tmp_path / "events.json", "--model", "last_frame"]
+    assert main([*map(str, arguments), "--judgments", str(folder)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("people: 1 of 2 raters' files kept, 1 incomplete\n")
+    assert "people, majority" in printed
