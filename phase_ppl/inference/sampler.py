@@ -35,7 +35,7 @@ from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given,
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.strength import estimator_name
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
-from phase_ppl.models.density import on_cpu
+from phase_ppl.models.density import is_stepped, on_cpu
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.roles import drawn_stated
@@ -399,7 +399,7 @@ class Sampler:
         return state
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
-        stepped = jax.config.jax_disable_jit  # in a debugger; JAX knows it by thread
+        stepped = is_stepped()  # which JAX knows by thread
 
         def worked() -> Result:
             with on_cpu(), jax.disable_jit() if stepped else contextlib.nullcontext():
