@@ -143,7 +143,7 @@ class Posterior(EventPosterior):
         Raises:
             InvalidSettingError: nothing was run yet, sites are missing, or the program is needed.
         """
-        model = getattr(mcmc.sampler, "program", None) if program is None else program
+        model: Any = getattr(mcmc.sampler, "program", None) if program is None else program
         model = getattr(mcmc.sampler, "model", None) if model is None else model
         model = getattr(model, "__self__", model)  # of a method such as ``program.uniform``
         if not hasattr(model, "draws"):

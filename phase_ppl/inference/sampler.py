@@ -34,7 +34,7 @@ from phase_ppl.inference.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
-from phase_ppl.models.density import on_cpu
+from phase_ppl.models.density import is_stepped, on_cpu
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.roles import drawn_stated
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
@@ -376,7 +376,7 @@ class Sampler:
         return started_again(state, completed)
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
-        stepped = jax.config.jax_disable_jit  # in a debugger; JAX knows it by thread
+        stepped = is_stepped()  # which JAX knows by thread
 
         def worked() -> Result:
             with on_cpu(), jax.disable_jit() if stepped else contextlib.nullcontext():

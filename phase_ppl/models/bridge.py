@@ -227,7 +227,7 @@ def asked_for(equation: core.JaxprEqn) -> dict[str, Any] | None:
 
     None where it does something else.
     """
-    host = getattr(equation.params.get("callback"), "callback_func", None)
+    host: Any = getattr(equation.params.get("callback"), "callback_func", None)
     return host.keywords if getattr(host, "func", None) is answered else None
 
 

@@ -160,6 +160,12 @@ def _known_options() -> dict[str, Any]:
     return known
 
 
+def is_stepped() -> bool:
+    """Whether nothing is to be compiled, as somebody steps through it (``jax.disable_jit``)."""
+    config: Any = jax.config
+    return bool(config.jax_disable_jit)
+
+
 def on_cpu() -> contextlib.AbstractContextManager[Any]:
     """Return a context in which JAX works on the processor."""
     # the programs are tiny, and the same everywhere; an accelerator would not help

@@ -31,7 +31,7 @@ from jax.experimental import serialize_executable
 from jax.extend import core
 
 from phase_ppl.models.bridge import answered, asked_for
-from phase_ppl.models.density import compiled_quickly, on_cpu
+from phase_ppl.models.density import compiled_quickly, is_stepped, on_cpu
 from phase_ppl.physics.jit import cache_folder
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.files import write_bytes
@@ -164,7 +164,7 @@ class Hosted:
         leaves, treedef = jax.tree.flatten(args)
         kind = treedef, tuple(map(jax.typeof, leaves))
         with on_cpu():
-            if jax.config.jax_disable_jit:  # to be stepped through
+            if is_stepped():
                 return self._function(*args)
             if kind not in self._made:
                 self._made[kind] = self._remembered(kind) or self._make(args, kind)

@@ -32,7 +32,14 @@ from phase_ppl.inference.guide import Mixture
 from phase_ppl.inference.registry import Validity
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_count
-from phase_ppl.models.density import NO_DENSITY, Program, Sites, compiled_quickly, draw
+from phase_ppl.models.density import (
+    NO_DENSITY,
+    Program,
+    Sites,
+    compiled_quickly,
+    draw,
+    is_stepped,
+)
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
 
@@ -230,7 +237,7 @@ def for_each(function: Callable[..., Any], *trees: Any) -> Any:
     Where nothing is compiled (``jax.disable_jit``) one after the other, so that a debugger shows
     numbers.
     """
-    if not jax.config.jax_disable_jit:
+    if not is_stepped():
         return jax.vmap(function)(*trees)
     n = len(jax.tree.leaves(trees)[0])
     rows = [function(*jax.tree.map(lambda leaf, i=i: leaf[i], trees)) for i in range(n)]
