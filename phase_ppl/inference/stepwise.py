@@ -23,7 +23,6 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     instance_of,
     number_of_workers,
-    shown,
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
@@ -67,7 +66,13 @@ class Watch:
         model = Model() if model is None else model
         instance_of("model", model, Model, "a phase_ppl.Model")
         self.model = model.for_reading()
-        likelihood = self._likelihood = _likelihood_of(self.model)
+        likelihood = self._likelihood = self.model.likelihood
+        assert isinstance(likelihood, StepwiseLikelihood), "it is for reading"
+        if self.model.simulator is not None:
+            raise InvalidSettingError(
+                "the stepwise likelihood asks the agents of the joint simulator for their "
+                "policies; the model has a simulator of its own"
+            )
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
         self._scene, self._event_id = scene, event_id
         self._seed = whole_number("seed", seed, minimum=0)
@@ -201,21 +206,6 @@ def watch(
         ``event.observation.trajectory``, ``post = watch.update(frame)``
     """
     return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
-
-
-def _likelihood_of(model: Model) -> StepwiseLikelihood:
-    instance_of("model", model, Model, "a phase_ppl.Model")
-    likelihood = model.likelihood
-    if not isinstance(likelihood, StepwiseLikelihood):
-        raise InvalidSettingError(
-            f"likelihood={shown(likelihood)}: to read step by step takes a StepwiseLikelihood"
-        )
-    if model.simulator is not None:
-        raise InvalidSettingError(
-            "the stepwise likelihood asks the agents of the joint simulator for their policies; "
-            "the model has a simulator of its own"
-        )
-    return likelihood
 
 
 # --- the whole video ------------------------------------------------------------------------------

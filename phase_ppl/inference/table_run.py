@@ -25,23 +25,26 @@ from phase_ppl.inference.sampler import Interrupted, RunOptions, started_again
 from phase_ppl.models import priors
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.effective import cells
+from phase_ppl.models.likelihood import is_stepwise
+from phase_ppl.models.model import Model
 from phase_ppl.models.program import Lookup
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_memory, shown
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.identity import qualified_name, versions
+from phase_ppl.world.identity import qualified_name, stable, versions
 from phase_ppl.world.progress import Bar
-from phase_ppl.world.scene import PHASE
+from phase_ppl.world.scene import PHASE, check_is_phase
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-    from phase_ppl.models.model import Model
 
 ITERATIONS: Final = 1000
 """Draws of each chain, where nothing else is asked for."""
 
-_BLOCK: Final = 256  # iterations that are compiled as one, at most
+_BLOCK: Final = 64  # iterations that are compiled as one
+_DRAW_BYTES, _FRAME_BYTES = 400, 28  # of memory that a draw takes, and each of its frames
+_MOST_BYTES: Final = 2 * 10**9  # that a run takes of which seconds decide how long it is
 _OF_SIMULATIONS: Final = (
     *("executor", "on_failure", "retries", "simulation_seconds"),
     *("checkpoint", "weights"),
@@ -57,11 +60,12 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
     """Return the model whose prior counts: a given one, or that by which the video was read.
 
     Raises:
-        InvalidSettingError: the prior was one's own, which a file cannot hold.
+        InvalidSettingError: the prior was one's own, which a file cannot hold; or the model is to
+            simulate, or to read the video in another way.
     """
-    from phase_ppl.models.model import Model
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
+    check_is_phase(read.world, "a kernel on what the closed loop has read")
     if model is None:
         recorded = read.settings["model"]["prior"]
         known = {qualified_name(priors.named(name)): name for name in priors.available()}
@@ -72,18 +76,35 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
                 "infer(post, model, kernel=...)"
             )
         model = Model(prior=prior)
+    given, now = model.likelihood, read.settings.get("likelihood")
+    as_read = is_stepwise(given) and now in (None, stable(given.to_dict()))
+    for name, value in (("simulator", model.simulator), ("likelihood", given)):
+        if value is not None and not (value is given and as_read):
+            raise InvalidSettingError(
+                f"{name}={shown(value)}: of what the closed loop has read a model can change the "
+                "prior only, infer(post, Model(prior=...), kernel=...)"
+            )
     likelihood = StepwiseLikelihood(weight=float(read.dataset.attrs["weight"]))
     return Model(model.prior, likelihood=likelihood)
 
 
-def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Posterior:
-    """Return the posterior of a run whose every simulation is looked up in what was read."""
+def check_looked_up(options: RunOptions) -> None:
+    """Raise InvalidSettingError if an option is for simulations, of which there are none."""
     for name in _OF_SIMULATIONS:
         if (value := getattr(options, name)) != getattr(RunOptions, name):
             raise InvalidSettingError(
                 f"{name}={shown(value)} is for simulations: a kernel on what the closed loop has "
                 "read looks everything up"
             )
+
+
+def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Posterior:
+    """Return the posterior of a run whose every simulation is looked up in what was read.
+
+    Raises:
+        Interrupted: Ctrl-C, with what was drawn until then.
+    """
+    check_looked_up(options)
     found = _Table(read)
     data = run.data(0)._replace(table=found.lookup(run.recipe.n_frames))
     kernel = make_kernel(run.recipe, data)
@@ -91,10 +112,11 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
     if wanted is None and options.budget is None and not hasattr(kernel, "n_iterations"):
         wanted = ITERATIONS
     length = Length.of(kernel, run.info, run.chains, wanted, options.budget, run.n_frames)
-    n = _iterations(length, run.n_frames)
+    each = run.chains * (_DRAW_BYTES + _FRAME_BYTES * run.n_frames)
+    n = _iterations(length, run.n_frames, each)
     options.check_burn_in(n)
     with on_cpu():
-        steps = _drawn(run, data, n, length.limit("seconds"), options, found)
+        steps, stopped = _drawn(run, data, n, length.limit("seconds"), options, found)
     done = len(steps["sim_seed"]) - 1
     cost = {
         "simulations": length.at_most(done),
@@ -105,37 +127,59 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
         "seconds_reading": read.cost.get("seconds"),
         "searches": read.cost.get("searches"),
         "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
+        "interrupted": stopped,
     }
+    # what planned and was followed is as it was read; the prior may be another
+    record = run.record(done)
+    as_read = {k: v for k, v in read.settings.get("model", {}).items() if "prior" not in k}
+    record["model"] |= as_read
     attrs = {
         "kernel": run.info.name,
         "validity": getattr(kernel, "validity", run.info.validity),
-        "settings": json.dumps({**run.record(done), "read": read.settings}, default=repr),
+        "settings": json.dumps({**record, "read": read.settings}, default=repr),
         "cost": json.dumps(cost),
         "versions": json.dumps(versions()),
     }
     tree = table_tree(run.event, run.model, run.info, steps, found, attrs)
-    return Posterior(tree, burn_in=options.burn_in)
+    if options.burn_in is not None:
+        # of a run that ended early at least the last draw counts
+        tree.attrs["burn_in"] = min(options.burn_in, tree["posterior"].sizes["draw"] - 1)
+    post = Posterior(tree)
+    if stopped:
+        raise Interrupted(post)
+    return post
 
 
-def _iterations(length: Length, n_frames: int) -> int:
-    """Return how many iterations there will be at most; a budget buys look-ups."""
-    if length.iterations is not None:
-        return length.iterations
+def _iterations(length: Length, n_frames: int, n_bytes: int) -> int:
+    """Return how many iterations there will be at most; a budget buys look-ups.
+
+    Each takes so many bytes of memory.
+    """
     most = min(length.limit("simulations"), length.limit("frames") / n_frames)
-    if most == math.inf:
-        return 10**7  # seconds decide
-    left = most - length.at_most(0)
-    return max(1, math.ceil(left / (length.at_most(1) - length.at_most(0))))
+    if length.iterations is not None:
+        n = length.iterations
+    elif most == math.inf:  # seconds decide, as far as there is room
+        n = max(1, _MOST_BYTES // n_bytes)
+    else:
+        at_start = length.at_most(0)
+        n = max(1, math.ceil((most - at_start) / (length.at_most(1) - at_start)))
+    check_memory(f"{length.chains} chains of {n} draws of {n_frames} frames", n * n_bytes)
+    return n
 
 
 def _drawn(
     run: Run, data: Data, n: int, seconds: float, options: RunOptions, found: _Table
-) -> Columns:
-    """Return the particles (iteration + 1, chain, ...) of so many iterations, or of fewer."""
-    block = min(_BLOCK, 1 << (n - 1).bit_length())
-    start, advance = compiled(run.recipe)[0], compiled_block(run.recipe, block)
+) -> tuple[Columns, bool]:
+    """Return the particles (iteration + 1, chain, ...) of so many iterations, or of fewer.
+
+    And whether Ctrl-C ended them.
+    """
+    start, advance = compiled(run.recipe)[0], compiled_block(run.recipe, _BLOCK)
     number = int(np.random.SeedSequence(run.seed).generate_state(1)[0])
-    state = start(random.split(random.key(number), run.chains), data)
+    try:
+        state = start(random.split(random.key(number), run.chains), data)
+    except KeyboardInterrupt:
+        raise Interrupted(None) from None
     sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
     possible = np.isfinite(found.errors(sites)).all(axis=-1)
     if not possible.any():
@@ -143,17 +187,18 @@ def _drawn(
     state = started_again(state, possible)
     # as the first of blocks (iteration, chain, ...)
     told = [{name: one[None] for name, one in particles_of(state).items()}]
-    done = 0
+    done, stopped = 0, False
     try:
         with Bar(n, 0, options.progress, "iteration", run.info.name) as bar:
             while done < n and clock() - options.began < seconds:
                 state, states = advance(state, data)
                 told.append(particles_of(states))
-                bar.update(min(block, n - done))
-                done += block
+                bar.update(min(_BLOCK, n - done))
+                done += _BLOCK
     except KeyboardInterrupt:
-        raise Interrupted(None) from None
-    return {name: np.concatenate([one[name] for one in told])[: n + 1] for name in told[0]}
+        stopped = True
+    steps = {name: np.concatenate([one[name] for one in told])[: n + 1] for name in told[0]}
+    return steps, stopped
 
 
 class _Table:
