@@ -205,7 +205,7 @@ def new_length() -> dict[str, Any]:
             whole_event, observation=Observation(whole_event.observation.trajectory[:n_frames])
         )
         begin = time.process_time()
-        infer(event, Model(simulator=still), progress=False)
+        infer(event, Model(simulator=still), kernel="local_mh", progress=False)
         seconds.append(time.process_time() - begin)
     return {"infer_seconds_again": seconds[1], "new_length_seconds": seconds[2] - seconds[1]}
 

@@ -199,9 +199,10 @@ class Comparison(Printed):
         errors = {name: self.reference_error(name) for name in DISTANCES}
         if self.settings["reference"].get("marginals") is None:
             return "so there are no distances, and no ranks"
-        if not any(errors.values()) and None not in errors.values():
+        if set(errors.values()) == {0.0}:
             return "which is exact"
-        known = [f"{MEASURES[n]} {e:.2f}" for n, e in errors.items() if e is not None]
+        measured = {n: e for n, e in errors.items() if e is not None and not np.isnan(e)}
+        known = [f"{MEASURES[n]} {e:.2f}" for n, e in measured.items()]
         if not known:
             return "its own error is not known, so kernels are not ranked by it"
         return (
@@ -380,10 +381,8 @@ def curve(
     frames = array(tree, "simulations", "frames_simulated")
     # draws are those after the last iterations: a run can have more of these, or one fewer
     first = int(iteration.max(initial=0)) - n_draws + 1
-    is_table, total = (
-        "trajectory" not in tree[SIMULATED],
-        int(post.cost["simulations"]),
-    )
+    is_table = "trajectory" not in tree[SIMULATED]
+    total = int(post.cost["simulations"])
     if n_draws == 1 or (first not in (0, 1) and not is_table):
         lengths = np.array([n_draws])
     else:

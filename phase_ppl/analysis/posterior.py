@@ -113,7 +113,7 @@ class Posterior(EventPosterior):
         self._looked_up = "log_likelihood_without" in stats
         if self._looked_up:
             change = stats["log_likelihood_without"].values.reshape(len(rows.weights), -1).T
-            weights_without = rows.weights * np.exp(change - change.max(initial=0.0))
+            weights_without = rows.weights * np.exp(change - change.max(axis=1, keepdims=True))
             self._without_sets = weights_without / weights_without.sum(axis=1, keepdims=True)
 
     def _jackknife(self, share: float) -> Jackknife | Jackknives | None:

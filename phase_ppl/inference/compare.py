@@ -199,6 +199,7 @@ LONG: Final = 10  # how many times the budget a reference may take
 LONG_RUN: Final = "smc"  # kernel of the reference where enumeration takes too much
 POPULATIONS: Final = 4  # independent ones of that kernel; how they differ is its error
 _LARGER: Final = 4  # times as many particles as a kernel that is compared
+_FEW: Final = 3  # iterations that a population goes on for at least
 
 
 @dataclasses.dataclass(frozen=True)
@@ -243,12 +244,13 @@ class Reference:
             each = _per_pair(given)
             return cls(budget, weights, enumeration=True, at_any_cost=True, per_pair=each)
         long = dataclasses.replace(budget, amount=LONG * budget.amount)
-        populations = LONG_RUN, {"chains": _LARGER * chains}
-        spec = populations if reference is None else reference
-        run: Entry | None = entry_of("reference", spec, chains, settings, own_length=True)
-        assert run is not None
+        particles = _particles(long, chains, event.observation.n_frames)
+        spec = (LONG_RUN, {"chains": particles}) if reference is None else reference
+        run = entry_of("reference", spec, chains, settings, own_length=True)
         same = [
-            one.label for one in compared if (one.kernel, one.options) == (run.kernel, run.options)
+            one.label
+            for one in compared
+            if one.info.factory is run.info.factory and one.options == run.options
         ]
         if same and reference is not None:
             raise InvalidSettingError(
@@ -272,6 +274,16 @@ class Reference:
             return [ENUMERATION, more] if more else ENUMERATION
         run = NONE if self.kernel is None else self.kernel.record()
         return {"enumeration if affordable": True, "else": run} if self.enumeration else run
+
+
+def _particles(budget: Budget, chains: int, n_frames: int) -> int:
+    """Return how many particles each population of the default reference has.
+
+    Where the budget is small no more than can go on for a few iterations.
+    """
+    each = budget.amount / POPULATIONS / (n_frames if budget.unit == "frames" else 1)
+    most = math.inf if budget.unit == "seconds" else each // (1 + _FEW)
+    return int(max(2, min(_LARGER * chains, most)))
 
 
 def _per_pair(reference: tuple[Any, ...]) -> int:
@@ -349,13 +361,15 @@ def reference_of(
         of_run = model, asked.budget, number, workers, executor
         return Posterior(entry.run(event if read is None else read, *of_run).tree, asked.weights)
 
-    if not asked.kernel.info.weighted:
+    if asked.kernel.info.keeps != "last":
         post = run(asked.kernel, seeds[0])
         words += "; its error is known as far as its chains have mixed"
         return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
     # chains of one population depend on each other, whole populations do not
     whole = asked.kernel.length.get("budget", asked.budget)
-    share = dataclasses.replace(whole, amount=max(1, int(whole.amount / POPULATIONS)))
+    amount = whole.amount / POPULATIONS
+    in_seconds = whole.unit == "seconds"
+    share = dataclasses.replace(whole, amount=amount if in_seconds else max(1, int(amount)))
     own = asked.kernel.own if "iterations" in asked.kernel.own else {"budget": share}
     posts = [run(dataclasses.replace(asked.kernel, own=own), number) for number in seeds]
     evidence = np.array([_log_evidence(post) for post in posts])
@@ -524,21 +538,20 @@ def compare(
     """
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
-    read, model = None, Model() if model is None else model
-    if isinstance(event, StepwisePosterior):
+    read = event if isinstance(event, StepwisePosterior) else None
+    if read is not None:
         from phase_ppl.inference.table_run import event_of, model_of
 
-        read, model = event, model_of(event, None if model.likelihood is None else model)
-        event = event_of(event)
+        event, model = event_of(read), model_of(read, model)
     event = check_event(event)
-    model = model.for_sampling()
-    settings = SimpleSettings() if settings is None else settings
+    model = (Model() if model is None else model).for_sampling()
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
     slots_of(workers, executor)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     instance_of("budget", budget, Budget, BUDGETS)
+    settings = SimpleSettings() if settings is None else settings
     chosen = entries(kernels, chains, settings)
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights, chosen)
     for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
@@ -561,6 +574,7 @@ def compare(
                 "seed": seed,
                 "weights": weights,
                 "reference": {"asked": wanted.record()},
+                **({} if read is None else {"read": read.settings}),
                 **({} if share is None else {SHARD: str(share)}),
             },
             checkpoint,
@@ -571,7 +585,8 @@ def compare(
             versions_so_far([record.settings["versions"]], checkpoint)
         try:
             with Bar(len(waiting) + 1, 0, progress, "run", "reference") as bar:
-                if read is None and is_stepwise(model.likelihood):
+                to_do = bool(waiting) or record.reference is None
+                if read is None and to_do and is_stepwise(model.likelihood):
                     read = infer(event, model, seed=seed, workers=workers, progress=progress)
                 if record.reference is None:
                     found = reference_of(wanted, event, model, read, seed, workers, executor)

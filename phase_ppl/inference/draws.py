@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
-import jax
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -16,9 +14,7 @@ from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, 
 from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
-from phase_ppl.models.density import log_density
 from phase_ppl.models.effective import log_prior_of_hypotheses, strengths_apart
-from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import kept_prior, log_prior_of_effective, space_of_prior
@@ -285,8 +281,7 @@ def _log_priors(
     model: Model, raw: Columns, goals: NDArray[np.int64], strengths: Columns
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (row,) log priors of hypotheses as they are, and of their effective goals."""
-    density = Hosted(jax.vmap(functools.partial(log_density, model.prior)))
-    log_prior = np.asarray(density(raw), np.float64)
+    log_prior = log_prior_of_hypotheses(model.prior, raw)
     if not strengths_apart(model.prior):
         return log_prior, log_prior_of_effective(model.prior, goals, strengths)
     # of few pairs of goals, as strengths are a factor of their own

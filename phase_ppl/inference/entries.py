@@ -63,7 +63,8 @@ class Entry:
             "options": dict(self.options),
             "chains": self.chains,
             "settings": dataclasses.asdict(self.settings),
-            **({"length": {k: str(v) for k, v in self.own.items()}} if self.own else {}),
+            **({"length": {k: str(v) for k, v in self.length.items()}} if self.length else {}),
+            **{name: str(self.own[name]) for name in _OF_PRESETS if name in self.own},
         }
 
     def check(self, event: Event, model: Model, budget: Any) -> None:
@@ -93,6 +94,7 @@ class Entry:
         executor: Executor | None = None,
     ) -> Posterior:
         """Return the posterior of one run, of an event or of what the closed loop has read."""
+        simulates = isinstance(event, Event)
         return infer(
             event,
             model,
@@ -104,7 +106,7 @@ class Entry:
             progress=False,
             settings=self.settings,
             **(self.length or {"budget": budget}),
-            planner=self.own.get("planner"),
+            planner=self.own.get("planner") if simulates else None,
             **self.options,
         )
 

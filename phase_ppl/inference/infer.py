@@ -101,7 +101,8 @@ def infer(
             (:func:`phase_ppl.available_kernels`), a kernel class or a function that makes a NumPyro
             kernel from the program of the event, or an instance of one of ours.
         chains: how many particles, M in the paper; each is a chain.
-        iterations: L, the draws per particle; by default 6.
+        iterations: L, the draws per particle; by default 6, or 1000 on what the closed loop has
+            read.
         seed: a whole number >= 0.
         planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.
         workers: processes (threads, where a video is read step by step); by default one per
@@ -175,13 +176,16 @@ def infer(
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
     settings = SimpleSettings() if settings is None else settings
+    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
     of_run = kernel, kernel_options, settings, chains, seed
     if isinstance(event, StepwisePosterior):
         from phase_ppl.inference.table_run import event_of, model_of, sample_table
 
-        if planner is not None or settings != dataclasses.replace(settings, beta=None):
-            changed = f"planner={shown(planner)}" if planner is not None else "beta"
-            raise InvalidSettingError(f"{changed} is for simulations: the video was read before")
+        for name, value in (("planner", planner), ("beta", settings.beta)):
+            if value is not None:
+                raise InvalidSettingError(
+                    f"{name}={shown(value)} is for simulations: the video was read before"
+                )
         model = model_of(event, model)
         return sample_table(event, Run(event_of(event), model, *of_run), options)
     model = _complete_model(model, planner, settings)
@@ -264,6 +268,7 @@ def resume(
     if settings is None:
         stored = _stored(saved, "settings", "the settings {settings} are not all plain data")
         settings = saved.made(SimpleSettings, stored)
+    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
     if model is None:
         own = "prior {model[prior]}, simulator {model[simulator]}, {model[likelihood]}"
         reason = f"the model has parts of its own ({own}), which a file cannot hold"
@@ -331,7 +336,6 @@ def _complete_model(
         model = dataclasses.replace(model, planner=planner)
     if settings is None:
         return model
-    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
     if settings.beta is not None:
         if not isinstance(model.likelihood, RadialLikelihood | None):
             raise InvalidSettingError("beta is of the radial likelihood; the model has another")

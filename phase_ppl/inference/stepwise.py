@@ -33,7 +33,6 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     instance_of,
     number_of_workers,
-    shown,
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
@@ -78,7 +77,15 @@ class Watch:
         model = Model() if model is None else model
         instance_of("model", model, Model, "a phase_ppl.Model")
         self.model = model.for_reading()
-        likelihood = self._likelihood = _likelihood_of(self.model)
+        likelihood = self._likelihood = self.model.likelihood
+        assert isinstance(likelihood, StepwiseLikelihood), "it is for reading"
+        simulator = self.model.simulator
+        if simulator is not None and not goes_on(simulator):
+            raise InvalidSettingError(
+                f"simulator={shown(simulator)} cannot go on from what was seen, as reading step by "
+                f"step takes: add a method {LOG_PROB_NEXT} or {NEXT_FRAMES}, or name a kernel that "
+                'samples whole simulations, as in infer(..., kernel="local_mh")'
+            )
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
         self._scene, self._event_id = scene, event_id
         self._seed = whole_number("seed", seed, minimum=0)
@@ -243,18 +250,6 @@ def watch(
         ``event.observation.trajectory``, ``post = watch.update(frame)``
     """
     return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
-
-
-def _likelihood_of(model: Model) -> StepwiseLikelihood:
-    """Return the likelihood of a model; refuse a simulator that cannot go on from what was seen."""
-    if model.simulator is not None and not goes_on(model.simulator):
-        raise InvalidSettingError(
-            f"simulator={shown(model.simulator)} cannot go on from what was seen, as reading step "
-            f"by step takes: add a method {LOG_PROB_NEXT} or {NEXT_FRAMES}, or name a kernel that "
-            'samples whole simulations, as in infer(..., kernel="local_mh")'
-        )
-    assert isinstance(model.likelihood, StepwiseLikelihood), "it is that for reading"
-    return model.likelihood
 
 
 # --- the whole video ------------------------------------------------------------------------------

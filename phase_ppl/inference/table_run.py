@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 ITERATIONS: Final = 1000
 """Draws of each chain, where nothing else is asked for."""
 
-_BLOCK: Final = 256  # iterations that are compiled as one, at most
+_BLOCK: Final = 64  # iterations that are compiled as one
 _DRAW_BYTES, _FRAME_BYTES = 400, 28  # of memory that a draw takes, and each of its frames
 _MOST_BYTES: Final = 2 * 10**9  # that a run takes of which seconds decide how long it is
 _OF_SIMULATIONS: Final = (
@@ -157,11 +157,13 @@ def _iterations(length: Length, n_frames: int, n_bytes: int) -> int:
     Each takes so many bytes of memory.
     """
     most = min(length.limit("simulations"), length.limit("frames") / n_frames)
-    if length.iterations is None and most == math.inf:
-        return max(1, _MOST_BYTES // n_bytes)  # seconds decide, as far as there is room
-    left = most - length.at_most(0)
-    each = length.at_most(1) - length.at_most(0)
-    n = length.iterations or max(1, math.ceil(left / each))
+    if length.iterations is not None:
+        n = length.iterations
+    elif most == math.inf:  # seconds decide, as far as there is room
+        n = max(1, _MOST_BYTES // n_bytes)
+    else:
+        at_start = length.at_most(0)
+        n = max(1, math.ceil((most - at_start) / (length.at_most(1) - at_start)))
     check_memory(f"{length.chains} chains of {n} draws of {n_frames} frames", n * n_bytes)
     return n
 
@@ -173,10 +175,12 @@ def _drawn(
 
     And whether Ctrl-C ended them.
     """
-    block = min(_BLOCK, 1 << (n - 1).bit_length())
-    start, advance = compiled(run.recipe)[0], compiled_block(run.recipe, block)
+    start, advance = compiled(run.recipe)[0], compiled_block(run.recipe, _BLOCK)
     number = int(np.random.SeedSequence(run.seed).generate_state(1)[0])
-    state = start(random.split(random.key(number), run.chains), data)
+    try:
+        state = start(random.split(random.key(number), run.chains), data)
+    except KeyboardInterrupt:
+        raise Interrupted(None) from None
     sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
     possible = np.isfinite(found.errors(sites)).all(axis=-1)
     if not possible.any():
@@ -190,8 +194,8 @@ def _drawn(
             while done < n and clock() - options.began < seconds:
                 state, states = advance(state, data)
                 told.append(particles_of(states))
-                bar.update(min(block, n - done))
-                done += block
+                bar.update(min(_BLOCK, n - done))
+                done += _BLOCK
     except KeyboardInterrupt:
         stopped = True
     steps = {name: np.concatenate([one[name] for one in told])[: n + 1] for name in told[0]}

@@ -116,7 +116,11 @@ def made_up(
         "budget": "500 simulations",
         "chains": 15,
         "weights": "count",
-        "reference": {"description": "nothing", "truth": {"p_goals": 0.3}},
+        "reference": {
+            "description": "made-up",
+            "marginals": {"relation": [0.2, 0.3, 0.5]},
+            "truth": {"p_goals": 0.3},
+        },
     }
     if error is not None:
         settings["reference"]["error"] = {"tv_goals": error, "tv_relation": error}

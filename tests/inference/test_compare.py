@@ -26,6 +26,7 @@ from phase_ppl.inference.compare import (
     reference_of,
 )
 from phase_ppl.inference.entries import entries
+from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -159,16 +160,22 @@ def test_weights_and_an_event_without_truth_can_be_asked_for(
 
 
 def test_a_kernel_may_be_the_reference_and_equal_budgets_are_equal_in_what_was_spent() -> None:
-    found = compare(("prior_mh", {"iterations": 7}), budget=ppl.frames(1000), repeats=1)
+    found = compare(("single_site_mh", {"iterations": 7}), budget=ppl.frames(1000), repeats=1)
     said = found.settings["reference"]
-    assert "prior_mh, 7" in said["description"]
+    assert "single_site_mh, 7" in said["description"]
     assert said["simulations"] >= 4 * 8
     assert 0 < said["error"]["tv_goals"] <= 1
     assert (found.runs["frames"] >= 1000).all()
     assert found.runs["simulations"][0] > found.runs["simulations"][1]
     assert "equal are the frames" in str(found)
-    long = Reference.asked_for("prior_mh", EVENT, ppl.frames(30), 4, ppl.SimpleSettings(), "count")
+    long = asked("prior_mh", ppl.frames(30))
     assert long.record()["kernel"]["length"] == {"budget": "300 frames"}, "by default ten times"
+
+
+def asked(given: Any, budget: Any = SETTINGS["budget"], *compared: Any) -> Reference:
+    settings = ppl.SimpleSettings()
+    among = entries(compared, 4, settings) if compared else []
+    return Reference.asked_for(given, EVENT, budget, 4, settings, "count", among)
 
 
 # --- checkpoint and Ctrl-C ---------------------------------------------------------------------
@@ -223,7 +230,7 @@ def test_a_checkpoint_of_other_settings_or_damaged_is_refused(
         ("another seed", {"seed": 6}),
         ("another budget", {"budget": ppl.simulations(28)}),
         ("kernel 'early'", {"kernels": {"early": KERNELS["whole"]}}),
-        ("another reference", {"reference": "prior_mh"}),
+        ("another reference", {"reference": "single_site_mh"}),
         ("another shard: None, not '1/3'", {"shard": "1/3"}),
     ]
     for message, change in changes:
@@ -267,6 +274,8 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"reference": ("enumeration", {"per_pair": 5})}, REFUSED, "per_pair=5, expected an even"),
     ({"reference": ("enumeration", {"pairs": 6})}, REFUSED, "per_pair"),
     ({"reference": SPEED}, REFUSED, "reference: .*speed"),
+    ({"reference": "prior_mh"}, REFUSED, "the reference is 'early', which is compared"),
+    ({"reference": PriorMH}, REFUSED, "the reference is 'early', which is compared"),
     ({"checkpoint": "runs.nc"}, OSError, r"\.json"),
     ({"settings": ppl.SimpleSettings(beta=0.1)}, REFUSED, "likelihood"),
 ]
@@ -278,7 +287,7 @@ def test_what_cannot_run_is_refused_before_anything_is_simulated(
 ) -> None:
     model = ppl.Model(simulator=never_called)
     with pytest.raises(error, match=message):
-        ppl.compare(EVENT, model, **{**SETTINGS, "reference": "prior_mh", **wrong})
+        ppl.compare(EVENT, model, **{**SETTINGS, "reference": "single_site_mh", **wrong})
 
 
 def test_chains_may_be_ones_own(reference: ppl.Posterior) -> None:
@@ -323,17 +332,13 @@ def test_affordable_enumeration_is_exact_and_the_default_reference() -> None:
         np.testing.assert_allclose(found.probability, exact, atol=1e-4)
         np.testing.assert_allclose(found.halves[:, 0], found.halves[:, 1], atol=1e-6)
         assert found.simulations == 4 * len(plan.pairs)
-    budget, settings = ppl.simulations(24), ppl.SimpleSettings()
-    asked = Reference.asked_for(None, EVENT, budget, 4, settings, "count")
-    reference = reference_of(asked, EVENT, model, seed=0, workers=1)
+    reference = reference_of(asked(None), EVENT, model, None, seed=0, workers=1)
     assert reference["description"].startswith("enumeration of")
     for name, expected in of_pairs(exact).items():
         np.testing.assert_allclose(reference["marginals"][name], expected, atol=1e-4)
-    more = Reference.asked_for(
-        ("enumeration", {"per_pair": 6}), EVENT, budget, 4, settings, "count"
-    )
+    more = asked(("enumeration", {"per_pair": 6}))
     by_chance = dataclasses.replace(model, simulator=walkers)
-    reference = reference_of(more, EVENT, by_chance, seed=0, workers=1)
+    reference = reference_of(more, EVENT, by_chance, None, seed=0, workers=1)
     assert "6 simulations each" in reference["description"]
     assert reference["simulations"] == 6 * len(plan.pairs)
     assert 0 < reference["error"]["tv_goals"] < 1
@@ -352,7 +357,9 @@ def test_the_reference_of_a_table_is_its_sum() -> None:
     found = ppl.compare(event, model, **{**SETTINGS, **options})
     said = found.settings["reference"]
     assert said["simulations"] == 0
-    assert said["error"] is None
+    assert said["error"] == {"tv_goals": 0, "tv_relation": 0}
+    assert "which is exact" in str(found)
+    assert "rank by" not in str(found), "of one kernel"
     exact = ppl.infer(event, model, seed=5, progress=False)
     np.testing.assert_allclose(said["marginals"]["relation"], exact.marginal("relation"))
 

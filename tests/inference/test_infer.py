@@ -50,7 +50,7 @@ def test_errors_are_the_distances_of_the_stored_trajectories(post: ppl.Posterior
     difference = predicted - EVENT.observation.positions
     errors = np.linalg.norm(difference.reshape(*difference.shape[:3], -1), axis=-1)
     stats = post.tree["sample_stats"]
-    assert post.tree["simulated"].attrs == {"beta": MODEL.likelihood.beta}  # type: ignore[attr-defined]
+    assert post.tree["simulated"].attrs == {"beta": ppl.RadialLikelihood().beta}
     np.testing.assert_allclose(stats["step_error"], errors, atol=1e-4)
     np.testing.assert_allclose(stats["total_error"], errors.sum(axis=-1), atol=1e-3)
 
@@ -292,7 +292,7 @@ def test_wrong_setting_is_refused_before_anything_is_simulated(
 ) -> None:
     model = ppl.Model(simulator=never_called)
     with pytest.raises(error, match=message):
-        ppl.infer(EVENT, model, **{"workers": 1, "progress": False, **wrong})
+        ppl.infer(EVENT, model, **{"kernel": "local_mh", "progress": False, **wrong})
 
 
 def test_a_quarter_of_a_long_run_does_not_count_unless_it_is_told_otherwise() -> None:

@@ -142,8 +142,8 @@ def test_a_long_reading_says_how_long(
 
 
 def test_other_likelihoods_cannot_be_read() -> None:
-    with pytest.raises(InvalidSettingError, match="takes a StepwiseLikelihood"):
-        ppl.watch(short(3).scene, ppl.Model())
+    with pytest.raises(InvalidSettingError, match="compares whole simulations with the video"):
+        ppl.watch(short(3).scene, ppl.Model(likelihood=ppl.RadialLikelihood()))
 
 
 def test_a_kernel_that_samples_finds_the_same() -> None:
@@ -233,8 +233,9 @@ def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "planner_seeds" in capsys.readouterr().out
     assert main(["diagnose", str(out), "--out", str(tmp_path / "figures")]) != 0
     assert "no chains to draw" in capsys.readouterr().err
-    assert main(["infer", str(event), "--watch"]) != 0
-    assert "--watch needs --model stepwise" in capsys.readouterr().err
+    for sampling in (["--kernel", "prior_mh"], ["--preset", "guided"], ["--model", "simple"]):
+        assert main(["infer", str(event), "--watch", *sampling]) != 0
+        assert "--watch shows the closed loop: no kernel, preset" in capsys.readouterr().err
 
 
 def test_what_is_of_no_use_step_by_step_is_refused() -> None:
@@ -244,7 +245,7 @@ def test_what_is_of_no_use_step_by_step_is_refused() -> None:
         "budget=.* is for sampling": {"budget": ppl.simulations(50)},
         "rule='paper' is for sampling": {"rule": "paper"},
         "began=5 is for sampling": {"began": 5},
-        "retries=3: a stepwise likelihood simulates": {"kernel": "prior_mh", "retries": 3},
+        "retries=3 is for simulations": {"kernel": "prior_mh", "retries": 3},
         "on_failure='banana'": {"kernel": "prior_mh", "on_failure": "banana"},
     }.items():
         with pytest.raises(InvalidSettingError, match=message):

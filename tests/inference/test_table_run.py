@@ -1,0 +1,456 @@
+"""Kernels on what the closed loop has read: the exact posterior is known, nothing is simulated."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.analysis.comparison import Marginals, distances, marginals
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.inference import run, table_run
+from phase_ppl.inference.compare import POPULATIONS, Reference, reference_of
+from phase_ppl.inference.entries import entries
+from phase_ppl.inference.table_run import event_of, model_of
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.goals import N_GOALS
+from tests.analysis.readings import of_three, reading
+from tests.inference.runs import assert_same_draws
+from tests.inference.toy import GREEN_GOALS, RED_GOALS, few_goals, walkers
+
+GOALS, NAMES = ("goal_red", "goal_green"), ("goal_red", "goal_green", "relation")
+WEAK = (150.0, 450.0)  # strengths that count as the lower of the two levels that were followed
+
+
+def made_up(seed: int = 0, sets: int = 3, noise: float = 0.2) -> StepwisePosterior:
+    """What each of so many sets of searches says of three frames, and their mean.
+
+    What the frames say is the same for every seed, but for noise of each set, in nats.
+    """
+    truth, rng = np.zeros((4, N_GOALS, N_GOALS)), np.random.default_rng(seed)
+    truth[1:] = np.random.default_rng(3).normal(0, 1.2, (3, N_GOALS, N_GOALS))
+    found = truth + noise * rng.normal(0, 1, (sets, *truth.shape))
+    found[:, 0] = 0
+    left_out = [np.delete(found, one, axis=0).mean(axis=0) for one in range(sets) if sets > 1]
+    without = np.array(left_out, np.float32).reshape(-1, *truth.shape)
+    columns = {"log_likelihood": found.mean(axis=0), "log_likelihood_without": without}
+    return StepwisePosterior(reading(sets, columns=columns)).with_prior(few_goals)
+
+
+EXACT = made_up()
+OPTIONS: dict[str, Any] = {"kernel": "prior_mh", "chains": 60, "seed": 1, "progress": False}
+
+
+def sampled(read: Any = EXACT, *given: Any, **options: Any) -> ppl.Posterior:
+    post = ppl.infer(read, *given, **{**OPTIONS, "iterations": 400, **options})
+    assert isinstance(post, ppl.Posterior)
+    return post
+
+
+@functools.cache
+def draws() -> ppl.Posterior:
+    return sampled()
+
+
+def apart(one: Any, other: Any) -> float:
+    """The largest difference: of the marginals, as total variation, or of weak agents' mass."""
+    of_goals = [np.abs(one.marginal(n).values - other.marginal(n).values).sum() / 2 for n in NAMES]
+    weak = [
+        abs(one.probability(**{name: WEAK}) - other.probability(**{name: WEAK}))
+        for name in ("strength_red", "strength_green")
+    ]
+    return float(max(*of_goals, *weak))
+
+
+LONG: dict[str, dict[str, Any]] = {
+    "enumerate": {"iterations": None, "strengths": [300.0, 600.0]},
+    "gibbs": {"iterations": 1200},
+    "sa": {"iterations": 1500},
+    "smc": {"chains": 4000, "iterations": 10},
+}
+QUICK = ("enumerate", "prior_mh", "single_site_mh")
+"""Kernels that are soon compiled."""
+
+NEAR = 0.06
+"""How near long chains come, as :func:`apart`."""
+
+
+@pytest.mark.parametrize(
+    "kernel",
+    [
+        pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow])
+        for name in ppl.available_kernels()
+    ],
+)
+def test_long_chains_reach_the_exact_posterior(kernel: str) -> None:
+    post = draws() if kernel == "prior_mh" else sampled(kernel=kernel, **LONG.get(kernel, {}))
+    assert apart(post, EXACT) < (2 if kernel in ("gibbs", "sa") else 1) * NEAR
+    assert (post.cost["frames"], post.cost["failures"]) == (0, 0)
+    if kernel == "enumerate":
+        assert apart(post, EXACT) < 1e-4
+
+
+def skewed() -> None:
+    """Other masses than those of ``few_goals``, on the same goals."""
+    import jax.numpy as jnp
+    import numpyro
+    import numpyro.distributions as dist
+
+    for name, codes in (("goal_red", RED_GOALS), ("goal_green", GREEN_GOALS)):
+        mass = jnp.zeros(N_GOALS).at[jnp.array(codes)].set(1 / len(codes))
+        numpyro.sample(name, dist.Categorical(probs=mass))
+    ppl.sites.alpha()
+    ppl.sites.strengths()
+
+
+def test_another_prior_table_or_frame_would_be_noticed() -> None:
+    for other in (EXACT.with_prior(skewed), made_up(noise=2.0), EXACT.at(2), EXACT.at(1)):
+        assert apart(draws(), other) > 2 * NEAR
+
+
+def test_a_posterior_is_sampled_as_of_its_frame_and_under_the_prior_that_is_given() -> None:
+    early = sampled(EXACT.at(1))
+    assert apart(early, EXACT.at(1)) < NEAR
+    assert len(early.observed()) == 2
+    assert early.event_id == EXACT.event_id
+    model = ppl.Model(prior=skewed)
+    changed = sampled(EXACT, model)
+    assert apart(changed, EXACT.with_prior(skewed)) < NEAR
+    assert changed.settings["model"]["prior"].endswith("skewed")
+
+
+def test_the_same_seed_gives_the_same_draws() -> None:
+    assert_same_draws(sampled(iterations=7).tree, sampled(iterations=7, workers=2).tree)
+    other = sampled(iterations=7, seed=2).tree["posterior"]["strength_red"]
+    assert not np.array_equal(sampled(iterations=7).tree["posterior"]["strength_red"], other)
+
+
+def test_a_model_that_reads_is_read_and_then_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    likelihood = ppl.StepwiseLikelihood(weight=0.5)
+    model = ppl.Model(prior=few_goals, likelihood=likelihood)
+    seen: list[Any] = []
+
+    def read(event: ppl.Event, model: ppl.Model, **options: Any) -> StepwisePosterior:
+        seen.append((event, model, options["seed"]))
+        return EXACT
+
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", read)
+    event = event_of(EXACT)
+    post = sampled(event, model, iterations=20)
+    ((given, of_model, seed),) = seen
+    assert (given, of_model.likelihood, seed) == (event, likelihood, 1)
+    assert_same_draws(post.tree, sampled(iterations=20).tree)
+
+
+# --- a file --------------------------------------------------------------------------------------
+
+
+def test_a_file_knows_a_ready_made_prior_by_its_name_and_asks_for_an_own_one(
+    tmp_path: Path,
+) -> None:
+    uniform = EXACT.with_prior("uniform")
+    kept = ppl.load_posterior(uniform.save(tmp_path / "uniform.nc"))
+    assert_same_draws(*(sampled(one, iterations=5).tree for one in (uniform, kept)))
+    kept = ppl.load_posterior(EXACT.save(tmp_path / "own.nc"))
+    with pytest.raises(InvalidSettingError, match=r"few_goals is your own.*give the model, infer"):
+        sampled(kept, iterations=5)
+    again = sampled(kept, ppl.Model(prior=few_goals), iterations=5)
+    assert_same_draws(again.tree, sampled(iterations=5).tree)
+
+
+def test_draws_are_kept_in_a_file_with_their_burn_in(tmp_path: Path) -> None:
+    post = sampled(iterations=30, burn_in=11)
+    back = ppl.load_posterior(post.save(tmp_path / "draws.nc"))
+    assert isinstance(back, ppl.Posterior)
+    assert back.burn_in == post.burn_in == 11
+    assert str(back) == str(post)
+    assert_same_draws(back.tree, post.tree)
+    model, read = post.settings["model"], EXACT.settings
+    assert post.settings["read"] == read
+    assert model["prior"] == read["model"]["prior"]
+
+
+# --- what can be asked ---------------------------------------------------------------------------
+
+
+def test_what_is_asked_of_draws_has_the_answer_of_the_table() -> None:
+    over_time, exact = draws().over_time(), EXACT.over_time()
+    assert over_time.attrs["weights"] == "count"
+    for name in NAMES:
+        np.testing.assert_allclose(over_time[name], exact[name], atol=0.06)
+        np.testing.assert_allclose(over_time[name][-1], draws().marginal(name), atol=1e-9)
+    assert draws().top("relation", 1)[0][0] == EXACT.top("relation", 1)[0][0]
+    assert draws().query("P(relation = friendly)") == draws().probability(relation="friendly")
+    assert draws().map().effective_goals == EXACT.map().effective_goals
+    np.testing.assert_array_equal(draws().replay(), EXACT.observed())
+    why = draws().why("relation=friendly", "relation=neutral")["log_odds"]
+    expected = EXACT.why("relation=friendly", "relation=neutral")["log_odds"]
+    np.testing.assert_allclose(why, expected, atol=0.3)
+
+
+def test_chains_are_diagnosed_and_given_to_arviz() -> None:
+    found = draws().diagnostics()
+    assert found["scalars"]["log_joint"]["r_hat"] < 1.1
+    assert 0.1 < found["acceptance_rate"] < 1
+    assert found["simulations"]["failed"] == 0
+    for data in (draws().arviz, draws().chains):
+        means = data.posterior["relation"].mean(("chain", "draw"))
+        for label in means["relation_is"].values:
+            expected = draws().probability(relation=str(label))
+            assert float(means.sel(relation_is=label)) == pytest.approx(expected, abs=1e-6)
+    assert draws().chains.posterior.sizes["draw"] == 300, "a quarter of them was the burn-in"
+
+
+# --- its error -----------------------------------------------------------------------------------
+
+
+def friendly(post: Any) -> Any:
+    return post.probability(relation="friendly")
+
+
+def chains_alone(post: ppl.Posterior) -> ppl.Posterior:
+    """The same draws, whose errors know nothing of the searches."""
+    tree = post.tree.copy()
+    stats = tree["sample_stats"].to_dataset().drop_vars("log_likelihood_without")
+    tree["sample_stats"] = table_run.xr.DataTree(stats)
+    return ppl.Posterior(tree)
+
+
+def test_the_error_has_what_the_sets_of_searches_differ() -> None:
+    tables = [made_up(seed, sets=2, noise=0.8) for seed in range(2)]
+    found = [sampled(table) for table in tables]
+    difference = abs(friendly(found[0]) - friendly(found[1]))
+    stated = [friendly(post).error for post in found]
+    of_chains = [friendly(chains_alone(post)).error for post in found]
+    assert 2 * np.hypot(*of_chains) < difference < 2 * np.hypot(*stated)
+    for post, table, by_chance in zip(found, tables, of_chains, strict=True):
+        assert friendly(post).error >= 0.9 * np.hypot(friendly(table).error, by_chance)
+        assert friendly(post) == friendly(chains_alone(post))
+
+
+def test_of_a_single_set_the_error_is_not_known() -> None:
+    table = made_up(sets=1)
+    assert np.isnan(friendly(table).error)
+    assert np.isnan(friendly(sampled(table, iterations=40)).error)
+
+
+# --- how long ------------------------------------------------------------------------------------
+
+
+def n_draws(post: ppl.Posterior) -> int:
+    return int(post.tree["posterior"].sizes["draw"])
+
+
+def test_a_thousand_draws_are_the_default_and_a_budget_buys_lookups() -> None:
+    assert n_draws(sampled(iterations=None, chains=4)) == table_run.ITERATIONS == 1000
+    for budget in (ppl.simulations(240), ppl.frames(960)):  # of videos of four frames
+        post = sampled(iterations=None, budget=budget)
+        assert n_draws(post) == 3, "after the initial ones"
+        assert post.cost["simulations"] == 240
+        assert post.cost["budget"] == str(budget)
+    with pytest.raises(InvalidSettingError, match="too small"):
+        sampled(iterations=None, budget=ppl.simulations(119))
+    with pytest.raises(InvalidSettingError, match="would take .* GB of memory"):
+        sampled(iterations=10**11)
+
+
+def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every look at the clock a second."""
+    ticks = itertools.count()
+    for module in (run, table_run):
+        monkeypatch.setattr(module, "clock", lambda: float(next(ticks)))
+
+
+def test_a_budget_of_seconds_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    sampled(iterations=300)
+    ticking(monkeypatch)
+    post = sampled(iterations=None, budget=ppl.seconds(3.5), burn_in=5000)
+    assert n_draws(post) == 3 * table_run._BLOCK
+    assert post.burn_in == n_draws(post) - 1, "at least the last draw counts"
+    ticking(monkeypatch)
+    assert n_draws(sampled(iterations=None, budget=ppl.seconds(0.5))) == 1, "the initial ones"
+
+
+def test_ctrl_c_keeps_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = table_run.particles_of
+
+    def stopping(call: int) -> Any:
+        calls = itertools.count()
+
+        def particles_of(state: Any) -> Any:
+            if next(calls) == call:
+                raise KeyboardInterrupt
+            return kept(state)
+
+        return particles_of
+
+    whole = sampled(iterations=200)
+    monkeypatch.setattr(table_run, "particles_of", stopping(2))
+    with pytest.raises(ppl.Interrupted) as stopped:
+        sampled(iterations=200)
+    post = stopped.value.posterior
+    assert post is not None
+    assert n_draws(post) == table_run._BLOCK
+    assert post.cost["interrupted"]
+    drawn, all_drawn = (p.tree["posterior"]["strength_red"].values for p in (post, whole))
+    np.testing.assert_array_equal(drawn, all_drawn[:, : table_run._BLOCK])
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"checkpoint": "run.ckpt"}, "checkpoint='run.ckpt' is for simulations"),
+        ({"on_failure": "retry"}, "on_failure='retry' is for simulations"),
+        ({"simulation_seconds": 3}, "simulation_seconds=3 is for simulations"),
+        ({"weights": "count"}, "weights='count' is for simulations"),
+        ({"planner": "paper"}, "planner='paper' is for simulations"),
+        ({"settings": ppl.SimpleSettings(beta=0.1)}, r"beta=0\.1 is for simulations"),
+        ({"rule": "paper"}, "unexpected keyword argument 'rule'"),
+        ({"model": ppl.Model(simulator=walkers)}, "simulator=.*a model can change the prior only"),
+        (
+            {"model": ppl.Model(likelihood=ppl.RadialLikelihood())},
+            "likelihood=.*a model can change the prior only",
+        ),
+        ({"iterations": 4, "burn_in": 4}, "burn_in=4, but there are 4"),
+    ],
+)
+def test_what_is_of_no_use_is_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        ppl.infer(EXACT, **{**OPTIONS, **wrong})
+
+
+def test_so_are_an_executor_another_likelihood_and_another_world() -> None:
+    with (
+        ThreadPoolExecutor(1) as executor,
+        pytest.raises(InvalidSettingError, match="executor=.*is for simulations"),
+    ):
+        sampled(executor=executor)
+    settings = {**EXACT.settings, "likelihood": ppl.StepwiseLikelihood().to_dict()}
+    known = EXACT.dataset.assign_attrs(settings=table_run.json.dumps(settings))
+    read = StepwisePosterior(known, prior=few_goals)
+    model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood()))
+    with pytest.raises(InvalidSettingError, match="likelihood=.*the prior only"):
+        model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=8)))
+    with pytest.raises(InvalidSettingError, match="knows the world PHASE only, not 'three'"):
+        sampled(of_three())
+    with pytest.raises(InvalidEventError, match="1 frame.*expected at least 2"):
+        sampled(EXACT.at(0))
+
+
+# --- kernels side by side ------------------------------------------------------------------------
+
+COMPARED: dict[str, Any] = {
+    "kernels": ["prior_mh", "single_site_mh"],
+    "budget": ppl.simulations(24_060),
+    "repeats": 3,
+    "chains": 60,
+    "progress": False,
+}
+
+
+@functools.cache
+def compared() -> ppl.Comparison:
+    return ppl.compare(EXACT, **COMPARED)
+
+
+def test_kernels_are_compared_with_what_is_exact() -> None:
+    found, said = compared(), compared().settings["reference"]
+    assert said["error"] == {"tv_goals": 0, "tv_relation": 0}
+    assert said["simulations"] == 0
+    for name in NAMES:
+        np.testing.assert_allclose(said["marginals"][name], EXACT.marginal(name), atol=1e-9)
+    assert "which is exact" in str(found)
+    assert found.ranks("tv_relation").index.tolist() == ["prior_mh", "single_site_mh"], (
+        "as it mixes faster"
+    )
+    assert "rank by TV relation: 1: prior_mh; 2: single_site_mh" in str(found)
+    assert (found.runs["simulations"] == 24_060).all()
+    assert (found.runs["tv_goals"] < 0.08).all()
+    assert (found.runs["r_hat"] < 1.1).all()
+    per_second = found.runs["ess_per_simulation"] * found.runs["simulations"]
+    np.testing.assert_allclose(found.runs["ess_per_second"] * found.runs["seconds"], per_second)
+    assert all(heading in str(found) for heading in ("R-hat", "ESS a second"))
+    # the curve is what shorter runs would have said
+    curve = found.curve[found.curve["kernel"] == "prior_mh"]
+    first, last = (curve.groupby("repeat")["tv_goals"].nth(at).mean() for at in (0, -1))
+    assert first > 2 * last
+    assert curve["simulations"].max() == 24_060
+
+
+def test_a_run_of_a_comparison_is_one_of_infer() -> None:
+    row = compared().runs.iloc[0]
+    post = sampled(iterations=None, budget=COMPARED["budget"], seed=int(row["seed"]))
+    assert distances(marginals(post), marginals(EXACT))["tv_goals"] == pytest.approx(
+        row["tv_goals"], abs=1e-9
+    )
+
+
+def test_the_prior_of_a_model_counts_in_a_comparison(tmp_path: Path) -> None:
+    few: dict[str, Any] = {**COMPARED, "kernels": ["prior_mh"], "repeats": 1}
+    few["checkpoint"] = tmp_path / "runs.json"
+    found = ppl.compare(EXACT, ppl.Model(prior=skewed), **few)
+    expected = EXACT.with_prior(skewed).marginal("relation")
+    np.testing.assert_allclose(found.settings["reference"]["marginals"]["relation"], expected)
+    assert found.runs["tv_relation"][0] < 0.05
+    assert "rank" not in str(found), "a single kernel has none"
+    with pytest.raises(InvalidSettingError, match="made with another read"):
+        changed = StepwisePosterior(
+            EXACT.dataset.assign_attrs(settings='{"seed": 7, "model": {}}'), prior=few_goals
+        )
+        ppl.compare(changed, ppl.Model(prior=skewed), **few)
+
+
+def test_a_video_is_read_once_for_all_kernels_and_repeats(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    seen: list[int] = []
+
+    def read(event: ppl.Event, model: ppl.Model, **options: Any) -> StepwisePosterior:
+        seen.append(options["seed"])
+        return EXACT
+
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", read)
+    model = ppl.Model(prior=few_goals, likelihood=ppl.StepwiseLikelihood(weight=0.5))
+    options = {**COMPARED, "repeats": 2, "budget": ppl.simulations(600), "seed": 4}
+    options["checkpoint"] = tmp_path / "runs.json"
+    for _ in range(2):  # nothing is left to do the second time
+        found = ppl.compare(event_of(EXACT), model, **options)
+        assert seen == [4]
+    assert len(found.runs) == 4
+    assert "which is exact" in str(found)
+
+
+# --- a reference that is not exact ---------------------------------------------------------------
+
+
+def reference(seed: int, settings: ppl.SimpleSettings) -> dict[str, Any]:
+    spec = ("smc", {"move": "prior_mh", "chains": 50, "budget": ppl.simulations(800)})
+    among = entries(["prior_mh"], 15, settings)
+    event, budget = event_of(EXACT), ppl.simulations(100)
+    asked = Reference.asked_for(spec, event, budget, 15, settings, "count", among)
+    return reference_of(asked, event, model_of(EXACT, None), EXACT, seed, workers=1)
+
+
+def test_populations_say_how_far_they_differ_from_seed_to_seed() -> None:
+    found = [reference(seed, ppl.SimpleSettings()) for seed in range(8)]
+    assert (
+        f"as {POPULATIONS} independent populations weighed by their evidence"
+        in (found[0]["description"])
+    )
+    assert found[0]["simulations"] == 800
+    of_seeds: list[Marginals] = [one["marginals"] for one in found]
+    for name in ("tv_goals", "tv_relation"):
+        spread = [distances(one, other)[name] for one, other in itertools.combinations(of_seeds, 2)]
+        stated = np.mean([one["error"][name] for one in found])
+        assert 0.5 < stated / np.mean(spread) < 2
+        true = np.mean([distances(one, marginals(EXACT))[name] for one in of_seeds])
+        assert true < stated
