@@ -33,6 +33,7 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     instance_of,
     number_of_workers,
+    shown,
     whole_number,
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event

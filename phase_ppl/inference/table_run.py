@@ -79,8 +79,10 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
         model = Model(prior=prior)
     given, now = model.likelihood, read.settings.get("likelihood")
     as_read = is_stepwise(given) and now in (None, stable(given.to_dict()))
-    for name, value in (("simulator", model.simulator), ("likelihood", given)):
-        if value is not None and not (value is given and as_read):
+    its_own = model.fingerprint()["simulator"] == read.settings["model"].get("simulator")
+    parts = ("simulator", model.simulator, its_own), ("likelihood", given, as_read)
+    for name, value, is_known in parts:
+        if value is not None and not is_known:
             raise InvalidSettingError(
                 f"{name}={shown(value)}: of what the closed loop has read a model can change the "
                 "prior only, infer(post, Model(prior=...), kernel=...)"

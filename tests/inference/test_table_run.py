@@ -256,7 +256,7 @@ def test_a_thousand_draws_are_the_default_and_a_budget_buys_lookups() -> None:
         assert post.cost["budget"] == str(budget)
     with pytest.raises(InvalidSettingError, match="too small"):
         sampled(iterations=None, budget=ppl.simulations(119))
-    with pytest.raises(InvalidSettingError, match="would take .* GB of memory"):
+    with pytest.raises(InvalidSettingError, match=r"would take .* GB of memory"):
         sampled(iterations=10**11)
 
 
@@ -331,18 +331,18 @@ def test_what_is_of_no_use_is_refused(wrong: dict[str, Any], message: str) -> No
 def test_so_are_an_executor_another_likelihood_and_another_world() -> None:
     with (
         ThreadPoolExecutor(1) as executor,
-        pytest.raises(InvalidSettingError, match="executor=.*is for simulations"),
+        pytest.raises(InvalidSettingError, match=r"executor=.*is for simulations"),
     ):
         sampled(executor=executor)
     settings = {**EXACT.settings, "likelihood": ppl.StepwiseLikelihood().to_dict()}
     known = EXACT.dataset.assign_attrs(settings=table_run.json.dumps(settings))
     read = StepwisePosterior(known, prior=few_goals)
     model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood()))
-    with pytest.raises(InvalidSettingError, match="likelihood=.*the prior only"):
+    with pytest.raises(InvalidSettingError, match=r"likelihood=.*the prior only"):
         model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=8)))
     with pytest.raises(InvalidSettingError, match="knows the world PHASE only, not 'three'"):
         sampled(of_three())
-    with pytest.raises(InvalidEventError, match="1 frame.*expected at least 2"):
+    with pytest.raises(InvalidEventError, match=r"1 frame.*expected at least 2"):
         sampled(EXACT.at(0))
 
 
@@ -402,10 +402,10 @@ def test_the_prior_of_a_model_counts_in_a_comparison(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.settings["reference"]["marginals"]["relation"], expected)
     assert found.runs["tv_relation"][0] < 0.05
     assert "rank" not in str(found), "a single kernel has none"
+    changed = StepwisePosterior(
+        EXACT.dataset.assign_attrs(settings='{"seed": 7, "model": {}}'), prior=few_goals
+    )
     with pytest.raises(InvalidSettingError, match="made with another read"):
-        changed = StepwisePosterior(
-            EXACT.dataset.assign_attrs(settings='{"seed": 7, "model": {}}'), prior=few_goals
-        )
         ppl.compare(changed, ppl.Model(prior=skewed), **few)
 
 
