@@ -303,7 +303,10 @@ def sets_to_leave_out(n_groups: int, share: float = 0.0) -> tuple[NDArray[np.boo
 
 
 def doubt(
-    probabilities: FloatArray, without: Jackknife, results: FloatArray, size: float = math.nan
+    probabilities: FloatArray,
+    without: Jackknife | Jackknives,
+    results: FloatArray,
+    size: float = math.nan,
 ) -> float:
     """Return how probable it is that another label than the first of the highest leads in truth.
 

@@ -237,9 +237,7 @@ def _finish(
     return code
 
 
-def _write_results(
-    post: Posterior | StepwisePosterior, event: Event, out: Path, **told: str
-) -> None:
+def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
     """Write the posterior, a summary with what else is told, figures and a film into ``out``."""
     post.save(out / cli.POSTERIOR)
     write_json(out / "summary.json", {**post.summary(), **told})

@@ -57,7 +57,8 @@ class Particles(NamedTuple):
     @classmethod
     def of(cls, state: Any) -> Particles:
         """Return it of a state."""
-        return cls(*(getattr(state, name, None) for name in cls._fields))
+        found: list[Any] = [getattr(state, name, None) for name in cls._fields]
+        return cls(*found)
 
 
 def particles_of(state: Any) -> Columns:
@@ -231,7 +232,7 @@ def table_tree(
         "log_prior_effective": effective,
         "log_likelihood": -errors.sum(axis=1),
         "total_error": errors.sum(axis=1),
-        "completed": np.isfinite(errors).all(axis=1),
+        "completed": np.asarray(np.isfinite(errors).all(axis=1)),
         "frames_simulated": np.zeros(n, np.int64),
         "failed": np.zeros(n, np.bool_),
     }

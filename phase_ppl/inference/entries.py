@@ -130,9 +130,10 @@ def entry_of(
         options = completed(kernel, options)
         kernel = str(options.pop("kernel"))
         # a preset is kept whole
-        own = {name: options.pop(name) for name in (*_LENGTHS, *_OF_PRESETS) if name in options}
+        kept: tuple[str, ...] = (*_LENGTHS, *_OF_PRESETS)
     else:
-        own = {name: options.pop(name) for name in _LENGTHS if own_length and name in options}
+        kept = _LENGTHS if own_length else ()
+    own = {name: options.pop(name) for name in kept if name in options}
     info = info_of(kernel)
     for name in options:
         if name in _TAKEN:

@@ -136,9 +136,6 @@ class OpenProgram(EventProgram):
             )
         asked = self.records[0].sites
         columns = {name: np.asarray(found[name], asked[name].dtype) for name in self.model.sites}
-        if SEED_SITE not in found and self.model.noise == "fixed":
-            of_chains: Any = jax.vmap(jax.vmap(self._fixed_seed))
-            found[SEED_SITE] = of_chains(columns)
         if SEED_SITE not in found:
             raise InvalidSettingError(
                 f"the samples lack {SEED_SITE}, the simulator's seed of each draw: add "

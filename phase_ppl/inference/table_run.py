@@ -184,7 +184,7 @@ def _drawn(
     except KeyboardInterrupt:
         raise Interrupted(None) from None
     sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
-    possible = np.isfinite(found.errors(sites)).all(axis=-1)
+    possible = np.asarray(np.isfinite(found.errors(sites)).all(axis=-1))
     if not possible.any():
         raise SimulationError("no initial hypothesis is possible given what was read")
     state = started_again(state, possible)
@@ -263,7 +263,7 @@ class _Table:
         place = self._place(goals, strengths, self._change.ndim - 1)
         return np.asarray(self._change[:, *place])
 
-    def _place(self, goals: NDArray[Any], strengths: NDArray[Any], n: int) -> list[NDArray[Any]]:
+    def _place(self, goals: NDArray[Any], strengths: NDArray[Any], n: int) -> Any:
         """Return where goals, or goals with strengths, are in a table of so many dimensions."""
         return [*goals.T, *np.searchsorted(self._edges, strengths).T][:n]
 

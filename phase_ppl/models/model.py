@@ -85,6 +85,17 @@ class Model:
     planner: str | PlannerConfig | None = None
     noise: Noise = "fresh"
 
+    if TYPE_CHECKING:
+
+        def __init__(  # names are taken for priors, and simulators that do not start a video
+            self,
+            prior: Program | str = ...,
+            simulator: Any = ...,
+            likelihood: TrajectoryLikelihood | StepwiseLikelihood | None = ...,
+            planner: str | PlannerConfig | None = ...,
+            noise: Noise = ...,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         if isinstance(self.prior, str):
             object.__setattr__(self, "prior", priors.named(self.prior))

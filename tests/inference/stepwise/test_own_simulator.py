@@ -19,7 +19,7 @@ from phase_ppl.analysis import stepwise_own
 from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, summed_by_pair
 from phase_ppl.analysis.stepwise_table import table_of
 from phase_ppl.closed_loop import own_simulator
-from phase_ppl.inference.stepwise import TableRunner
+from phase_ppl.inference.table_run import _Table
 from phase_ppl.models import roles, sites
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
@@ -341,14 +341,17 @@ def test_what_was_seen_cannot_be_changed_by_a_simulator() -> None:
 
 
 def test_kernels_are_told_what_was_read(exact: ppl.StepwisePosterior) -> None:
-    told = TableRunner(exact.dataset)
+    told = _Table(exact)
     hypotheses = [
         Hypothesis(RED_GOALS[0], GREEN_GOALS[0], (1, 0), 310, 590),  # of the levels 300 and 600
         Hypothesis(RED_GOALS[2], GREEN_GOALS[1], (0, 0), 150, 150),
         Hypothesis(RED_GOALS[0] + 1, GREEN_GOALS[0]),  # without prior mass
     ]
-    one, other, unread = told.run(hypotheses, [0, 1, 2])
+    goals = np.array([one.effective_goals for one in hypotheses])
+    newtons = np.array([one.strengths for one in hypotheses])
+    one, other, unread = told.errors_of(goals, newtons).sum(axis=1)
     of_level = dataclasses.replace(hypotheses[0], strength_red=300, strength_green=600)
     found = log_likelihood(EVENT, of_level) - log_likelihood(EVENT, hypotheses[1])
-    assert other.total_error - one.total_error == pytest.approx(found)
-    assert unread.failure is not None
+    assert other - one == pytest.approx(found)
+    assert np.isinf(unread)
+    assert told.log_likelihood_without(goals, newtons) is None, "a density of one's own is exact"
