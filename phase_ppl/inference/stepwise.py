@@ -78,8 +78,9 @@ class Watch:
         model = Model() if model is None else model
         instance_of("model", model, Model, "a phase_ppl.Model")
         self.model = model.for_reading()
-        likelihood = self._likelihood = self.model.likelihood
+        likelihood = self.model.likelihood
         assert isinstance(likelihood, StepwiseLikelihood), "it is for reading"
+        self._likelihood = likelihood
         simulator = self.model.simulator
         if simulator is not None and not goes_on(simulator):
             raise InvalidSettingError(
