@@ -16,19 +16,11 @@ import numpyro.distributions as dist
 import phase_ppl as ppl
 
 
-def related(p: float) -> None:
-    """Agents help or hinder each other with probability p, which is 2/3 in the paper."""
-    ways = jnp.array([1 - p, p / 4, p / 4, p / 4, p / 4])  # neither, helps twice, hinders twice
-    numpyro.sample("alpha", dist.Categorical(probs=ways))
-    ppl.sites.goals()
-    ppl.sites.strengths()
-
-
 def friendly_world() -> None:
     """How friendly people are is unknown, and inferred along with the rest."""
     kindness = numpyro.sample("kindness", dist.Beta(4.0, 1.0))
     helps, hinders = 0.3 * kindness, 0.3 * (1 - kindness)
-    ways = jnp.stack([0.4, helps, helps, hinders, hinders])
+    ways = jnp.stack([0.4, helps, helps, hinders, hinders])  # neither, red or green helps, hinders
     numpyro.sample("alpha", dist.Categorical(probs=ways))
     ppl.sites.goals()
     ppl.sites.strengths()
@@ -41,13 +33,10 @@ def main() -> None:
     model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
     post = ppl.infer(event, model)
     print("the paper's prior:", *post.top("relation"))
-    for name in ("uniform", "sparse_social"):  # of those that come with the package
-        print(f"{name}:", *post.with_prior(name).top("relation"))
+    print("sparse_social, a ready-made one:", *post.with_prior("sparse_social").top("relation"))
     hoped = post.with_prior(friendly_world)
     print("friendly world:", *hoped.top("relation"))
     print("E[kindness] =", hoped.query("E[kindness]"), "and 0.8 beforehand")
-    figure = ppl.plot.sensitivity(post, "P(relation)", related, [0.1, 0.5, 0.9])
-    figure.savefig("sensitivity.png")
 
 
 if __name__ == "__main__":

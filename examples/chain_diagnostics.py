@@ -12,7 +12,7 @@ import phase_ppl as ppl
 
 def main() -> None:
     event = seen(ppl.Hypothesis("Get blue item to blue lm", "Get green agent to red lm"))
-    for iterations in (4, 300):
+    for iterations in (4, 200):
         post = ppl.infer(
             event, MODEL, kernel="prior_mh", chains=8, iterations=iterations, seed=0, workers=1
         )

@@ -61,6 +61,6 @@ def from_prior(program: ppl.EventProgram) -> FromPrior:
 
 if __name__ == "__main__":
     event = seen(ppl.Hypothesis("Get blue item to blue lm", "Get green agent to red lm"))
-    for kernel in ("from_prior", "local_mh"):
-        post = ppl.infer(event, MODEL, kernel=kernel, chains=10, iterations=100, seed=0, workers=1)
+    for kernel in ("from_prior", "prior_mh"):
+        post = ppl.infer(event, MODEL, kernel=kernel, chains=8, iterations=100, seed=0, workers=1)
         print(kernel, *post.top("goal_red", 2), *post.top("goal_green", 2))

@@ -13,7 +13,7 @@ import phase_ppl as ppl
 def main() -> None:
     event = ppl.load_event("collaborate")
     event = dataclasses.replace(
-        event, observation=ppl.Observation(event.observation.trajectory[:30])
+        event, observation=ppl.Observation(event.observation.trajectory[:20])
     )
     model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=2))
     post = ppl.infer(event, model)

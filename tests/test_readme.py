@@ -157,7 +157,7 @@ def test_citation_and_changelog_are_of_this_version() -> None:
 
 
 SHOWN: dict[str, list[str]] = {
-    "alternative_prior": ["uniform: ", "E[kindness] = ", "sensitivity.png"],
+    "alternative_prior": ["sparse_social", "E[kindness] = "],
     "chain_diagnostics": [
         "4 iterations of 8 particles: Not decided",
         "move_rate",
@@ -165,7 +165,7 @@ SHOWN: dict[str, list[str]] = {
     ],
     "compare_kernels": ["reference: enumeration", "prior_mh", "comparison.png"],
     "glide": ["<event glide: 12 frames"],
-    "own_kernel": ["from_prior ('", "local_mh ('"],
+    "own_kernel": ["from_prior ('", "prior_mh ('"],
     "own_observer": ["the model: r = ", "timid: r = "],
     "own_world": ["goals, such as", "Ann: ('", "nursery.png", "over_time.png"],
     "posterior_queries": ["P(both are after the same thing) = ", "I(goal_red; goal_green) = "],
@@ -173,7 +173,7 @@ SHOWN: dict[str, list[str]] = {
 }
 """Example -> what it prints, and the pictures that it draws."""
 
-LONG = ("compare_kernels", "own_observer")
+LONG = ("compare_kernels", "own_observer", "real_videos")
 
 
 @pytest.mark.parametrize(

@@ -111,8 +111,9 @@ class EventKernel(MCMCKernel):
         ``init_params`` is the hypothesis to start from, by default what the kernel proposes; the
         other arguments are ignored: nothing is tuned, and the program knows its event.
         """
-        within = isinstance(rng_key, jax.core.Tracer)  # options are of what is compiled as a whole
-        start = (jax.jit if within else compiled_quickly)(self._start)
+        # JAX takes options only of what is compiled as a whole, not of a part of it
+        part = any(isinstance(one, jax.core.Tracer) for one in (rng_key, jnp.zeros(())))
+        start = (jax.jit if part else compiled_quickly)(self._start)
         if is_prng_key(rng_key):
             return as_batch_of_one(lambda batch: start(*batch), (rng_key, init_params))
         return start(rng_key, init_params)
