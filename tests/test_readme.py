@@ -165,15 +165,17 @@ SHOWN: dict[str, list[str]] = {
     ],
     "compare_kernels": ["reference: enumeration", "prior_mh", "comparison.png"],
     "glide": ["<event glide: 12 frames"],
+    "numpyro_native": ["sim_seed        sample", "strong red: off by", "simulations,", "friendly"],
     "own_kernel": ["from_prior ('", "prior_mh ('"],
     "own_observer": ["the model: r = ", "timid: r = "],
+    "own_simulator": ["200 whole videos", "goal_red Get red agent to red lm 0.9"],
     "own_world": ["goals, such as", "Ann: ('", "nursery.png", "over_time.png"],
     "posterior_queries": ["P(both are after the same thing) = ", "I(goal_red; goal_green) = "],
     "real_videos": ["videos in Videos_Test_humanratings", "people say ", "    relation: ('"],
 }
 """Example -> what it prints, and the pictures that it draws."""
 
-LONG = ("compare_kernels", "own_observer", "real_videos")
+LONG = ("compare_kernels", "numpyro_native", "own_observer", "own_simulator", "real_videos")
 
 
 @pytest.mark.parametrize(
@@ -203,24 +205,6 @@ def test_real_videos_are_read_from_what_is_given_or_it_is_said_where_to_get_them
     for arguments in ((), (str(tmp_path / "Videos_Test_humanratings"),)):
         with pytest.raises(ppl.PhasePPLError, match="the list is empty"):
             run_script(script, *arguments)
-
-
-@pytest.mark.slow
-def test_a_simulator_of_ones_own_is_sampled_and_read_step_by_step(
-    run_script: Callable[..., str],
-) -> None:
-    sampled, read = run_script(EXAMPLES_FOLDER / "own_simulator.py").split("step by step, ", 1)
-    assert "200 whole videos" in sampled
-    assert "goal_red Get red agent to red lm 0.9" in read
-
-
-@pytest.mark.slow
-def test_a_program_of_numpyro_is_traced_conditioned_and_sampled(
-    run_script: Callable[..., str],
-) -> None:
-    said = run_script(EXAMPLES_FOLDER / "numpyro_native.py")
-    for text in ("sim_seed        sample", "strong red: off by", "simulations,", "friendly"):
-        assert text in said
 
 
 def test_every_example_is_listed_and_says_how_to_run_it() -> None:
