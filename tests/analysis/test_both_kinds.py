@@ -24,6 +24,7 @@ ONLY_SAMPLED = {
     "tree": "draws and simulations",
     "weights": "of draws and simulations; in another way read hypotheses have their masses",
     "burn_in": "of chains",
+    "from_numpyro": "of a run by NumPyro",
 }
 ONLY_READ = {
     "dataset": "what was read, in place of a tree of draws",

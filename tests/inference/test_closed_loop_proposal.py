@@ -91,7 +91,8 @@ def test_a_window_shows_its_own_frames_only() -> None:
         [table.log_masses_within(first, 1 + WINDOW) for table in tables] for first in (1, 0)
     )
     np.testing.assert_allclose(*after)
-    assert np.nanmax(np.abs(with_it[0] - with_it[1])) > 100
+    possible = np.isfinite(with_it[0])
+    assert np.abs(with_it[0][possible] - with_it[1][possible]).max() > 100
 
 
 def test_a_reading_counts_in_the_cost_of_every_run_also_where_it_was_kept() -> None:
