@@ -78,7 +78,10 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
             )
         model = Model(prior=prior)
     given, now = model.likelihood, read.settings.get("likelihood")
-    as_read = is_stepwise(given) and now in (None, stable(given.to_dict()))
+    as_read = False
+    if is_stepwise(given):
+        counts = given.frame_weight(model.simulator is not None)
+        as_read = now in (None, stable({**given.to_dict(), "weight": counts}))
     its_own = model.fingerprint()["simulator"] == read.settings["model"].get("simulator")
     parts = ("simulator", model.simulator, its_own), ("likelihood", given, as_read)
     for name, value, is_known in parts:
