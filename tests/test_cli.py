@@ -19,6 +19,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.cli.commands import COMMANDS
 from phase_ppl.cli.infer import _reference
+from phase_ppl.inference.entries import entries
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import GOALS
 from tests.analysis.factory import Simulation, hypothesis, make_tree
@@ -158,7 +159,8 @@ def test_a_run_that_ends_early_leaves_results_and_a_file(
 def test_compare_writes_table_and_figure(walk: Path, tmp_path: Path, capsys: Capture) -> None:
     tiny = ["--budget", 8, "--repeats", 1, "--chains", 4, *ALONE]
     assert _reference("enumeration:per_pair=16") == ("enumeration", {"per_pair": 16})
-    kernels = ["--kernels", "prior_mh", "--reference", "prior_mh"]
+    kernels = ["--kernels", "prior_mh", "--reference", "single_site_mh"]
+    assert "which is compared" in fails(capsys, "compare", walk, *tiny, *kernels[:-1], "prior_mh")
     again = ["compare", walk, *kernels, *tiny, "--out", tmp_path]
     assert "TV goals" in told(capsys, *again)
     assert (tmp_path / "comparison.png").stat().st_size > 1000
@@ -167,6 +169,27 @@ def test_compare_writes_table_and_figure(walk: Path, tmp_path: Path, capsys: Cap
     assert "(comparison.png)" in kept
     record = json.loads((tmp_path / "comparison.json").read_text())
     assert record["runs"]["kernel"] == ["prior_mh"]
+
+
+def test_compare_takes_presets_beside_kernels(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    asked: dict[str, Any] = {}
+
+    def compare(**given: Any) -> Any:
+        asked.update(given)
+        raise phase_ppl.SimulationError("asked")
+
+    compare.__signature__ = inspect.signature(phase_ppl.compare)  # type: ignore[attr-defined]
+    monkeypatch.setattr(phase_ppl, "compare", compare)
+    assert "asked" in fails(capsys, "compare", "collaborate", "--kernels", "as_printed,prior_mh")
+    printed, other = entries(asked["kernels"], 7, phase_ppl.SimpleSettings())
+    assert (printed.label, printed.kernel, printed.options) == (
+        *("as_printed", "local_mh"),
+        {"rule": "paper"},
+    )
+    assert printed.own == {"planner": "as_printed", "weights": "count", "iterations": 6}
+    assert (other.kernel, other.chains, other.own) == ("prior_mh", 7, {})
 
 
 def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path, capsys: Capture) -> None:
@@ -221,6 +244,11 @@ BAD_INPUT = [
     ("infer collaborate --video other", "'other'"),
     ("infer collaborate --kernel local_hm", "'local_mh'"),
     ("infer collaborate --prior unifrom", "'uniform'"),
+    ("infer collaborate --likelihood radial", "name a kernel that samples, as in --kernel local"),
+    ("infer collaborate --watch --kernel prior_mh", "--watch shows the closed loop: no kernel"),
+    ("infer collaborate --chains 3", "chains=3 is for sampling, and no kernel is named"),
+    ("infer collaborate --model stepwise --kernel smc --out o --on-failure retry",
+     "on_failure='retry' is for simulations"),
     ("infer collaborate --out file/out", "cannot write"),
     ("resume file", "no checkpoint"),
     ("render collaborate --out x.avi", "ending in .mp4 or .gif or .png"),
@@ -237,6 +265,7 @@ BAD_INPUT = [
      "--reference: 'per_pair'"),
     ("", "COMMAND"),
 ]  # fmt: skip
+SAMPLING = "infer short.json --quiet --kernel local_mh"
 SETTINGS = [
     ("--chains 0", "--chains: 0 is too small, expected at least 1"),
     ("--budget 60m", "seconds, as in 60s"),
@@ -253,7 +282,7 @@ SETTINGS = [
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [*BAD_INPUT, *((f"infer short.json --quiet {text}", said) for text, said in SETTINGS)],
+    [*BAD_INPUT, *((f"{SAMPLING} {text}", said) for text, said in SETTINGS)],
 )
 def test_bad_input_is_one_line(
     arguments: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
@@ -445,16 +474,18 @@ class TestOwnParts:
         file.write_text(MINE)
         own = {name: f"{file}:{name}" for name in ("still", "plain", "Flat", "flat")}
         given = ["--simulator", own["still"], "--kernel", own["plain"], "--noise", "fixed"]
+        sampling = ["--kernel", "local_mh"]
         given += ["--likelihood", f"{own['Flat']}:beta=0.2"]
         assert main(["infer", "collaborate", *given]) == 2
         assert f"running {file} for its simulator still" in capsys.readouterr().err
         model = asked["model"]
         assert (model.simulator.__name__, asked["kernel"].__name__) == ("still", "plain")
         assert (model.likelihood.beta, model.noise) == (0.2, "fixed")
-        assert main(["infer", "collaborate", "--likelihood", own["flat"]]) == 2
+        assert main(["infer", "collaborate", *sampling, "--likelihood", own["flat"]]) == 2
         assert asked["model"].likelihood.beta == 0.5
         capsys.readouterr()
-        assert "asked" in fails(capsys, "infer", "collaborate", "--likelihood", "radial:beta=0.3")
+        given = [*sampling, "--likelihood", "radial:beta=0.3"]
+        assert "asked" in fails(capsys, "infer", "collaborate", *given)
         assert asked["model"].likelihood == phase_ppl.RadialLikelihood(0.3)
         # those of the closed loop, in two ways
         settings = ["weight=1", "planner_seeds=2", "tail=5"]
@@ -468,6 +499,27 @@ class TestOwnParts:
             assert "asked" in fails(capsys, "infer", "collaborate", *options)
             assert asked["model"].likelihood == expected
 
+    def test_the_closed_loop_reads_unless_a_kernel_samples(
+        self, asked: dict[str, Any], capsys: Capture
+    ) -> None:
+        reading = phase_ppl.StepwiseLikelihood()
+        guided = {"settings": phase_ppl.SimpleSettings(proposal="closed_loop")}
+        for words, likelihood, sampling in (
+            ("", reading, {}),
+            ("--model stepwise --kernel smc", reading, {"kernel": "smc"}),
+            ("--likelihood stepwise --kernel smc", reading, {"kernel": "smc"}),
+            ("--kernel smc", None, {"kernel": "smc"}),
+            ("--model simple", None, {"kernel": "local_mh"}),
+            ("--preset guided", None, {"kernel": "local_mh", **guided}),
+            ("--model simple --preset guided", None, {"kernel": "local_mh", **guided}),
+            ("--model simple --kernel smc", None, {"kernel": "smc"}),
+        ):
+            asked.clear()
+            assert "asked" in fails(capsys, "infer", "collaborate", *words.split())
+            assert asked["model"].likelihood == likelihood, words
+            found = {name: asked.get(name) for name in ("kernel", "settings")}
+            assert {k: v for k, v in found.items() if v is not None} == sampling, words
+
     @pytest.mark.parametrize(
         ("given", "said"),
         [
@@ -479,6 +531,7 @@ class TestOwnParts:
             ("--likelihood stepwise:speed=1", "unexpected keyword argument 'speed'"),
             ("--likelihood FILE:flat:beta=1", "is an object, which takes no settings"),
             ("--model stepwise --likelihood radial", "is not that of --model stepwise"),
+            ("--model stepwise --kernel smc --likelihood radial", "not that of --model stepwise"),
             ("--model simple --likelihood stepwise", "is not that of --model simple"),
             ("--simulator FILE:still --planner fast", "planner applies to the joint simulator"),
         ],

@@ -179,7 +179,8 @@ class Comparison(Printed):
         words = (
             f"{settings['event']}: budget {settings['budget']}, {settings['chains']} chains, "
             f"weights {settings['weights']}; mean ± standard error\n"
-            f"equal are the {unit}, up to the last iteration of a run; {others} are not\n"
+            f"equal are the {unit}, up to the last iteration of a run; {others} are not"
+            f"{self._own_lengths()}\n"
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
         named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
@@ -194,6 +195,17 @@ class Comparison(Printed):
         if len(table) > 1 and known:  # a single kernel has no rank
             blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in known))
         return "\n\n".join(blocks)
+
+    def _own_lengths(self) -> str:
+        """Return in words which kernels have a length of their own, as presets do."""
+        kept = self.settings["kernels"]
+        found = {name: kept[name].get("length", {}) for name in self.kernels}
+        told = [
+            f"{name}, which has {length.get('budget') or length['iterations'] + ' iterations'}"
+            for name, length in found.items()
+            if length
+        ]
+        return f"\nbut for {' and '.join(told)}" if told else ""
 
     def _error_in_words(self) -> str:
         errors = {name: self.reference_error(name) for name in DISTANCES}

@@ -139,6 +139,11 @@ def _is_stepwise(options: argparse.Namespace, samples: bool) -> bool:
     if reads and options.likelihood is None:
         options.likelihood = "stepwise"
     elif reads and not named:
+        own.likelihood(options.likelihood, {})  # what is none at all is refused as that
+        if options.model == "stepwise":
+            raise InvalidSettingError(
+                f"--likelihood {options.likelihood} is not that of --model stepwise"
+            )
         raise InvalidSettingError(
             f"--likelihood {options.likelihood} compares whole simulations with the video: name a "
             "kernel that samples, as in --kernel local_mh"

@@ -448,7 +448,7 @@ BUDGET: Final = simulations(500)
 REPEATS: Final = 8
 
 _MOST_REPEATS: Final = 10**6
-_MAY_DIFFER: Final = ("kernels", "repeats", "reference", "event", "versions")
+_MAY_DIFFER: Final = ("kernels", "proposals", "repeats", "reference", "event", "versions")
 
 
 class ComparisonInterrupted(KeyboardInterrupt):
@@ -675,7 +675,8 @@ class _Record:
                     f"{shown(given)}; name another file, or delete this one"
                 )
         new["versions"] = old.get("versions", {})
-        new["kernels"] = {**old["kernels"], **new["kernels"]}
+        for name in ("kernels", "proposals"):  # files did not always have the latter
+            new[name] = {**old.get(name, {}), **new[name]}
         new["repeats"] = max(old["repeats"], new["repeats"])
         new["reference"] = old["reference"]
         self.runs = stored.runs.to_dict("records")

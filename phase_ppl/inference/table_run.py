@@ -68,9 +68,11 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
 
     check_is_phase(read.world, "a kernel on what the closed loop has read")
     if model is None:
-        recorded = read.settings["model"]["prior"]
-        known = {qualified_name(priors.named(name)): name for name in priors.available()}
-        prior = read.prior or known.get(recorded)
+        prior: Any = read.prior
+        if prior is None:
+            recorded = read.settings["model"]["prior"]
+            known = map(priors.named, priors.available())
+            prior = next((one for one in known if qualified_name(one) == recorded), None)
         if prior is None:
             raise InvalidSettingError(
                 f"the prior {recorded} is your own, which a file cannot hold: give the model, "

@@ -27,6 +27,7 @@ ONLY_SAMPLED = {
     "from_numpyro": "of a run by NumPyro",
 }
 ONLY_READ = {
+    "prior": "the program, by which kernels sample from what was read",
     "dataset": "what was read, in place of a tree of draws",
     "frame": "the posterior is of the frames up to this one",
     "at": "at another frame: simulations are proposed from the whole video",

@@ -159,6 +159,19 @@ def test_file_keeps_everything(tmp_path: Path) -> None:
         c.save(tmp_path / "c.nc")
 
 
+def test_a_file_of_an_earlier_version_has_no_r_hat_and_no_proposals(tmp_path: Path) -> None:
+    c = made_up(FOUR)
+    record = json.loads(c.save(path := tmp_path / "c.json").read_text())
+    for name in ("r_hat", "ess_per_second"):
+        del record["runs"][name]
+    path.write_text(json.dumps(record))
+    again = Comparison.load(path)
+    assert again.runs["r_hat"].isna().all()
+    assert "R-hat" in str(c)
+    assert not any(heading in str(again) for heading in ("R-hat", "ESS a second", "proposals"))
+    pd.testing.assert_series_equal(again.runs["tv_goals"], c.runs["tv_goals"])
+
+
 def test_damaged_file_is_refused(tmp_path: Path) -> None:
     path = made_up(FOUR).save(tmp_path / "c.json")
     content = path.read_text()

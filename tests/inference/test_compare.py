@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from phase_ppl.inference.compare import (
 )
 from phase_ppl.inference.entries import entries
 from phase_ppl.inference.kernels.generic_mh import PriorMH
+from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -118,7 +120,7 @@ def test_every_kernel_runs_every_repeat_within_the_budget(found: ppl.Comparison)
     assert found.settings["kernels"]["whole"]["options"] == {"early_reject": False}
     assert "given posterior" in found.settings["reference"]["description"]
     # they make the same draws, and so measure the same
-    same = found.runs.drop(columns=["kernel", "seconds", "frames"])
+    same = found.runs.drop(columns=["kernel", "seconds", "ess_per_second", "frames"])
     one, other = (same[found.runs["kernel"] == name].reset_index(drop=True) for name in KERNELS)
     assert one.equals(other)
     assert one["tv_goals"].between(0, 1).all()
@@ -169,13 +171,82 @@ def test_a_kernel_may_be_the_reference_and_equal_budgets_are_equal_in_what_was_s
     assert found.runs["simulations"][0] > found.runs["simulations"][1]
     assert "equal are the frames" in str(found)
     long = asked("prior_mh", ppl.frames(30))
-    assert long.record()["kernel"]["length"] == {"budget": "300 frames"}, "by default ten times"
+    assert long.record()["length"] == {"budget": "300 frames"}, "by default ten times"
 
 
 def asked(given: Any, budget: Any = SETTINGS["budget"], *compared: Any) -> Reference:
     settings = ppl.SimpleSettings()
     among = entries(compared, 4, settings) if compared else []
     return Reference.asked_for(given, EVENT, budget, 4, settings, "count", among)
+
+
+def test_a_reference_by_default_is_none_of_the_kernels_that_are_compared() -> None:
+    for budget, particles, length in ((24, 15, 240), (500, 16, 5000)):
+        said = asked(None, ppl.simulations(budget), "prior_mh").record()
+        assert said["enumeration if affordable"]
+        assert (said["else"]["name"], said["else"]["chains"]) == ("smc", particles)
+        assert said["else"]["length"] == {"budget": f"{length} simulations"}
+    for own in ("smc", SMC, ("smc", {"chains": 3})):
+        said = asked(None, SETTINGS["budget"], "prior_mh", own).record()
+        assert said == {"enumeration if affordable": True, "else": "none"}
+    assert asked("none").record() == "none"
+    # a kernel with other options is another
+    assert asked("prior_mh", SETTINGS["budget"], ("prior_mh", {"early_reject": False})).kernel
+
+
+def test_without_a_reference_there_are_no_distances_and_no_ranks() -> None:
+    found = compare("none")
+    assert found.runs["tv_goals"].isna().all()
+    assert (found.runs["p_goals"] >= 0).all()
+    assert "reference: none\nso there are no distances, and no ranks" in str(found)
+    assert "rank by" not in str(found)
+
+
+@pytest.mark.slow
+def test_the_default_reference_is_a_few_populations_that_share_ten_times_the_budget() -> None:
+    said = compare(None, repeats=1, kernels=["prior_mh"]).settings["reference"]
+    assert (
+        "smc, 240 simulations, weights count, as 4 independent populations" in (said["description"])
+    )
+    assert 240 <= said["simulations"] <= 4 * (60 + 15)
+    assert 0 < said["error"]["tv_goals"] < 1
+
+
+def test_a_preset_is_run_whole_and_kept_whole(
+    monkeypatch: pytest.MonkeyPatch, reference: ppl.Posterior
+) -> None:
+    seen: list[dict[str, Any]] = []
+
+    def infer(event: Any, model: Any, **given: Any) -> ppl.Posterior:
+        seen.append(given)
+        return reference
+
+    monkeypatch.setattr(entries_module, "infer", infer)
+    monkeypatch.setattr(entries_module.Entry, "check", lambda *_: None)
+    kernels = {"printed": "as_printed", "guided": "guided", "prior": "prior_mh"}
+    found = ppl.compare(
+        EVENT, **{**SETTINGS, "kernels": kernels, "reference": "none", "repeats": 1}
+    )
+    printed, guided, prior = seen
+    preset = ppl.preset("as_printed")
+    assert preset.pop("weights") == "count"  # of the posterior that is made of it
+    assert preset.items() <= printed.items()
+    assert "budget" not in printed
+    assert ppl.preset("guided").items() <= guided.items()
+    assert guided["budget"] == prior["budget"] == SETTINGS["budget"]
+    kept = found.settings["kernels"]["printed"]
+    assert (kept["chains"], kept["options"]) == (15, {"rule": "paper"})
+    assert kept["settings"]["sign"] == "printed"
+    assert kept["length"] == {"iterations": "6"}
+    assert (kept["planner"], kept["weights"]) == ("as_printed", "count")
+    assert found.settings["proposals"] == {
+        "printed": "paper",
+        "guided": "closed_loop",
+        "prior": None,
+    }
+    rows = r"proposals .*\nprinted +paper .*\nguided +closed_loop .*\nprior +- "
+    assert re.search(rows, str(found))
+    assert "but for printed, which has 6 iterations" in str(found)
 
 
 # --- checkpoint and Ctrl-C ---------------------------------------------------------------------
@@ -246,7 +317,6 @@ def test_a_checkpoint_of_other_settings_or_damaged_is_refused(
 
 def even_only(program: Any) -> Any:
     """A kernel that stumbles over an odd number of chains."""
-    from phase_ppl.inference.kernels.generic_mh import PriorMH
 
     class EvenOnly(PriorMH):
         def init(self, rng_key: Any, *args: Any, **options: Any) -> Any:
