@@ -300,7 +300,8 @@ def test_so_are_an_executor_another_likelihood_and_another_world() -> None:
         pytest.raises(InvalidSettingError, match=r"executor=.*is for simulations"),
     ):
         sampled(executor=executor)
-    settings = {**EXACT.settings, "likelihood": ppl.StepwiseLikelihood().to_dict()}
+    counted = {**ppl.StepwiseLikelihood().to_dict(), "weight": 0.2}  # as a reading keeps it
+    settings = {**EXACT.settings, "likelihood": counted}
     known = EXACT.dataset.assign_attrs(settings=json.dumps(settings))
     read = StepwisePosterior(known, prior=few_goals)
     model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood()))
