@@ -15,8 +15,9 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
@@ -182,62 +183,130 @@ def in_time(
     stop: Sequence[Future[Any]],
     deadline: float,
 ) -> Result:
-    """Return what ``work`` returns, from a thread of its own where something can end it.
+    """Return what ``work`` returns, as :func:`in_turn` does of many."""
+    if limit == math.inf == deadline and not stop:
+        return work()
+    return next(in_turn([work], lambda _, why: failed(why), lambda: limit, stop, deadline))
+
+
+def in_turn(
+    works: Sequence[Callable[[], Result]],
+    failed: Callable[[int, str], Result],
+    limit: Callable[[], float],
+    stop: Sequence[Future[Any]],
+    deadline: float,
+) -> Iterator[Result]:
+    """Yield what each work returns, in order, from a thread where something can end it.
 
     A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
-    unheeded, and does not keep its process from ending. ``failed`` makes a result of the reason why
-    there is none; other arguments are as of :func:`simulate_one`.
-    """
-    if math.inf == limit == deadline and not stop:
-        return work()
-    if limit <= 0:
-        return failed(too_long(limit))
-    done: Future[Result] = Future()
-    ending = threading.Lock()  # held while a thread is ended, lest it ends by itself meanwhile
+    unheeded, and does not keep its process from ending. Another one takes its place.
 
-    def serve() -> None:
+    Args:
+        failed: (place, reason) -> the result of a work that has none.
+        limit: asked as each begins: seconds that it may take.
+        stop: whatever of these is done ends all.
+        deadline: time, by ``time.perf_counter``, that ends all.
+    """
+    place = 0
+    while place < len(works):
+        thread = _Turn(works, place, failed, limit)
         try:
-            try:
-                result = work()
-            except BaseException as error:
-                done.set_exception(error)
-            else:
-                done.set_result(result)
-            with ending:
+            while place < len(works) and not thread.is_over(place):
+                with contextlib.suppress(Empty):
+                    result = thread.next_result(min(deadline - time.perf_counter(), _POLL))
+                    place += 1
+                    yield result
+                    continue
+                if any(future.done() for future in stop):
+                    raise Cancelled("the simulation was cancelled")
+                if time.perf_counter() >= deadline:
+                    raise OutOfTime("the time of the run is over")
+        finally:
+            if not thread.has_ended(place):
+                thread.give_up()
+        if place < len(works):
+            place += 1
+            yield failed(place - 1, too_long(thread.limit))
+
+
+_POLL: Final = 0.02  # seconds after which it is looked whether a work is to be ended
+
+
+class _Turn:
+    """A thread that does one work after the other."""
+
+    def __init__(
+        self,
+        works: Sequence[Callable[[], Any]],
+        first: int,
+        failed: Callable[[int, str], Any],
+        limit: Callable[[], float],
+    ) -> None:
+        self._works, self._failed, self._limit = works, failed, limit
+        self._results: SimpleQueue[tuple[Any, BaseException | None]] = SimpleQueue()
+        self._ending = threading.Lock()  # held while it is ended, lest it ends by itself meanwhile
+        self._done = threading.Event()
+        self._at, self._began, self.limit = first, math.inf, math.inf
+        name = "phase_ppl-simulation"
+        self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
+        self._thread.start()
+
+    def next_result(self, seconds: float) -> Any:
+        """Return the next result or raise what was raised; Empty if there is none in time."""
+        result, error = self._results.get(timeout=max(0.0, seconds))
+        if error is not None:
+            raise error
+        return result
+
+    def is_over(self, place: int) -> bool:
+        """Whether the work of that place takes longer than it may."""
+        if self._at != place:
+            return False
+        return time.perf_counter() - self._began >= self.limit  # -inf before it began
+
+    def _serve(self) -> None:
+        try:
+            for place in range(self._at, len(self._works)):
+                # the limit is read while its work is at this place only
+                self._began, self.limit = math.inf, self._limit()
+                self._at = place
+                try:
+                    if self.limit <= 0:
+                        result = self._failed(place, too_long(self.limit))
+                    else:
+                        self._began = time.perf_counter()
+                        result = self._works[place]()
+                except BaseException as error:
+                    self._results.put((None, error))
+                    break
+                self._results.put((result, None))
+            with self._ending:
+                self._done.set()
                 return
         except SystemExit:  # it was ended when its work was done
             return
 
-    thread = threading.Thread(target=serve, name="phase_ppl-simulation", daemon=True)
-    thread.start()
-    try:
-        seconds = max(0.0, min(limit, deadline - time.perf_counter()))
-        wait([done, *stop], seconds if seconds < math.inf else None, FIRST_COMPLETED)
-        if done.done():
-            return done.result()
-        if any(future.done() for future in stop):
-            raise Cancelled("the simulation was cancelled")
-        if time.perf_counter() >= deadline:
-            raise OutOfTime("the time of the run is over")
-        return failed(too_long(limit))
-    finally:
-        if not done.done():
-            threading.Thread(target=_end, args=(thread, done, ending), daemon=True).start()
+    def has_ended(self, place: int) -> bool:
+        """Whether it is done, or about to be, if the results before that place were taken."""
+        return place == len(self._works) or self._done.is_set()
 
+    def give_up(self) -> None:
+        """End what it still does."""
+        threading.Thread(target=self._end, daemon=True).start()
 
-def _end(thread: threading.Thread, done: Future[Any], ending: threading.Lock) -> None:
-    """End a thread that was given up at its next line of Python.
+    def _end(self) -> None:
+        """End it at its next line of Python.
 
-    That line may be one of a callback, such as of a weak reference, from where nothing gets out:
-    it is tried again.
-    """
-    for patience in (0.05, 0.5, 5.0):
-        with ending:
-            if done.done() or not thread.is_alive():
-                return
-            number = ctypes.c_ulong(thread.ident or 0)
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
-        wait([done], patience)
+        That line may be one of a callback, such as of a weak reference, from where nothing gets
+        out: it is tried again.
+        """
+        for patience in (0.05, 0.5, 5.0):
+            with self._ending:
+                if self._done.is_set() or not self._thread.is_alive():
+                    return
+                number = ctypes.c_ulong(self._thread.ident or 0)
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
+            self._done.wait(patience)
 
 
 def simulate_together(

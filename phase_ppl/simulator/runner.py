@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 import threading
 import time
@@ -19,6 +20,7 @@ from phase_ppl.simulator.contract import (
     Simulator,
     Statistics,
     in_time,
+    in_turn,
     simulate_one,
     simulate_together,
     too_long,
@@ -84,7 +86,12 @@ class Work(NamedTuple):
     observed_positions: FloatArray  # (time, entity, 2) x, y, units
 
     def simulate(
-        self, what: Hypothesis | Roles, seed: int, ceiling: float, limit: float, **more: Any
+        self,
+        what: Hypothesis | Roles,
+        seed: int,
+        ceiling: float,
+        limit: float = math.inf,
+        **more: Any,
     ) -> SimulationResult:
         """Run one simulation; arguments as of :func:`simulate_one`."""
         observed = self.observed_positions
@@ -234,7 +241,7 @@ class Runner:
         if self._together:
             return self._run_together(requests)
         if self._pool is None:
-            return {request: self._run_here(request) for request in requests}
+            return self._run_here(requests)
         return self._run_in(self._pool, requests)
 
     def _run_again(self, failed: Sequence[Request]) -> dict[Request, SimulationResult]:
@@ -248,12 +255,22 @@ class Runner:
             for request, again in zip(failed, fresh, strict=True)
         }
 
-    def _run_here(self, request: Request) -> SimulationResult:
+    def _run_here(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
         self._check_cancelled()
-        ends: dict[str, Any] = {"stop": [self._stop], "deadline": self.deadline}
-        return self._count(
-            self._work.simulate(*request, self._limit(), cancelled=self._stop.done, **ends)
+        works = [
+            functools.partial(self._work.simulate, *one, cancelled=self._stop.done)
+            for one in requests
+        ]
+        results = in_turn(
+            works,
+            lambda place, reason: self._failed(requests[place], reason),
+            self._limit,
+            [self._stop],
+            self.deadline,
         )
+        with contextlib.closing(results):
+            counted = [self._count(result) for result in results]
+        return dict(zip(requests, counted, strict=True))
 
     def _limit(self) -> float:
         """Return the seconds that a simulation may take that begins now."""
