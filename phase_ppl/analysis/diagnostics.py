@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import total_variation, worth
+from phase_ppl.analysis.estimate import FEW_DRAWS, total_variation, worth
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import (
     are_weighted,
@@ -25,7 +25,7 @@ from phase_ppl.analysis.tree import (
     space_of_tree,
     untried,
 )
-from phase_ppl.analysis.verdict import ALONE, FEW_DRAWS, verdict
+from phase_ppl.analysis.verdict import ALONE, verdict
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
 from phase_ppl.world.arrays import FloatArray

@@ -100,6 +100,11 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
     return 0.5 * float(np.abs(one - other).sum())
 
 
+FEW_DRAWS: Final = 5.0
+"""Independent draws below which an answer rests on too little to be sure of anything."""
+
+_FEWEST_DEGREES: Final = 2.0  # of freedom: with one, 6.5 spreads would be one error
+_CLEARLY: Final = 2.0  # standard errors by which halves of the draws are to differ
 N_SETS: Final = 30  # random sets of chains that are left out
 _MOST_DECIMALS: Final = 4
 
@@ -190,7 +195,7 @@ class Jackknife:
         if n is not None:
             change = found[n + 1] - found[n]
             by_chance = self._variance(found[2 * n + 2 :] - found[n + 2 : 2 * n + 2])
-            variance = variance + np.maximum(0.0, change**2 - by_chance)
+            variance = variance + np.maximum(0.0, change**2 - _CLEARLY**2 * by_chance)
         error: Any = np.sqrt(variance)
         return np.where(error > ROUNDING * np.abs(np.asarray(value)), error, 0.0)
 
@@ -273,19 +278,22 @@ def widened(size: float) -> float:
         return 1.0
     from scipy.special import stdtrit  # slow to import
 
-    return float(stdtrit(max(size - 1.0, 1.0), 0.975)) / 1.96
+    return float(stdtrit(max(size - 1.0, _FEWEST_DEGREES), 0.975)) / 1.96
 
 
-def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:
+def with_unseen(mass: ArrayLike, error: ArrayLike, size: float, n_labels: int = 2) -> FloatArray:
     """Return errors of probabilities that are not 0 only because few draws all say the same.
 
-    Jeffreys' posterior of a probability p after n draws has the mean p' = (n p + 1/2) / (n + 1)
-    and the variance p' (1 - p') / (n + 2); the error is at least its root mean squared distance
-    from p. It vanishes as n grows. ``error`` is what the chains show of it, ``size`` the number n
-    of independent draws that they are worth, NaN where it is not known.
+    The posterior of a probability p after n draws, and one that was divided as b, has the mean
+    p' = (n p + b) / (n + 1) and the variance p' (1 - p') / (n + 2); the error is at least its root
+    mean squared distance from p. It vanishes as n grows. b is 1/2 (Jeffreys), and from
+    :data:`FEW_DRAWS` draws on one over the number of labels (Perks): few leave anything possible,
+    many have room for one label among many only. ``error`` is what the chains show of it, ``size``
+    the number n of independent draws that they are worth, NaN where it is not known.
     """
     p = np.asarray(mass, np.float64)
-    expected = (size * p + 0.5) / (size + 1)
+    beforehand = 0.5 if size < FEW_DRAWS else 1 / n_labels
+    expected = (size * p + beforehand) / (size + 1)
     least = np.sqrt(expected * (1 - expected) / (size + 2) + (expected - p) ** 2)
     return np.asarray(np.fmax(np.asarray(error, np.float64), least))
 

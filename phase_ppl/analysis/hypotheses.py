@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
 from phase_ppl.analysis.estimate import (
+    FEW_DRAWS,
     Estimate,
     Jackknife,
     Jackknives,
@@ -218,7 +219,7 @@ class Hypotheses(Printed):
         error = np.full(shape, np.nan if without is None else 0.0)
         if without is not None:
             error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
-            error = with_unseen(table, error, of._size_of(rows))
+            error = with_unseen(table, error, of._size_of(rows), table.size)
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
             table, {**coords, "error": (names, error)}, dims=names, name="probability"
@@ -271,8 +272,8 @@ class Hypotheses(Printed):
         Returns:
             quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
             ``next_probability``; ``sure``: whether the probability exceeds 1/2 by :data:`SURE`
-            errors, if these are known. What was never simulated counts as impossible; whether
-            that matters, and whether the prior decides, ``diagnostics()`` says.
+            errors, if these are known, and it rests on enough. What was never simulated counts as
+            impossible; whether that matters, and whether the prior decides, ``diagnostics()`` says.
         """
         found = {}
         for name in (*self.goals_of.values(), *self.relations_of.values()):
@@ -283,7 +284,9 @@ class Hypotheses(Printed):
                 "error": share.error,
                 "next": second,
                 "next_probability": float(second_share),
-                "sure": bool(share - SURE * share.error > 0.5),
+                "sure": bool(
+                    share - SURE * share.error > 0.5 and not self._effective_size < FEW_DRAWS
+                ),
             }
         return found
 
@@ -509,9 +512,8 @@ class Hypotheses(Printed):
     def _effective_size(self) -> float:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
 
-        The least over the goals of sum p (1 - p) / sum of squared errors, or the number of chains
-        where all say the same; at most what the weights are worth (Kish), or that number: that
-        leaving out any chain changes nothing proves no more.
+        The least over the goals of sum p (1 - p) / sum of squared errors, and at most what the
+        weights are worth: that leaving out any chain changes nothing proves no more.
         """
         without = self._over_chains(0.0)
         if without is None or self._rows.groups is None:
@@ -524,8 +526,11 @@ class Hypotheses(Printed):
             spread, variance = float((error**2).sum()), float((mass * (1 - mass)).sum())
             if spread > 0 and variance > estimate.ROUNDING:
                 sizes.append(variance / spread)
-        chains = float(len(np.unique(self._rows.index["chain"])))
-        return min(min(sizes, default=chains), max(chains, estimate.worth(self._rows.weights)))
+        return min([self._most_effective(), *sizes])
+
+    def _most_effective(self) -> float:
+        """Return how many independent draws the weights can be worth at most (Kish)."""
+        return estimate.worth(self._rows.weights)
 
     def _size_of(self, rows: NDArray[np.bool_]) -> float:
         """Return how many independent draws those of ``rows`` would be as sure as; or NaN."""

@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.estimate import Jackknife, Jackknives, worth
+from phase_ppl.analysis.estimate import Jackknife, Jackknives, shares, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.tree import (
@@ -29,7 +30,7 @@ from phase_ppl.analysis.tree import (
     space_of_tree,
     untried,
 )
-from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, so_far
+from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, normalised, so_far
 from phase_ppl.analysis.with_arviz import are_equal
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, whole_number
@@ -44,6 +45,10 @@ HINDSIGHT: Final = (
     "whole video, and are weighted by how well they explain it up to each frame."
 )
 """Goes with every result over time."""
+
+_ARRIVED: Final = 0.5
+"""Share of the chains, weighted by the density where they are, that is to be left (Kish) for them
+to have come to the same place."""
 
 _STREAM: Final = 0x9EA1  # keeps replicates apart from what else follows from the run's seed
 
@@ -129,6 +134,29 @@ class Posterior(EventPosterior):
         if over_chains is None or n_sets < 2:
             return None
         return Jackknives((over_chains, Jackknife(self._without_sets, n_sets - 1.0)))
+
+    def _most_effective(self) -> float:
+        """Return how many independent draws the draws can be worth at most.
+
+        As many as Kish's size of the simulations that they rest on: a draw that stayed where it
+        was, and particles of one ancestor, are one. Where chains have not come to where the others
+        are, which their log joint shows, as many as the best of them.
+        """
+        if "draw" not in self._rows.index:
+            return super()._most_effective()
+        names = [*self._words.space.kept_columns, "sim_seed"]
+        stats = self._counted["sample_stats"].dataset
+        columns = {name: array(self._counted, "posterior", name).ravel() for name in names[:-1]}
+        frame = pd.DataFrame({**columns, "sim_seed": stats["sim_seed"].values.ravel()})
+        visited = frame.groupby(names, sort=False).ngroup().to_numpy()
+        size = worth(shares(visited, self._rows.weights))
+        if len(stats["draw"]) == 1:  # a population has chosen among its particles all along
+            return size / 2
+        if not are_equal(self._rows.weights) or are_weighted(self._counted):
+            return size
+        level = stats["log_joint"].values.mean(axis=1)
+        arrived = worth(normalised(np.where(np.isfinite(level), level, -np.inf)))
+        return size if arrived >= _ARRIVED * len(level) else min(size, arrived)
 
     @classmethod
     def from_numpyro(cls, mcmc: Any, program: Any = None) -> Posterior:

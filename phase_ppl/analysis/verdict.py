@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from phase_ppl.analysis.estimate import with_error
+from phase_ppl.analysis.estimate import FEW_DRAWS, with_error
 from phase_ppl.analysis.with_arviz import MIN_CHAINS_BETWEEN, MIN_DRAWS, MIN_DRAWS_WITHIN
 
 AGREED: Final = 0.8
@@ -14,9 +14,6 @@ AGREED: Final = 0.8
 
 STUCK: Final = 0.05  # acceptance rate below which the particles are said to have hardly moved
 FEW: Final = 0.1  # effective share of weighted draws below which a few of them are said to decide
-
-FEW_DRAWS: Final = 5.0
-"""Independent draws that the answers are worth below which so few are said to decide."""
 
 MIXED: Final = 1.1  # R-hat above which draws are said to depend on where their chain began
 
@@ -78,8 +75,8 @@ def _signs(found: Mapping[str, Any], weighted: bool) -> Iterator[str]:
         )
     if size is not None and size < FEW_DRAWS:
         yield (
-            f"The goals are no surer than by {size:.1f} independent draws: single simulations "
-            "decide, and another run may well differ."
+            f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
+            f"{FEW_DRAWS:g}. Another run may well differ."
         )
     if weighted:
         yield from _weighted(found)

@@ -79,6 +79,11 @@ def particles_of(state: Any) -> Columns:
     return columns
 
 
+def sites_of(particles: Columns) -> Columns:
+    """Return the hypotheses of particles, site by site."""
+    return {k.removeprefix(SITE): v for k, v in particles.items() if k.startswith(SITE)}
+
+
 def kept_iterations(done: int, kernel: KernelInfo) -> range:
     """Return after which iterations the particles are draws of the posterior; 0: the initial ones.
 
@@ -209,7 +214,7 @@ def table_tree(
     drawn = {name: np.moveaxis(values[list(iterations)], 0, 1) for name, values in steps.items()}
     shape = drawn["sim_seed"].shape
     moved = np.ones(shape, np.bool_)
-    sites = {k.removeprefix(SITE): v for k, v in drawn.items() if k.startswith(SITE)}
+    sites = sites_of(drawn)
     if shape[1] > 1:
         each = [values.reshape(*shape, -1) for values in sites.values()]
         moved[:, 1:] = np.any([(v[:, 1:] != v[:, :-1]).any(axis=2) for v in each], axis=0)

@@ -78,12 +78,9 @@ def _local_program(
         def here(table: FloatArray | jax.Array) -> jax.Array:
             return jnp.asarray(table, jnp.float32)[window]
 
-        logits, strength = here(tables.goal_logits), here(tables.strength)
-        strength_sd = here(tables.strength_sd)
+        logits = here(tables.goal_logits)
+        strength, strength_sd = here(tables.strength), here(tables.strength_sd)
         of_way = None if tables.way_logits is None else here(tables.way_logits)
-        known = ~jnp.isnan(strength)
-        estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
-        sd = jnp.where(known, strength_sd, 1.0)
         replace: dict[str, Replace] = {}
         given: dict[str, jax.Array] = {}
         if prior_of_way is not None and of_way is not None:
@@ -95,10 +92,8 @@ def _local_program(
             of_agent = logits[..., agent, :]
             replace[name] = functools.partial(_goal_distribution, way_site, of_agent)
         for agent, name in enumerate(space.strength_sites):
-            normal = dist.TruncatedNormal(
-                estimate[agent], sd[agent], low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
-            )
-            replace[name] = functools.partial(_strength_distribution, known[agent], normal)
+            of_agent = estimated(strength[agent], strength_sd[agent])
+            replace[name] = functools.partial(strength_distribution, *of_agent)
         with (
             handlers.block(hide=list(given)),
             handlers.substitute(data=given),
@@ -148,7 +143,14 @@ def _goal_distribution(
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
 
 
-def _strength_distribution(
+def estimated(mean: jax.Array, sd: jax.Array) -> tuple[jax.Array, dist.Distribution]:
+    """Return whether there is an estimate of a strength, newtons, NaN where not, and its law."""
+    known, (low, high) = ~jnp.isnan(mean), STRENGTH_RANGE
+    mean = jnp.where(known, mean, (low + high) / 2)
+    return known, dist.TruncatedNormal(mean, jnp.where(known, sd, 1.0), low=low, high=high)
+
+
+def strength_distribution(
     known: jax.Array,
     estimate: dist.Distribution,
     prior: dist.Distribution,

@@ -68,6 +68,8 @@ class KernelInfo:
     # serves events of all lengths: how many frames count is then ``program.observed`` instead of
     # ``program.n_frames``, and known only when it runs
     any_length: bool = False
+    # whether its proposal is fitted to the draws so far (``kernels/amis.py``)
+    adapts: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
         """Return the kernel for an event, from what it needs and its own options."""
@@ -135,6 +137,7 @@ def register_kernel(
     keeps: Keeps = "all",
     weighted: bool = False,
     any_length: bool = False,
+    adapts: bool = False,
 ) -> Callable[[AnyFactory], AnyFactory]:
     """Return a decorator that makes a kernel class, or a factory, known under ``name``.
 
@@ -150,7 +153,7 @@ def register_kernel(
         for entry in given:
             if entry not in allowed:
                 raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
-    more = even_chains, keeps, weighted, any_length
+    more = even_chains, keeps, weighted, any_length, adapts
     return KERNELS.register(
         name,
         lambda factory, summary: KernelInfo(

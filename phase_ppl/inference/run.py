@@ -17,11 +17,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import jax
+import numpy as np
 from jax import lax, random
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.draws import Particles
 from phase_ppl.inference.guide import bottom_up_guide
+from phase_ppl.inference.kernels.amis import Adaptation, Proposal, first_proposal, guide_of
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
@@ -68,7 +70,7 @@ Kernel: TypeAlias = str | Factory | MCMCKernel
 class Data(NamedTuple):
     """All that compiled code is told of an event."""
 
-    tables: BottomUpTables  # what its windows say
+    proposal: BottomUpTables | Proposal  # what its windows say, or what a kernel has learned
     salt: jax.Array | int  # a number that stands for it
     bridge: jax.Array | int  # handle of the bridge that simulates
     observed: jax.Array | int | None  # number of frames, where arrays are longer
@@ -208,9 +210,21 @@ class Run:
         if unread and settings.proposal == "closed_loop":
             settings = dataclasses.replace(settings, proposal=None)
         tables = bottom_up_tables(scene, observation, settings, progress, threads)
-        tables = padded(tables, window_count(self.recipe.n_frames, settings.window))
+        proposal: BottomUpTables | Proposal
+        if self.info.adapts:
+            proposal = first_proposal(np.asarray(tables.goal_logits)[-1], self.model.prior)
+        else:
+            proposal = padded(tables, window_count(self.recipe.n_frames, settings.window))
         observed = self.n_frames if self._is_padded else None
-        return Data(tables, event_salt(scene, observation), bridge, observed)
+        return Data(proposal, event_salt(scene, observation), bridge, observed)
+
+    def adaptation(self, data: Data) -> Adaptation | None:
+        """Return what fits the proposal of a kernel that adapts; None of others."""
+        if not self.info.adapts:
+            return None
+        observed, share = self.event.observation.positions, self.settings.prior_share
+        assert isinstance(data.proposal, Proposal), "it is of a kernel that adapts"
+        return Adaptation(self.model, observed, data.proposal, share)
 
     def check(self, iterations: int | None, budget: Budget | None) -> None:
         """Make the kernel and trace a step of it, with nothing simulated."""
@@ -257,12 +271,15 @@ def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
 def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     """Return the kernel for an event."""
     info, options, model, settings, n_frames = recipe
-    tables, salt, bridge, observed, table = data
+    proposal, salt, bridge, observed, table = data
     program = EventProgram(model, bridge, n_frames, salt, observed, table)
     supplies: dict[str, Any] = {"settings": settings} if "settings" in info.needs else {}
     if "guide" in info.needs:
+        of = model.prior, model.sites, proposal
         share = settings.prior_share
-        supplies["guide"] = bottom_up_guide(model.prior, model.sites, tables, prior_share=share)
+        supplies["guide"] = (
+            guide_of(*of, share) if info.adapts else bottom_up_guide(*of, prior_share=share)
+        )
     return info.make(program, **supplies, **dict(options))
 
 

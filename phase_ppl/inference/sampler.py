@@ -30,7 +30,7 @@ from phase_ppl.analysis.diagnostics import untried_rivals
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference import run as runs
-from phase_ppl.inference.draws import Columns, build_tree, particles_of
+from phase_ppl.inference.draws import Columns, build_tree, particles_of, sites_of
 from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
@@ -197,6 +197,9 @@ class Sampler:
             self._data = run.data(self._bridge.handle, options.progress, threads)
             # what was kept of an earlier reading is paid for like any other
             self._kept_seconds = max(0.0, run.reading.seconds - (runs.clock() - began))
+            self._adaptation = run.adaptation(self._data)
+            for iteration, particles in enumerate(self._particles):
+                self._adapt(iteration, particles)
         except KeyboardInterrupt as stop:  # while the closed loop reads the video
             raise Interrupted(None) from stop
 
@@ -292,9 +295,26 @@ class Sampler:
             state = self._all_started(state)
         self._particles.append(particles_of(state))
         self._state = state
+        self._adapt(self._done, self._particles[-1])
         self._pace.end(initial=initial)
         self._pace.count(self._bridge.records, self._done)
         self.keep()
+
+    def _adapt(self, iteration: int, particles: Columns) -> None:
+        """Have the proposal of a kernel that adapts learn from a batch of draws."""
+        if self._adaptation is not None:
+            records = [one for one in self._bridge.records if one.iteration == iteration]
+            with on_cpu():
+                self._adaptation.add(sites_of(particles), particles["log_weight"], records)
+            self._data = self._data._replace(proposal=self._adaptation.proposal)
+
+    def _weighed(self) -> list[Columns]:
+        """Return the particles with the weights that they have in the end."""
+        if self._adaptation is None:
+            return self._particles
+        weights = self._adaptation.log_weights()
+        pairs = zip(self._particles, weights, strict=True)
+        return [{**particles, "log_weight": one} for particles, one in pairs]
 
     def _try_rivals(self, bar: Progress) -> None:
         """Simulate the rivals of the leading goals that no simulation has tried.
@@ -470,7 +490,7 @@ class Sampler:
         if self._options.weights is not None:
             attrs["weights"] = self._options.weights
         records = self._bridge.records
-        tree = build_tree(run.event, run.model, kernel, self._particles, records, attrs)
+        tree = build_tree(run.event, run.model, kernel, self._weighed(), records, attrs)
         if self._options.burn_in is not None:
             # of an interrupted run at least the last draw counts
             most = tree["posterior"].sizes["draw"] - 1

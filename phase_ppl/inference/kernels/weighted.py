@@ -132,14 +132,18 @@ class Importance(ParticleKernel):
         program = self.program
         seed = program.simulator_seed(key, sites)
         log_prior = program.log_prior(sites)
+        error = program.simulate(sites, log_prior, seed)
+        log_likelihood = program.relative_log_likelihood(error)
+        log_weight = log_prior - self._log_proposal(sites) + log_likelihood
+        return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)
+
+    def _log_proposal(self, sites: Sites) -> jax.Array:
+        """Return the log density with which a hypothesis is drawn."""
         windows = jnp.arange(self.most_windows + 1)  # and the whole observation
         by_window = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
         by_window = jnp.where(windows <= self.n_windows, by_window, -jnp.inf)
         log_count = jnp.asarray(np.log(np.arange(1, len(windows) + 1)), jnp.float32)
-        log_proposal = logsumexp(by_window) - log_count[self.n_windows]
-        error = program.simulate(sites, log_prior, seed)
-        log_weight = log_prior - log_proposal + program.relative_log_likelihood(error)
-        return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)
+        return logsumexp(by_window) - log_count[self.n_windows]
 
 
 # --- every hypothesis ----------------------------------------------------------------------------

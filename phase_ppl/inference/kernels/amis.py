@@ -1,0 +1,457 @@
+"""Adaptive multiple importance sampling: the proposal learns from all simulations so far.
+
+For simulators that take milliseconds. Every draw weighs P(h) L / Q(h), where Q is the mixture of
+all proposals of the run by how many draws each one made, whichever made it (Cornuet, Marin, Mira,
+Robert 2012). A proposal is a table of who helps or hinders whom and of all goals, and a normal
+distribution of each agent's strength given what it acts on; with a small weight, the prior.
+
+The first proposal is half what the video suggests and half any goal, so that a suggestion that
+misleads costs half the first draws. Later ones are fitted to all simulations so far:
+
+* Each agent's part of a simulation is compared with the video on its own, all others being as far
+  off as they are on average in good simulations (mean field). So a simulation in which one agent
+  does what the video shows is evidence for it, whatever the other does.
+* What simulations of the same effective goals of all agents came to as a whole corrects that.
+
+Both likelihoods are raised to a power below 1, as low as is needed for many simulations to count.
+The fit decides how many simulations are needed, not what the answer is.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from numpy.typing import NDArray
+from numpyro import handlers
+from scipy.special import ndtr
+
+from phase_ppl.inference.guide import Mixture, Replaced, estimated, strength_distribution
+from phase_ppl.inference.kernels.weighted import Importance
+from phase_ppl.inference.registry import register_kernel
+from phase_ppl.models.bridge import Record
+from phase_ppl.models.density import Program, Sites, compiled_quickly, log_density, remembered
+from phase_ppl.models.effective import prior_table
+from phase_ppl.models.model import Model
+from phase_ppl.models.roles import WorldPrior, masses_of, space_of_prior
+from phase_ppl.models.sites import IMPOSSIBLE
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.hypothesis import STRENGTH_RANGE
+from phase_ppl.world.space import HypothesisSpace
+
+GROWTH: Final = 1.1
+"""A proposal is fitted again when there are so many times the draws that it was fitted to."""
+
+EFFECTIVE: Final = 30.0
+"""Simulations that are to count for each agent (Kish), for which the likelihood is tempered."""
+
+POWER: Final = 0.8
+"""Power to which the likelihood is raised at most, so that proposals are wider than the answer."""
+
+PSEUDO: Final = 0.5
+"""Simulations for which what is expected of goals counts, beside those that there are."""
+
+WIDER: Final = 1.25
+"""Factor by which strengths are drawn wider than they were found."""
+
+NARROWEST: Final = 10.0  # standard deviation of a proposed strength, newtons, at least
+MOST_ENTRIES: Final = 2_000_000  # of the table of goals
+_FEWEST: Final = 3  # draws for each goal before the first fit
+_ROUNDS: Final = 5  # of the mean field
+_ROWS: Final = 512  # densities that are evaluated at a time
+_BISECTIONS: Final = 20
+_RANGE: Final = STRENGTH_RANGE[1] - STRENGTH_RANGE[0]
+
+
+class Proposal(NamedTuple):
+    """What hypotheses are drawn from."""
+
+    # log probabilities of the way and of each agent's stated goal, given the way and the goals of
+    # the agents before: (way,), (way, goal), (way, goal, goal), ...
+    goals: tuple[FloatArray, ...]
+    strength: FloatArray  # (agent, effective goal) mean, newtons; NaN: as in the prior
+    strength_sd: FloatArray  # likewise
+
+
+def guide_of(
+    prior: Program, sites: Mapping[str, tuple[int, ...]], proposal: Proposal, prior_share: float
+) -> Mixture:
+    """Return the NumPyro program that draws from a proposal or, with its share, from the prior."""
+    space = space_of_prior(prior)
+
+    def fitted(_: Any) -> None:
+        given: dict[str, jax.Array] = {}
+        place: tuple[jax.Array, ...] = ()
+        for name, logits in zip(
+            (space.company_site, *space.goal_sites), proposal.goals, strict=True
+        ):
+            given[name] = numpyro.sample(name, dist.Categorical(logits=jnp.asarray(logits)[place]))
+            place = (*place, given[name])
+        way, stated = place[0], jnp.stack(place[1:])
+        agents = np.arange(space.n_agents)
+        acts_on = jnp.asarray(space.becomes)[way, agents, stated[jnp.asarray(space.owner)[way]]]
+        replace = {}
+        for agent, name in enumerate(space.strength_sites):
+            known, normal = estimated(
+                jnp.asarray(proposal.strength)[agent, acts_on[agent]],
+                jnp.asarray(proposal.strength_sd)[agent, acts_on[agent]],
+            )
+            replace[name] = functools.partial(strength_distribution, known, normal)
+        with (
+            handlers.block(hide=list(given)),
+            handlers.substitute(data=given),
+            Replaced(replace, given),
+        ):
+            prior()
+
+    programs = (fitted, lambda _: prior())
+    return Mixture(programs, (1 - prior_share, prior_share), sites)
+
+
+@register_kernel(
+    "amis",
+    validity="consistent",
+    needs=("guide", "settings"),
+    keeps="start",
+    weighted=True,
+    any_length=True,
+    adapts=True,
+)
+class AMIS(Importance):
+    """Adaptive multiple importance sampling, for simulators that take milliseconds.
+
+    The proposal learns from all simulations so far, and every draw is weighed against all of its
+    versions. Nothing is stopped early.
+    """
+
+    def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        return self.draw_guide(key, 0), jnp.asarray(-1, jnp.int32)
+
+    def _log_proposal(self, sites: Sites) -> jax.Array:
+        return log_density(self.guide, sites, 0)
+
+
+class Adaptation:
+    """The proposals of a run, and the densities of its draws under all of them.
+
+    Args:
+        model: whose hypotheses are drawn.
+        observed: (time, entity, 2) x, y, units.
+        first: the first proposal.
+        prior_share: of every proposal.
+    """
+
+    def __init__(
+        self, model: Model, observed: FloatArray, first: Proposal, prior_share: float
+    ) -> None:
+        self._model, self._observed, self._share = model, observed, prior_share
+        self._space = space_of_prior(model.prior)
+        sites = tuple(model.sites.items())
+        self._density = _density_of_proposals(model.prior, sites, prior_share)
+        self._proposals = [first]
+        self._made_by: list[int] = []  # which proposal drew each batch
+        self._batches: list[Mapping[str, NDArray[Any]]] = []
+        self._log_targets: list[FloatArray] = []  # of each batch, log P(h) L; -inf: failed
+        self._log_density = np.empty((1, 0))  # (proposal, draw)
+        self._simulated: list[_Simulated] = []
+        self._fitted_to = 0
+
+    @property
+    def proposal(self) -> Proposal:
+        """The present one."""
+        return self._proposals[-1]
+
+    def add(
+        self, sites: Mapping[str, NDArray[Any]], log_weight: FloatArray, records: Sequence[Record]
+    ) -> None:
+        """Count a batch (chain, ...) that the present proposal drew, and fit the next one."""
+        columns = [self._evaluated(one, [sites]) for one in self._proposals]
+        self._log_density = np.concatenate([self._log_density, np.stack(columns)], axis=1)
+        self._made_by.append(len(self._proposals) - 1)
+        self._batches.append(sites)
+        self._log_targets.append(log_weight + columns[-1])
+        done = [record for record in records if record.result.completed]
+        if done:
+            made_by = len(self._proposals) - 1
+            self._simulated.append(_Simulated.of(done, made_by, self._observed, self._space))
+        n = self._log_density.shape[1]
+        if n < max(GROWTH * self._fitted_to, _FEWEST * self._space.n_goals) or not self._simulated:
+            return
+        self._fitted_to = n
+        self._proposals.append(self._fitted())
+        row = self._evaluated(self.proposal, self._batches)
+        self._log_density = np.vstack([self._log_density, row])
+
+    def log_weights(self) -> list[FloatArray]:
+        """Return (chain,) the log weights of each batch against the mixture of all proposals."""
+        size = len(self._log_targets[0])
+        drawn = np.bincount(self._made_by, minlength=len(self._proposals)) * size
+        with np.errstate(divide="ignore"):  # of the one that has drawn nothing yet
+            log_share = np.log(drawn / drawn.sum())
+        log_mixture = np.logaddexp.reduce(log_share[:, None] + self._log_density, axis=0)
+        return list((np.concatenate(self._log_targets) - log_mixture).reshape(-1, size))
+
+    def _evaluated(
+        self, proposal: Proposal, batches: Sequence[Mapping[str, NDArray[Any]]]
+    ) -> FloatArray:
+        """Return (draw,) the log density of draws under a proposal."""
+        columns = {name: np.concatenate([one[name] for one in batches]) for name in batches[0]}
+        n, found = len(next(iter(columns.values()))), []
+        for first in range(0, n, _ROWS):
+            rows = np.arange(first, first + _ROWS).clip(max=n - 1)
+            given = {name: values[rows] for name, values in columns.items()}
+            found.append(np.asarray(self._density(proposal, given), np.float64))
+        return np.concatenate(found)[:n]
+
+    def _fitted(self) -> Proposal:
+        """Return the proposal that fits what was simulated until now."""
+        space, made_by = self._space, [np.full(len(s.goals), s.made_by) for s in self._simulated]
+        all_of = _Simulated(
+            np.concatenate(made_by),
+            *map(np.concatenate, list(zip(*self._simulated, strict=True))[1:]),
+        )
+        log_ratio = np.stack(
+            [self._log_ratio(agent, all_of) for agent in range(space.n_agents)], axis=1
+        )
+        power, log_likelihood = self._mean_field(all_of, log_ratio)
+        shape = space.n_agents, space.n_goals
+        scores, strength = np.zeros(shape), np.full((2, *shape), np.nan)
+        for agent in range(space.n_agents):
+            goal = all_of.goals[:, agent]
+            log_value = log_ratio[:, agent] + power * log_likelihood[:, agent]
+            value = np.exp(log_value - log_value.max())
+            n, total = np.bincount(goal, minlength=shape[1]), np.bincount(goal, value, shape[1])
+            scores[agent] = np.log((total + PSEUDO * value.mean()) / (n + PSEUDO))
+            strength[:, agent] = _strengths(goal, value, all_of.strengths[:, agent], shape[1])
+        stated = _log_prior_of_stated(self._model.prior)
+        acts_on = _acted_on(space)  # (agent, way, goal, ..., goal)
+        expected = sum(scores[agent][acts_on[agent]] for agent in range(space.n_agents))
+        log_value = log_ratio.sum(axis=1) + power * self._log_likelihood(
+            np.sqrt(all_of.squares.sum(axis=2))
+        )
+        found = _corrected(expected, acts_on, all_of.goals, log_value, scores, space)
+        return Proposal(_chained(stated + found), *strength.astype(np.float32))
+
+    def _log_ratio(self, agent: int, all_of: _Simulated) -> FloatArray:
+        """Return (row,) log P / Q of the strength of an agent, given what it acts on."""
+        goal, newtons = all_of.goals[:, agent], all_of.strengths[:, agent]
+        drawn = np.zeros((len(self._proposals), self._space.n_goals))
+        np.add.at(drawn, (all_of.made_by, goal), 1.0)
+        drawn /= drawn.sum(axis=0).clip(min=1.0)
+        density = np.zeros(len(goal))
+        for proposal, share in zip(self._proposals, drawn, strict=True):
+            mean, sd = proposal.strength[agent, goal], proposal.strength_sd[agent, goal]
+            known = ~np.isnan(mean)
+            mean, sd = np.where(known, mean, 0.0), np.where(known, sd, 1.0)
+            low, high = ((end - mean) / sd for end in STRENGTH_RANGE)
+            normal = np.exp(-0.5 * ((newtons - mean) / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
+            normal = normal / np.maximum(ndtr(high) - ndtr(low), 1e-12)
+            of_this = self._share / _RANGE + (1 - self._share) * np.where(known, normal, 1 / _RANGE)
+            density += share[goal] * of_this
+        return -np.log(density * _RANGE)
+
+    def _mean_field(self, all_of: _Simulated, log_ratio: FloatArray) -> tuple[float, FloatArray]:
+        """Return the power, and (row, agent) log likelihoods of each agent's part alone."""
+        n_agents = self._space.n_agents
+        squares = all_of.squares  # (row, time, entity)
+        # those that nobody is yet take from the best quarter
+        typical = np.quantile(squares, 0.25, axis=0)
+        power, found = POWER, np.empty((len(squares), n_agents))
+        for _ in range(_ROUNDS):
+            weights = []
+            for agent in range(n_agents):
+                rest = typical.sum(axis=1) - typical[:, agent]
+                found[:, agent] = self._log_likelihood(np.sqrt(squares[:, :, agent] + rest))
+            power = min(_power_of(found[:, a], log_ratio[:, a]) for a in range(n_agents))
+            for agent in range(n_agents):
+                weights.append(_tempered(found[:, agent], log_ratio[:, agent], power))
+                typical[:, agent] = weights[-1] @ squares[:, :, agent]
+            others = np.prod(np.array(weights) ** (1 / n_agents), axis=0)
+            typical[:, n_agents:] = np.tensordot(others / others.sum(), squares[:, :, n_agents:], 1)
+        return power, found
+
+    def _log_likelihood(self, errors: FloatArray) -> FloatArray:
+        """Return (row,) log likelihoods of errors (row, time), less the highest."""
+        by_frame = np.asarray(self._model.error_likelihood.log_prob(errors), np.float64)
+        total = by_frame.sum(axis=1)
+        return np.asarray(np.nan_to_num(total - total.max(), nan=-np.inf, neginf=-1e6))
+
+
+class _Simulated(NamedTuple):
+    """What completed simulations came to."""
+
+    made_by: Any  # which proposal drew each
+    goals: NDArray[np.int64]  # (row, agent) effective ones
+    strengths: FloatArray  # (row, agent) newtons
+    squares: FloatArray  # (row, time, entity) squared distances from the video, units
+
+    @classmethod
+    def of(
+        cls, records: Sequence[Record], made_by: int, observed: FloatArray, space: HypothesisSpace
+    ) -> _Simulated:
+        names = (space.company_site, *space.goal_sites, *space.strength_sites)
+        sites = {name: np.array([record.sites[name] for record in records]) for name in names}
+        shown = np.stack([record.result.trajectory[..., :2] for record in records])
+        strengths = np.stack([sites[name] for name in space.strength_sites], axis=1)
+        squares = ((shown.astype(np.float64) - observed) ** 2).sum(axis=3)
+        return cls(made_by, space.effective(sites).astype(np.int64), strengths, squares)
+
+
+def first_proposal(suggested: FloatArray, prior: Program) -> Proposal:
+    """Return the first proposal, given logits (..., agent, goal) of what the video suggests.
+
+    Raises:
+        InvalidSettingError: there are too many combinations of goals for a table.
+    """
+    space = space_of_prior(prior)
+    shape = (len(space.ways), *[space.n_goals] * space.n_agents)
+    if math.prod(shape) > MOST_ENTRIES:
+        raise InvalidSettingError(
+            f"kernel 'amis' keeps a table of who helps whom and of all goals: {math.prod(shape)} "
+            f"entries in {space.world.name!r}, at most {MOST_ENTRIES} are possible; take 'smc'"
+        )
+    share = np.exp(suggested - suggested.max(axis=-1, keepdims=True))
+    logits = np.log(0.5 * share / share.sum(axis=-1, keepdims=True) + 0.5 / space.n_goals)
+    logits = np.broadcast_to(logits, (shape[0], space.n_agents, space.n_goals))
+    table = np.zeros(shape)
+    for agent in range(space.n_agents):
+        axes = [1] * space.n_agents
+        axes[agent] = space.n_goals
+        table = table + logits[:, agent].reshape(shape[0], *axes)
+    # the video suggests own goals, not how probable each way is
+    stated = _log_prior_of_stated(prior)
+    by_way = np.logaddexp.reduce(stated.reshape(shape[0], -1), axis=1)
+    table = np.where(np.isfinite(stated), table, -np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        total = np.logaddexp.reduce(table.reshape(shape[0], -1), axis=1)
+        table = table + np.where(np.isfinite(total), by_way - total, -np.inf).reshape(
+            -1, *[1] * space.n_agents
+        )
+    unknown = np.full((space.n_agents, space.n_goals), np.nan, np.float32)
+    return Proposal(_chained(table), unknown, unknown)
+
+
+@remembered(16)
+def _log_prior_of_stated(prior: Program) -> FloatArray:
+    """Return (way, goal, ..., goal) log prior masses of the way and of all stated goals."""
+    if not isinstance(prior, WorldPrior):
+        table = prior_table(prior, (sum(STRENGTH_RANGE) / 2,))[..., 0, 0]
+        return np.moveaxis(table, -1, 0)
+    found = masses_of(prior)
+    n = len(found.goals)
+    table = found.company.reshape(-1, *[1] * n)
+    for agent, of_agent in enumerate(found.goals):
+        table = table + of_agent.reshape([1, *(-1 if a == agent else 1 for a in range(n))])
+    return np.asarray(table)
+
+
+def _acted_on(space: HypothesisSpace) -> NDArray[np.int64]:
+    """Return (agent, way, goal, ..., goal) the effective goals of ways and stated goals."""
+    shape = (len(space.ways), *[space.n_goals] * space.n_agents)
+    way, *stated = np.indices(shape, sparse=True)
+    owned = np.stack([np.broadcast_to(one, shape) for one in stated])
+    found = []
+    for agent in range(space.n_agents):
+        owner = np.broadcast_to(space.owner[:, agent].reshape(way.shape), shape)
+        goal = np.take_along_axis(owned, owner[None], axis=0)[0]
+        found.append(space.becomes[np.broadcast_to(way, shape), agent, goal])
+    return np.array(found, np.int64)
+
+
+def _corrected(
+    expected: FloatArray,
+    acts_on: NDArray[np.int64],
+    goals: NDArray[np.int64],
+    log_value: FloatArray,
+    scores: FloatArray,
+    space: HypothesisSpace,
+) -> FloatArray:
+    """Return the log of what goals are expected to come to, corrected by what they came to.
+
+    As root mean square of the simulations of the same effective goals, of which ``PSEUDO`` are as
+    expected: draws that are to make a sum sure are shared out so (Neyman), and what was not tried
+    yet is tried sooner than by its mean.
+    """
+    own = sum(scores[agent][goals[:, agent]] for agent in range(space.n_agents))
+    square = np.exp(2 * (log_value - log_value.max()))
+    scale = np.log(square.sum()) - np.logaddexp.reduce(2 * own)
+    shape = (space.n_goals,) * space.n_agents
+    size, code = math.prod(shape), np.ravel_multi_index(tuple(goals.T), shape)
+    n, total = np.bincount(code, minlength=size), np.bincount(code, square, size)
+    possible = (acts_on >= 0).all(axis=0)
+    of_all = np.ravel_multi_index(tuple(np.where(possible, acts_on, 0)), shape)
+    with np.errstate(divide="ignore"):  # of what was not simulated
+        sums = np.logaddexp(np.log(total[of_all]), np.log(PSEUDO) + scale + 2 * expected)
+    return np.where(possible, 0.5 * (sums - np.log(n[of_all] + PSEUDO)), -np.inf)
+
+
+def _chained(log_table: FloatArray) -> tuple[FloatArray, ...]:
+    """Return log probabilities of each axis of a table given those before."""
+    log_table = log_table - np.logaddexp.reduce(log_table, axis=None)
+    chained: list[FloatArray] = []
+    before = np.zeros(())
+    for axes in range(1, log_table.ndim + 1):
+        flat = log_table.reshape(*log_table.shape[:axes], -1)
+        joint = np.logaddexp.reduce(flat, axis=-1)
+        given = joint - np.where(np.isfinite(before), before, 0.0)[..., None]
+        chained.append(np.maximum(given, IMPOSSIBLE).astype(np.float32))
+        before = joint
+    return tuple(chained)
+
+
+def _strengths(
+    goal: NDArray[np.int64], value: FloatArray, newtons: FloatArray, n_goals: int
+) -> FloatArray:
+    """Return ([mean, sd], goal) the strengths to propose for each goal; NaN: as in the prior."""
+    overall = (value * newtons).sum() / value.sum()
+    spread = (value * (newtons - overall) ** 2).sum() / value.sum()
+    n, total = np.bincount(goal, minlength=n_goals), np.bincount(goal, value, n_goals)
+    kept = PSEUDO * value.mean()
+    mean = (np.bincount(goal, value * newtons, n_goals) + kept * overall) / (total + kept)
+    square = (value * (newtons - mean[goal]) ** 2, (overall - mean) ** 2 + spread)
+    variance = (np.bincount(goal, square[0], n_goals) + kept * square[1]) / (total + kept)
+    # of few simulations none need be near to what fits best
+    variance = WIDER**2 * variance + (_RANGE / (n + 1)) ** 2
+    found = np.stack([mean, np.maximum(np.sqrt(variance), NARROWEST)])
+    return np.where(n > 1, found, np.nan)
+
+
+def _tempered(log_likelihood: FloatArray, log_ratio: FloatArray, power: float) -> FloatArray:
+    """Return weights of sum 1 that are proportional to the ratio times L^power."""
+    logs = log_ratio + power * log_likelihood
+    weights = np.exp(logs - logs.max())
+    return np.asarray(weights / weights.sum())
+
+
+def _power_of(log_likelihood: FloatArray, log_ratio: FloatArray) -> float:
+    """Return the highest power, at most ``POWER``, that leaves ``EFFECTIVE`` rows (Kish)."""
+    low, high = 0.0, POWER
+    for power in [high] + [0.0] * _BISECTIONS:
+        power = power or (low + high) / 2
+        weights = _tempered(log_likelihood, log_ratio, power)
+        if 1 / float((weights**2).sum()) >= EFFECTIVE:
+            low = power
+            if power == POWER:
+                break
+        else:
+            high = power
+    return low
+
+
+@remembered(16)
+def _density_of_proposals(prior: Any, sites: tuple[tuple[str, Any], ...], share: float) -> Any:
+    """Return compiled (proposal, sites (row, ...)) -> (row,) log density of that proposal."""
+
+    def density(proposal: Proposal, rows: dict[str, jax.Array]) -> jax.Array:
+        guide = guide_of(prior, dict(sites), proposal, share)
+        return jax.vmap(lambda row: log_density(guide, row, 0))(rows)
+
+    return compiled_quickly(density)
