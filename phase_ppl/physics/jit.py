@@ -9,6 +9,7 @@ file that kernels draw on has changed.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import hashlib
 import pickle
@@ -17,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
+import llvmlite.binding as llvm
 import numba
 from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -149,6 +151,13 @@ class _Part(JITCodeLibrary):
         """Do nothing: no machine code is there to be told of its environment."""
 
 
+class _Linked(_Whole):
+    """The code of a kernel that kernels call by its name: machine code of its own, made once."""
+
+    def _get_module_for_linking(self) -> Any:
+        return llvm.parse_assembly("")
+
+
 class _WholeCompiler(Compiler):
     library: type[JITCodeLibrary] = _Whole
 
@@ -160,6 +169,24 @@ class _WholeCompiler(Compiler):
 
 class _PartCompiler(_WholeCompiler):
     library = _Part
+
+
+class _LinkedCompiler(_WholeCompiler):
+    library = _Linked
+
+    def _compile_bytecode(self) -> Any:
+        # its name must be the same in every process, and of another kernel another
+        self.state.func_id.unique_id = package_stamp()
+        return super()._compile_bytecode()
+
+
+def _plain(kind: Any) -> Any:
+    """Return the type of a number, also of one that is written in the call.
+
+    That makes no kernel of its own: it is known all the same once the one is within the other.
+    """
+    literal = isinstance(kind, types.IntegerLiteral | types.BooleanLiteral)
+    return types.unliteral(kind) if literal else kind
 
 
 class Kernel(CPUDispatcher):
@@ -178,14 +205,41 @@ class Kernel(CPUDispatcher):
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Tell a kernel that calls this one what it is."""
-        # a number that is written in the call makes no kernel of its own: it is known all the
-        # same once the one is within the other
-        plain = [types.unliteral(x) if isinstance(x, types.IntegerLiteral) else x for x in args]
-        return self._part.get_call_template(plain, kws)
+        return self._part.get_call_template(list(map(_plain, args)), kws)
 
     def get_overload(self, sig: Any) -> Any:
         """Give a kernel that calls this one its code."""
         return self._part.get_overload(sig)
+
+
+class LinkedKernel(CPUDispatcher):
+    """A compiled function that is not made part of the kernels that call it."""
+
+    _all: Final[dict[str, LinkedKernel]] = {}
+
+    def __init__(self, py_func: Callable[..., Any], targetoptions: dict[str, Any]) -> None:
+        super().__init__(py_func, None, targetoptions, _LinkedCompiler)
+        self._name = f"{py_func.__module__}.{py_func.__qualname__}"
+        self._all[self._name] = self
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Tell a kernel that calls this one what it is, and what it needs from the disk."""
+        plain = tuple(map(_plain, args))
+        found = super().get_call_template(plain, kws)
+        compiled: Any = self.overloads[plain]
+        compiled.library._reload_init.add(_Load(self._name, plain))
+        return found
+
+
+@dataclasses.dataclass(frozen=True)
+class _Load:
+    """What must be done before a kernel from the disk can call a linked one."""
+
+    name: str
+    args: tuple[Any, ...]
+
+    def __call__(self) -> None:
+        LinkedKernel._all[self.name].compile(self.args)
 
 
 _IN_PARTS: Final = (0, 63) <= numba.version_info.short < (0, 69)
@@ -193,10 +247,10 @@ _IN_PARTS: Final = (0, 63) <= numba.version_info.short < (0, 69)
 rules, which takes twice as long and gives the same results."""
 
 
-def _compiled(function: Function, **options: Any) -> Function:
+def _compiled(function: Function, kind: Any = Kernel, **options: Any) -> Function:
     options = {"nogil": True, "error_model": "numpy", **options}
     compiled: Any = (
-        Kernel(function, targetoptions={"nopython": True, "boundscheck": None, **options})
+        kind(function, targetoptions={"nopython": True, "boundscheck": None, **options})
         if _IN_PARTS and not getattr(numba.config, "DISABLE_JIT", False)
         else numba.njit(**options)(function)
     )
@@ -223,3 +277,8 @@ def bare_kernel(function: Function) -> Function:
 def inlined_kernel(function: Function) -> Function:
     """As ``bare_kernel``, compiled into its callers: handing over a large tuple takes time too."""
     return _compiled(function, _nrt=False, forceinline=True)
+
+
+def linked_kernel(function: Function) -> Function:
+    """As ``bare_kernel``, compiled once for all of its callers: what is long, and does much."""
+    return _compiled(function, LinkedKernel, _nrt=False)

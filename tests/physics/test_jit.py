@@ -24,9 +24,13 @@ def root(x, tolerance):
         x = 0.5 * (x + 2.0 / x)
     return x
 
+@jit.linked_kernel
+def twice(x, tolerance, squared):
+    return 2.0 * root(x, tolerance) ** (2 if squared else 1)
+
 @jit.bare_kernel
 def both(x):
-    return root(x, 1e-3) - 2.0 * root(x, 1e-12)
+    return root(x, 1e-3) - twice(x, 1e-12, False) + twice(x, 1e-12, True)
 
 @jit.bare_kernel
 def scaled(values, x):
@@ -73,9 +77,11 @@ def test_kernels_within_kernels_give_what_python_would(
         values = np.array([1.0, -3.0])
         module["scaled"](values, 1.5)
         by_python = {"abs": abs, "root": module["root"].py_func}
+        by_python["twice"] = FunctionType(module["twice"].py_func.__code__, by_python)
         both = FunctionType(module["both"].py_func.__code__, by_python)
         assert values.tobytes() == (np.array([1.0, -3.0]) * both(1.5)).tobytes()
         assert sum(module["scaled"].stats.cache_misses.values()) == compiled
+        assert (sum(module["twice"].stats.cache_misses.values()) > 0) == compiled
         # what kernels alone have called is not made for Python until it asks
         assert not (in_parts and module["both"].overloads)
         assert module["both"](1.5) == both(1.5)
