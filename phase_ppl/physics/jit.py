@@ -23,7 +23,8 @@ import numba
 from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core.compiler import Compiler, Flags
+from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
 
 from phase_ppl.world.identity import source_stamp
@@ -117,21 +118,21 @@ class KernelCache(FunctionCache):
 class _Whole(JITCodeLibrary):
     """The code of a kernel that Python calls, with that of all kernels it calls."""
 
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout  # all is optimised together
+
     def _optimize_final_module(self) -> None:
         # numba has a round before this one, to find counts of references; here are none
         passes, builder = self._codegen._module_pass_manager()
         passes.run(self._final_module, builder)
 
 
-class _Part(JITCodeLibrary):
+class _Part(_Whole):
     """The code of a kernel that kernels call: neither optimised nor made machine code by itself.
 
     numba does both for every function, with all that it calls, again at each level of a nest of
     calls; here it is done once, for the whole.
     """
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
         pass
@@ -158,11 +159,54 @@ class _Linked(_Whole):
         return llvm.parse_assembly("")
 
 
+class _Flags(Flags):
+    """Options that are compared in no time: numba does so for each function that it looks up."""
+
+    def copy(self) -> _Flags:
+        return self
+
+    @functools.cached_property
+    def _hash(self) -> int:
+        return super().__hash__()
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or super().__eq__(other)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+
+@functools.cache
+def _shared(flags: Flags) -> _Flags:
+    """Return the same options for all kernels that have the same."""
+    found = _Flags()
+    found._values.update(flags._values)
+    return found
+
+
+_UNNEEDED: Final = {
+    "with_lifting", "inline_closure_likes", "dead_branch_prune", "Rewrite dynamic raises",
+    "make_function_op_code_to_jit_function", "inline_inlinables", "find_literally",
+    "literal_unroll", "LiteralPropagation", "inline_overloads", "nopython_rewrites",
+    "nopython_supported_feature_validation", "annotate_types", "dump_parfor_diagnostics",
+}  # fmt: skip
+"""Passes of numba's over what no kernel has: closures, contexts, expressions of whole arrays."""
+
+
 class _WholeCompiler(Compiler):
     library: type[JITCodeLibrary] = _Whole
 
-    def __init__(self, typing: Any, target: Any, library: Any, *arguments: Any) -> None:
-        super().__init__(typing, target, library, *arguments)
+    def define_pipelines(self) -> list[Any]:
+        (whole,) = super().define_pipelines()
+        needed = PassManager(whole.pipeline_name)
+        needed.passes = [one for one in whole.passes if one[0].name() not in _UNNEEDED]
+        needed.finalize()
+        return [needed]
+
+    def __init__(
+        self, typing: Any, target: Any, library: Any, args: Any, returns: Any, flags: Any, own: Any
+    ) -> None:
+        super().__init__(typing, target, library, args, returns, _shared(flags), own)
         self.state.library = self.library(self.state.targetctx.codegen(), self.library.__name__)
         self.state.library.enable_object_caching()
 
@@ -242,16 +286,16 @@ class _Load:
         LinkedKernel._all[self.name].compile(self.args)
 
 
-_IN_PARTS: Final = (0, 63) <= numba.version_info.short < (0, 69)
-"""Whether this numba is one in whose inner parts ``Kernel`` reaches; others compile by their own
-rules, which takes twice as long and gives the same results."""
+KNOWN_NUMBA: Final = (0, 63) <= numba.version_info.short < (0, 69)
+"""Whether this numba is one in whose inner parts all this reaches; others compile by their own
+rules, which takes several times as long and gives the same results."""
 
 
 def _compiled(function: Function, kind: Any = Kernel, **options: Any) -> Function:
     options = {"nogil": True, "error_model": "numpy", **options}
     compiled: Any = (
         kind(function, targetoptions={"nopython": True, "boundscheck": None, **options})
-        if _IN_PARTS and not getattr(numba.config, "DISABLE_JIT", False)
+        if KNOWN_NUMBA and not getattr(numba.config, "DISABLE_JIT", False)
         else numba.njit(**options)(function)
     )
     # without a writable place for a cache every process compiles for itself

@@ -70,7 +70,7 @@ def test_kernels_within_kernels_give_what_python_would(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_parts: bool
 ) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(jit, "_IN_PARTS", in_parts)
+    monkeypatch.setattr(jit, "KNOWN_NUMBA", in_parts)
     (tmp_path / "nested.py").write_text(NESTED)
     for compiled in (1, 0):  # the second time from the disk
         module = runpy.run_path(str(tmp_path / "nested.py"), run_name="nested")
