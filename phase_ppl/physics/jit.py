@@ -13,6 +13,7 @@ import dataclasses
 import functools
 import hashlib
 import pickle
+import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +22,7 @@ from typing import Any, Final, TypeVar, cast
 import llvmlite.binding as llvm
 import numba
 from numba.core import types
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import PassManager
@@ -82,6 +83,23 @@ class _CheckedFile(IndexDataCacheFile):
             raise ValueError(f"the checksum of {path} is another")
 
 
+@functools.cache
+def _announce(line: str) -> None:
+    """Say on stderr what takes time, once."""
+    print(f"phase_ppl: {line}", file=sys.stderr, flush=True)
+
+
+class _NoCache(NullCache):
+    """Where nothing can be kept: every process compiles for itself."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return nothing, and say what can be done about that."""
+        _announce(
+            "compiling, which takes a while in every process, as no folder to keep it in can be "
+            "written; name one in the environment variable NUMBA_CACHE_DIR"
+        )
+
+
 class KernelCache(FunctionCache):
     """numba's cache of one function, stale as soon as ``package_stamp`` changes."""
 
@@ -94,14 +112,17 @@ class KernelCache(FunctionCache):
         )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what is kept of a signature; None, after a word, where it is damaged."""
+        """Return what is kept of a signature; None, after a word, where it is not, or damaged."""
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except Exception as error:  # whatever a damaged file makes the reader stumble over
             self._say("damaged", error)
             with contextlib.suppress(OSError):
                 self.flush()
             return None
+        if found is None:
+            _announce(f"compiling, which takes a while once; kept in {self._cache_path}")
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled; where that cannot be written, say so and do without."""
@@ -220,7 +241,7 @@ class _LinkedCompiler(_WholeCompiler):
 
     def _compile_bytecode(self) -> Any:
         # its name must be the same in every process, and of another kernel another
-        self.state.func_id.unique_id = package_stamp()
+        self.state.func_id.unique_id = package_stamp()[:16]
         return super()._compile_bytecode()
 
 
@@ -242,9 +263,9 @@ class Kernel(CPUDispatcher):
         locals: dict[str, Any] | None = None,
         targetoptions: dict[str, Any] | None = None,
     ) -> None:
-        options, unseen = dict(targetoptions or {}), ("no_cpython_wrapper", "no_cfunc_wrapper")
+        options = dict(targetoptions or {})
         super().__init__(py_func, locals, options, _WholeCompiler)
-        options = options | dict.fromkeys(unseen, True)
+        options = options | {"no_cpython_wrapper": True}
         self._part = CPUDispatcher(py_func, locals, options, _PartCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
@@ -292,15 +313,16 @@ rules, which takes several times as long and gives the same results."""
 
 
 def _compiled(function: Function, kind: Any = Kernel, **options: Any) -> Function:
-    options = {"nogil": True, "error_model": "numpy", **options}
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
     compiled: Any = (
         kind(function, targetoptions={"nopython": True, "boundscheck": None, **options})
         if KNOWN_NUMBA and not getattr(numba.config, "DISABLE_JIT", False)
         else numba.njit(**options)(function)
     )
-    # without a writable place for a cache every process compiles for itself
-    with contextlib.suppress(RuntimeError):
+    try:
         compiled._cache = KernelCache(function)
+    except RuntimeError:  # there is no place that can be written
+        compiled._cache = _NoCache()
     return cast(Function, compiled)
 
 

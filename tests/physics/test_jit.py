@@ -15,6 +15,7 @@ import pytest
 
 from phase_ppl.physics import jit
 
+ANNOUNCE = jit._announce  # which no other test is to hear
 NESTED = """
 from phase_ppl.physics import jit
 
@@ -121,6 +122,27 @@ def test_a_cache_that_cannot_be_written_is_done_without(
     monkeypatch.setattr(jit.IndexDataCacheFile, "_save_data", full)
     with pytest.warns(RuntimeWarning, match=r"is not written: .*No space left"):
         assert load() == (1, 0)
+
+
+def test_compiling_is_said_with_where_it_is_kept(
+    load: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jit, "_announce", ANNOUNCE)
+    assert load() == (1, 0)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"kept in {tmp_path / 'cache'}" in line
+    assert load() == (0, 1)
+    assert not capsys.readouterr().err
+
+    def nowhere(*_: object) -> None:
+        raise RuntimeError("no locator available")
+
+    monkeypatch.setattr(jit.KernelCache, "__init__", nowhere)
+    for _ in range(2):
+        load()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "in every process" in line
+    assert "NUMBA_CACHE_DIR" in line
 
 
 def test_stamp_covers_names_and_contents_but_not_order(tmp_path: Path) -> None:
