@@ -121,7 +121,7 @@ class KernelCache(FunctionCache):
                 self.flush()
             return None
         if found is None:
-            _announce(f"compiling, which takes a while once; kept in {self._cache_path}")
+            _announce(f"compiling, which takes a while once; kept in {cache_folder()}")
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
