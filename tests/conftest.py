@@ -20,6 +20,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from phase_ppl.physics import jit
+
 LONGEST = ("test_readme.py", "test_cli.py")
 """Files of tests of which one alone can take most of a minute."""
 
@@ -226,3 +228,11 @@ def run_script(
         return capsys.readouterr().out
 
     return run
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _nothing_said_of_compiling() -> Iterator[None]:
+    """Have what a test says not depend on whether it is the first to need a kernel."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jit, "_announce", lambda line: None)
+        yield

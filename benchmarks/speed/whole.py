@@ -236,7 +236,7 @@ import sys
 import time
 from phase_ppl.physics import jit
 if sys.argv[1] == "numba":
-    jit._IN_PARTS = False
+    jit.KNOWN_NUMBA = False
 from phase_ppl.closed_loop.goal_filter import warm_up
 from phase_ppl.simulator.joint import JointSimulator
 begin = time.process_time()

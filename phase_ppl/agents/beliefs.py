@@ -22,6 +22,7 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.physics.records import record
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.event import State
@@ -43,6 +44,7 @@ DRAWS_IN_ALL: Final = 20
 _ATTACH = int(Action.ATTACH)
 
 
+@record
 class Beliefs(NamedTuple):
     """The belief of one agent."""
 

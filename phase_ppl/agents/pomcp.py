@@ -24,6 +24,7 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.physics.records import record
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, Predicate
 from phase_ppl.world.rooms import UNREACHABLE
@@ -161,6 +162,7 @@ _STREAMS: Final = 2**52
 _STREAM_STEP = np.uint64(0xD1342543DE82EF95)
 
 
+@record
 class SearchSettings(NamedTuple):
     """Settings of one search, as compiled code wants them (see ``PlannerConfig``)."""
 
@@ -178,6 +180,7 @@ class SearchSettings(NamedTuple):
         return cls(*(getattr(config, name) for name in cls._fields))
 
 
+@record
 class Tree(NamedTuple):
     """A search tree in flat arrays; node 0 is the root."""
 
@@ -196,6 +199,7 @@ class Tree(NamedTuple):
     statistics: IntArray  # (3,) simulations run, physics steps, sum of depths
 
 
+@record
 class Playouts(NamedTuple):
     """What simulations went through: of every step all that a reward depends on.
 

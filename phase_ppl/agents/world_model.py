@@ -18,6 +18,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.physics import compiled
 from phase_ppl.physics.constants import FLOOR_FRICTION
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.physics.records import record
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.rooms import UNREACHABLE
@@ -35,6 +36,7 @@ AGENT_WIDTH: Final = 3.0
 ITEM_WIDTH: Final = 2.0
 
 
+@record
 class Layout(NamedTuple):
     """What the agents know about the layout."""
 

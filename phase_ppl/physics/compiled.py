@@ -33,7 +33,7 @@ from phase_ppl.physics.flat import (
     make_scratch,
     to_state,
 )
-from phase_ppl.physics.jit import bare_kernel, inlined_kernel
+from phase_ppl.physics.jit import inlined_kernel, linked_kernel
 from phase_ppl.physics.welds import attach, find_grab, mend, place_frame, turn_frame
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
@@ -305,7 +305,7 @@ def _advance_all(
             bodies[agent, VY] = 0.0
 
 
-@bare_kernel
+@linked_kernel
 def _advance(
     bodies: FloatArray,
     held: IntArray,

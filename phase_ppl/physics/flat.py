@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from phase_ppl.physics import constants
+from phase_ppl.physics.records import record
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.event import State
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID, heading
@@ -29,6 +30,7 @@ CONTACTS_PER_BODY: Final = 16
 _N_CORNERS = len(UNIT_TRAPEZOID)
 
 
+@record
 class Params(NamedTuple):
     """What stays the same during a simulation."""
 
@@ -60,6 +62,7 @@ class Params(NamedTuple):
     resets_velocity: bool  # whether agents stand still after each planner step
 
 
+@record
 class Scratch(NamedTuple):
     """Work space of one thread; nothing in it outlives a planner step."""
 

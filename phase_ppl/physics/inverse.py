@@ -22,6 +22,7 @@ from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.flat import ANGLE, SPIN, VX, VY, X, Y
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.physics.records import record
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 
 _STOP, _NO_FORCE = int(Action.STOP), int(Action.NO_FORCE)
@@ -43,6 +44,7 @@ class Scatter(NamedTuple):
     tail: float  # degrees of freedom
 
 
+@record
 class Trial(NamedTuple):
     """A state on which an action can be tried without losing the original."""
 

@@ -15,6 +15,7 @@ import pytest
 
 from phase_ppl.physics import jit
 
+ANNOUNCE = jit._announce  # which no other test is to hear
 NESTED = """
 from phase_ppl.physics import jit
 
@@ -24,9 +25,13 @@ def root(x, tolerance):
         x = 0.5 * (x + 2.0 / x)
     return x
 
+@jit.linked_kernel
+def twice(x, tolerance, squared):
+    return 2.0 * root(x, tolerance) ** (2 if squared else 1)
+
 @jit.bare_kernel
 def both(x):
-    return root(x, 1e-3) - 2.0 * root(x, 1e-12)
+    return root(x, 1e-3) - twice(x, 1e-12, False) + twice(x, 1e-12, True)
 
 @jit.bare_kernel
 def scaled(values, x):
@@ -66,16 +71,18 @@ def test_kernels_within_kernels_give_what_python_would(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_parts: bool
 ) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(jit, "_IN_PARTS", in_parts)
+    monkeypatch.setattr(jit, "KNOWN_NUMBA", in_parts)
     (tmp_path / "nested.py").write_text(NESTED)
     for compiled in (1, 0):  # the second time from the disk
         module = runpy.run_path(str(tmp_path / "nested.py"), run_name="nested")
         values = np.array([1.0, -3.0])
         module["scaled"](values, 1.5)
         by_python = {"abs": abs, "root": module["root"].py_func}
+        by_python["twice"] = FunctionType(module["twice"].py_func.__code__, by_python)
         both = FunctionType(module["both"].py_func.__code__, by_python)
         assert values.tobytes() == (np.array([1.0, -3.0]) * both(1.5)).tobytes()
         assert sum(module["scaled"].stats.cache_misses.values()) == compiled
+        assert (sum(module["twice"].stats.cache_misses.values()) > 0) == compiled
         # what kernels alone have called is not made for Python until it asks
         assert not (in_parts and module["both"].overloads)
         assert module["both"](1.5) == both(1.5)
@@ -115,6 +122,27 @@ def test_a_cache_that_cannot_be_written_is_done_without(
     monkeypatch.setattr(jit.IndexDataCacheFile, "_save_data", full)
     with pytest.warns(RuntimeWarning, match=r"is not written: .*No space left"):
         assert load() == (1, 0)
+
+
+def test_compiling_is_said_with_where_it_is_kept(
+    load: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jit, "_announce", ANNOUNCE)
+    assert load() == (1, 0)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"kept in {tmp_path / 'cache'}" in line
+    assert load() == (0, 1)
+    assert not capsys.readouterr().err
+
+    def nowhere(*_: object) -> None:
+        raise RuntimeError("no locator available")
+
+    monkeypatch.setattr(jit.KernelCache, "__init__", nowhere)
+    for _ in range(2):
+        load()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "in every process" in line
+    assert "NUMBA_CACHE_DIR" in line
 
 
 def test_stamp_covers_names_and_contents_but_not_order(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from phase_ppl.render.video import FRAMES_PER_STEP, Film, film
 from phase_ppl.world.hypothesis import RELATIONS
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -216,17 +217,33 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     panels = figure.subplots(len(rows), 1, squeeze=False, height_ratios=rows)[:, 0]
     painter, poses = Painter(post.scene), between_frames(post.observed(), FRAMES_PER_STEP)
 
-    @functools.lru_cache(1)
-    def believed(frame: int) -> Image.Image:
+    def drawn(frame: int) -> list[Artist]:
+        made: list[Artist] = []
         at = found.isel(time=frame)
         for axes, (name, labels) in zip(panels, shown.items(), strict=True):
-            axes.clear()
             share, error = (at[key].sel({f"{name}_is": labels}) for key in (name, f"{name}_error"))
-            bars(axes, labels, share, error, colours.get(name, RELATION_COLOUR))
+            made += bars(axes, labels, share, error, colours.get(name, RELATION_COLOUR))
             axes.set(title=named[name], xticks=[])
             axes.spines["bottom"].set_visible(False)
-        canvas.draw()
-        figure.set_layout_engine("none")  # the same for all frames
+        return made
+
+    # all but the bars is the same in all frames, and takes most of the time
+    first = drawn(0)
+    canvas.draw()
+    figure.set_layout_engine("none")
+    for artist in first:
+        artist.remove()
+    canvas.draw()
+    background = canvas.copy_from_bbox(figure.bbox)
+
+    @functools.lru_cache(1)
+    def believed(frame: int) -> Image.Image:
+        canvas.restore_region(background)
+        for artist in drawn(frame):
+            figure.draw_artist(artist)
+            artist.remove()
+        for axes in panels:  # on which the bars stand
+            figure.draw_artist(axes.spines["left"])
         return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
     def draw(index: int) -> Image.Image:

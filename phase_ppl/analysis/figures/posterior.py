@@ -31,6 +31,7 @@ from phase_ppl.world.picture import trail_colour
 from phase_ppl.world.scene import PHASE, World
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -203,10 +204,11 @@ def bars(
     errors: ArrayLike,
     colour: Colour | str,
     groups: Sequence[int] = (),
-) -> None:
+) -> list[Artist]:
     """Draw labelled horizontal bars from the top down, with values and errors at their ends.
 
-    ``groups`` are numbers of bars that stand apart from the next.
+    ``groups`` are numbers of bars that stand apart from the next. What depends on the values is
+    returned, in the order in which it is drawn.
     """
     values, errors = np.asarray(values, float), np.asarray(errors, float)
     places = np.arange(len(values), dtype=float)
@@ -219,11 +221,14 @@ def bars(
         (f"{value:.2f}" if value else "0") + (f" ± {error:.2f}" if error > 0 else "")
         for value, error in zip(values, errors, strict=True)
     ]
-    axes.bar_label(bars, texts, padding=3)
+    written = axes.bar_label(bars, texts, padding=3)
     axes.set_yticks(places, labels)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
     axes.set(xlim=(0, 1.3), ylim=(places[-1] + 0.6, -0.6))
     axes.tick_params(axis="y", length=0)
+    assert bars.errorbar is not None, "errors are given"
+    _, caps, lines = bars.errorbar
+    return [*bars, *lines, *caps, *written]
 
 
 def _reach(values: ArrayLike, errors: ArrayLike) -> FloatArray:
