@@ -22,6 +22,7 @@ from phase_ppl.dataset.documents import MAX_BYTES, reading_bytes, too_large
 from phase_ppl.world.errors import InvalidEventError
 
 if TYPE_CHECKING:
+    import h5py
     import xarray as xr
 
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
@@ -119,18 +120,35 @@ def _checksum(groups: Mapping[str, xr.Dataset]) -> str:
 # --- reading ---------------------------------------------------------------------------------
 
 
+UNLOCKED: Final = {"locking": False}
+"""How HDF5 files are opened: not every drive has locks, and none are needed, as a file takes its
+place complete and never changes."""
+
+
+def opened(source: str | os.PathLike[str] | BinaryIO) -> h5py.File:
+    """Open an HDF5 file to read it."""
+    import h5py
+
+    return h5py.File(source, "r", **UNLOCKED)
+
+
+def content_of(source: str | os.PathLike[str] | BinaryIO) -> Groups:
+    """Return the groups of a NetCDF 4 file, in memory."""
+    import h5netcdf
+
+    with h5netcdf.File(source, "r", decode_vlen_strings=True, **UNLOCKED) as file:
+        inner = {f"/{name}": _group_content(group) for name, group in file.groups.items()}
+        return {_ROOT: _group_content(file)} | inner
+
+
 def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     """Return the groups of a NetCDF 4 file, in memory, if there is no harm in it.
 
     Characters of attributes that would move the cursor of a terminal are replaced.
     """
-    import h5netcdf
-
     with reading():
         check_hdf5(path, groups=True)
-        with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
-            found = {_ROOT: content_of(file)}
-            found |= {f"/{name}": content_of(group) for name, group in file.groups.items()}
+        found = content_of(path)
     seal = found[_ROOT].attrs.get(_SEAL)
     if seal is not None and seal != _checksum(found):
         raise InvalidEventError(
@@ -143,7 +161,7 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     return found
 
 
-def content_of(group: Any) -> xr.Dataset:
+def _group_content(group: Any) -> xr.Dataset:
     """Return what a group holds; xarray's reader does the same, but also asks how it is stored."""
     import xarray as xr
 
@@ -171,10 +189,8 @@ def reading() -> Iterator[None]:
 
 def root_attribute(path: str | os.PathLike[str], name: str) -> str:
     """Return a text that the root of an HDF5 file has; "" where there is none."""
-    import h5py
-
     try:
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             return _text_of(file, name)
     except Exception:  # whoever reads it says what is wrong with it
         return ""
@@ -193,8 +209,6 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
     With ``groups`` it may hold groups of arrays, and is a posterior's. One that is large is read
     then, if it is no larger in memory than twice what it is on the disk.
     """
-    import h5py
-
     if isinstance(source, str | os.PathLike):
         if not is_hdf5(source):
             raise InvalidEventError("is no NetCDF 4 file: it does not begin like one")
@@ -205,7 +219,7 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
     with reading():
         if n_bytes > limit:
             raise too_large(MAX_BYTES)
-        with h5py.File(source, "r") as file:
+        with opened(source) as file:
             if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
                 raise InvalidEventError(
                     "is a posterior, not an event; phase_ppl.Posterior.load reads it"
