@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import fcntl
 import multiprocessing
 import os
@@ -12,14 +13,18 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import phase_ppl as ppl
+from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, number_of_workers
+from phase_ppl.world.event import Observation
 from tests.inference import runs
 from tests.simulator.toys import AT_REST, GO, SCENE, WEAK, drift
-from tests.world.examples import make_event
+from tests.world.examples import check_refused, make_event
 
 ROOT = Path(__file__).parent.parent
 
@@ -138,6 +143,34 @@ def test_files_are_read_without_locks(tmp_path: Path) -> None:
             fcntl.flock(file, fcntl.LOCK_EX)
         runs.assert_same_draws(ppl.load_posterior(path).tree, post.tree)
         assert len(ppl.load_events(events)) == 1
+
+
+def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show_and_warned_of_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    event = ppl.load_event("independent")
+    world, poses, frames = PymunkWorld(event.scene, (450.0, 300.0)), [], []
+    poses.append(world.state.pose)
+    frames.append(poses[0])
+    for k in range(12):
+        of_step = [world.state.pose for _ in world.substeps([2 + k % 8, 9 - k % 8])]
+        poses += of_step
+        frames.append(np.mean(of_step, axis=0))
+    read = Observation.at_rate(poses, 60).trajectory
+    np.testing.assert_allclose(read, frames, atol=1e-9)
+    np.testing.assert_array_equal(Observation.at_rate(frames, 12).trajectory, frames)
+    assert Observation.at_rate(poses[::10], fps=6).n_frames == len(frames)
+    check_refused(lambda: Observation.at_rate(poses, fps=0), "fps=0, expected a positive")
+    check_refused(lambda: Observation.at_rate(poses[:3], fps=60), "has 1 frame")
+
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", lambda *given, **more: None)
+    for name in ("collaborate", "compete", "independent", "oppose"):
+        ppl.infer(ppl.load_event(name))
+    track = event.observation.trajectory
+    fine = CubicSpline(range(len(track)), track)(np.arange(0, len(track) - 1, 0.2))
+    slow = dataclasses.replace(event, observation=Observation(fine))
+    with pytest.warns(UserWarning, match=r"friction alone .*Observation\.at_rate\(trajectory, fps"):
+        ppl.infer(slow)
 
 
 def test_on_a_system_that_is_not_supported_the_first_name_says_so(
