@@ -106,6 +106,18 @@ def test_a_daemonic_process_does_without_others(monkeypatch: pytest.MonkeyPatch)
         assert all(result.completed for result in runner.run([GO, WEAK], [1, 2]))
 
 
+def test_workers_cannot_begin_in_a_folder_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tmp_path.rmdir()
+    with (
+        pytest.raises(InvalidSettingError, match=r"folder is gone.* workers=1, which needs none"),
+        Runner(drift, SCENE, AT_REST, workers=2) as runner,
+    ):
+        runner.run([GO], [1])
+
+
 class Client:
     def submit(self, *given: Any) -> str:
         return "a future of its own"

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 import numpy as np
 
 from phase_ppl.dataset.documents import MAX_BYTES, reading_bytes, too_large
-from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 
 if TYPE_CHECKING:
     import h5py
@@ -37,6 +37,7 @@ _ROOT: Final = "/"
 _SEAL: Final = "sha256"
 _FILL: Final = "_FillValue"
 _NUMBERS: Final = "biuf"
+_ATTRIBUTES: Final = (str, bytes, int, float, np.generic, np.ndarray, list, tuple)
 
 _CONTROL: Final = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f]|(?P<escaped>\\u00(?:[01][0-9a-f]|7f|[89][0-9a-f]))", re.I
@@ -66,10 +67,18 @@ def netcdf_bytes(
     ``how`` is the encoding of arrays of numbers, in xarray's terms; filters and checksums are for
     those that are not empty. Where ``sealed``, the root gets a checksum of everything, which
     :func:`read_netcdf` compares.
+
+    Raises:
+        InvalidSettingError: an attribute, such as one that a user has added, is of no kind that
+            NetCDF has.
     """
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
+    for path, dataset in groups.items():
+        _check_attributes(f"group {path!r}", dataset.attrs)
+        for name, variable in dataset.variables.items():
+            _check_attributes(f"{str(name)!r} in group {path!r}", variable.attrs)
     if sealed:
         groups = {**groups, _ROOT: groups[_ROOT].assign_attrs({_SEAL: _checksum(groups)})}
     memory = io.BytesIO()
@@ -87,6 +96,16 @@ def netcdf_bytes(
             }
             dataset.dump_to_store(store, encoding=encoding)
     return memory.getvalue()
+
+
+def _check_attributes(where: str, attrs: Mapping[Any, Any]) -> None:
+    for name, value in attrs.items():
+        kind = np.asarray(value).dtype.kind if isinstance(value, _ATTRIBUTES) else "O"
+        if not isinstance(name, str) or kind not in "iufSU":
+            raise InvalidSettingError(
+                f"attribute {name!r} of {where} is {shown(value)}: NetCDF has texts, numbers and "
+                "lists of either; delete it, or write it as a text, such as json.dumps gives"
+            )
 
 
 def with_event_id(content: bytes, event_id: str) -> bytes:

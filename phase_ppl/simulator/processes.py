@@ -191,6 +191,13 @@ def _own_executor(workers: int, things: Mapping[str, bytes]) -> Any:
     Neither they nor what watches over them looks for modules in the current folder before their
     path is that of this process: it may be somebody else's, and hold a ``random.py``.
     """
+    try:
+        os.getcwd()  # which they are to begin in
+    except FileNotFoundError:
+        raise InvalidSettingError(
+            "the current folder is gone, and worker processes begin in it: os.chdir to another "
+            "one, or workers=1, which needs none"
+        ) from None
     safe_path = _SAFE_PATH in os.environ
     os.environ.setdefault(_SAFE_PATH, "1")
     try:
