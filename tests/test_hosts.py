@@ -13,15 +13,18 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
 import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, number_of_workers
 from phase_ppl.world.event import Observation
+from tests.analysis.readings import reading
 from tests.inference import runs
 from tests.simulator.toys import AT_REST, GO, SCENE, WEAK, drift
 from tests.world.examples import check_refused, make_event
@@ -48,7 +51,8 @@ SCRIPT = """
 
     def infer():
         try:
-            on_cpu()
+            with on_cpu():
+                print("was not refused")
         except ValueError as error:
             print(error, flush=True)
 
@@ -93,6 +97,39 @@ def test_runs_in_threads_are_as_one_after_the_other() -> None:
     for prior, post in zip(priors[:2], found, strict=False):
         runs.assert_same_draws(post.tree, run(prior).tree)
     runs.assert_same_draws(found[0].tree, found[2].tree)
+
+
+SETTINGS = {
+    "jax_enable_x64": True,
+    "jax_default_prng_impl": "rbg",
+    "jax_numpy_dtype_promotion": "strict",
+    "jax_numpy_rank_promotion": "raise",
+    "jax_transfer_guard": "disallow",
+}
+
+
+def test_settings_of_jax_and_numpy_in_the_program_around_change_nothing() -> None:
+    options = {"kernel": "local_mh", "iterations": 1}
+    before = {name: getattr(jax.config, name) for name in SETTINGS}
+    doubles: list[Any] = []
+
+    def simulator(scene: Any, hypothesis: Any, rng: Any) -> Any:
+        doubles.append(jax.config.jax_enable_x64)  # its own settings are as they are
+        return runs.MODEL.simulator(scene, hypothesis, rng)  # type: ignore[misc]
+
+    model = ppl.Model(simulator=simulator)
+    usual = ppl.infer(runs.EVENT, model, **{**runs.OPTIONS, **options})
+    try:
+        for name, value in SETTINGS.items():
+            jax.config.update(name, value)
+        with np.errstate(all="raise"):
+            found = ppl.infer(runs.EVENT, model, **{**runs.OPTIONS, **options})
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
+    runs.assert_same_draws(usual.tree, found.tree)
+    assert doubles[0] is False
+    assert doubles[-1] is True
 
 
 def test_a_daemonic_process_does_without_others(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,6 +220,17 @@ def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show_and_warned_o
     slow = dataclasses.replace(event, observation=Observation(fine))
     with pytest.warns(UserWarning, match=r"friction alone .*Observation\.at_rate\(trajectory, fps"):
         ppl.infer(slow)
+
+
+@pytest.mark.parametrize("value", [None, True, {"a": 1}, b"bytes", 1 + 2j, [None]])
+def test_an_attribute_that_no_file_can_hold_is_named_before_it_is_written(
+    tmp_path: Path, value: Any
+) -> None:
+    post = StepwisePosterior(reading())
+    post.dataset.attrs["note"] = value
+    with pytest.raises(InvalidSettingError, match=r"attribute 'note' of group '/' is .*json"):
+        post.save(tmp_path / "post.nc")
+    assert not list(tmp_path.iterdir())
 
 
 def test_on_a_system_that_is_not_supported_the_first_name_says_so(

@@ -37,7 +37,7 @@ _ROOT: Final = "/"
 _SEAL: Final = "sha256"
 _FILL: Final = "_FillValue"
 _NUMBERS: Final = "biuf"
-_ATTRIBUTES: Final = (str, bytes, int, float, np.generic, np.ndarray, list, tuple)
+_ATTRIBUTES: Final = (str, int, float, np.generic, np.ndarray, list, tuple)
 
 _CONTROL: Final = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f]|(?P<escaped>\\u00(?:[01][0-9a-f]|7f|[89][0-9a-f]))", re.I
@@ -101,7 +101,7 @@ def netcdf_bytes(
 def _check_attributes(where: str, attrs: Mapping[Any, Any]) -> None:
     for name, value in attrs.items():
         kind = np.asarray(value).dtype.kind if isinstance(value, _ATTRIBUTES) else "O"
-        if not isinstance(name, str) or kind not in "iufSU":
+        if not isinstance(name, str) or kind not in "iufU":
             raise InvalidSettingError(
                 f"attribute {name!r} of {where} is {shown(value)}: NetCDF has texts, numbers and "
                 "lists of either; delete it, or write it as a text, such as json.dumps gives"

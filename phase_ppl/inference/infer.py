@@ -14,6 +14,7 @@ from phase_ppl.inference import run as runs
 from phase_ppl.inference.run import Kernel, Run, check_event, model_again
 from phase_ppl.inference.sampler import RunOptions, sample
 from phase_ppl.inference.settings import KERNEL, Budget, SimpleSettings
+from phase_ppl.models.density import on_cpu
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, OutputError, instance_of, shown
@@ -44,6 +45,7 @@ def infer(
 def infer(
     event: Event | StepwisePosterior, model: Model | None = None, *, kernel: Kernel, **options: Any
 ) -> Posterior: ...
+@on_cpu()
 def infer(
     event: Event | StepwisePosterior,
     model: Model | None = None,
@@ -213,6 +215,7 @@ def infer(
         return sample(run, options)
 
 
+@on_cpu()
 def resume(
     path: str | os.PathLike[str],
     event: Event | None = None,
@@ -337,7 +340,7 @@ def _check_rate(event: Event, model: Model) -> None:
             f"event {shown(event.id)}: agents change their speed less than the floor's friction "
             "alone would make them; a frame is a twelfth of a second, and tracks with another "
             "number of frames a second are read by phase_ppl.Observation.at_rate(trajectory, fps)",
-            stacklevel=3,
+            stacklevel=4,
         )
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -211,8 +212,43 @@ def is_stepped() -> bool:
     return bool(config.jax_disable_jit)
 
 
-def on_cpu() -> contextlib.AbstractContextManager[Any]:
-    """Return a context in which JAX works on the processor."""
+@contextlib.contextmanager
+def on_cpu() -> Iterator[None]:
+    """Let JAX work on the processor, by its and NumPy's defaults, whatever a program has set.
+
+    A context, and a decorator. The random numbers, and with them the results, are the same in all
+    programs; simulations in threads of their own have the settings of their program.
+    """
     _check_not_forked()
-    # the programs are tiny, and the same everywhere; an accelerator would not help
-    return jax.default_device(jax.local_devices(backend="cpu")[0])
+    with contextlib.ExitStack() as settings:
+        # the programs are tiny, and the same everywhere; an accelerator would not help
+        settings.enter_context(jax.default_device(_processor()))
+        settings.enter_context(_single_precision())
+        settings.enter_context(np.errstate(all="warn", under="ignore"))
+        for name, value in _OWN_SETTINGS.items():
+            settings.enter_context(getattr(jax, name)(value))
+        yield
+
+
+_OWN_SETTINGS: Final = {
+    "default_prng_impl": "threefry2x32",
+    "numpy_dtype_promotion": "standard",
+    "numpy_rank_promotion": "allow",
+    "threefry_partitionable": True,
+    "transfer_guard": "allow",
+}
+
+
+def _processor() -> jax.Device:
+    try:
+        return jax.local_devices(backend="cpu")[0]
+    except RuntimeError as error:
+        platforms, reason = os.environ.get("JAX_PLATFORMS"), " ".join(str(error).split())
+        raise InvalidSettingError(
+            f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {reason}"
+        ) from error
+
+
+def _single_precision() -> contextlib.AbstractContextManager[Any]:
+    place: Any = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
+    return cast("contextlib.AbstractContextManager[Any]", place.enable_x64(False))
