@@ -31,9 +31,20 @@ _PLACES = _places()
 __all__ = ["__version__", *sorted(_PLACES)]
 
 
+def unsupported() -> str | None:
+    """Return what to do where the package cannot run, in words; None where it can."""
+    try:
+        import fcntl  # noqa: F401  (which stands for all that systems of this kind have)
+    except ImportError:
+        return "phase_ppl runs on Linux and macOS; on Windows, install and use it in WSL"
+    return None
+
+
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if problem := unsupported():
+        raise ImportError(problem)
     module, original = _PLACES[name]
     source = importlib.import_module(module)
     if module != __name__ and hasattr(source, original):

@@ -117,3 +117,5 @@ from phase_ppl.world.scene import World as World
 
 __version__: str
 plot = _plots
+
+def unsupported() -> str | None: ...

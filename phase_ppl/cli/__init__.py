@@ -16,6 +16,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # nothing else is imported before the try, so that Ctrl-C is heard from the first moment on
     try:
+        import phase_ppl
+
+        if problem := phase_ppl.unsupported():
+            raise OSError(problem)
         from phase_ppl.cli.commands import run
 
         if sys.stdout is not None and hasattr(sys.stdout, "reconfigure"):

@@ -28,6 +28,7 @@ T = TypeVar("T")
 MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 _PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _HEAD_BYTES: Final = 64
+_FAULTS_SHOWN: Final = 8
 _OLD_PICKLE: Final = re.compile(rb"\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
 """How pickles of the text protocols begin; JSON never does."""
 
@@ -269,13 +270,40 @@ def csv_lines(text: str) -> Iterator[tuple[int, list[str]]]:
         raise InvalidEventError(f", line {line}: is no CSV: {error}") from None
 
 
+class Faults:
+    """Collects what is wrong with a thing, to say it all at once."""
+
+    def __init__(self) -> None:
+        self._found: list[PhasePPLError] = []
+
+    @contextlib.contextmanager
+    def noted(self, where: str = "") -> Iterator[None]:
+        """Go on after the block where it finds something wrong; ``where`` comes before it."""
+        try:
+            with in_front(where):
+                yield
+        except PhasePPLError as error:
+            self._found.append(error)
+
+    def check(self) -> None:
+        """Raise all that was found as one error, of one line."""
+        if not self._found:
+            return
+        kinds = {type(error) for error in self._found}
+        kind = kinds.pop() if len(kinds) == 1 else InvalidEventError
+        said = [str(error) for error in self._found]
+        if len(said) > _FAULTS_SHOWN:
+            said[_FAULTS_SHOWN:] = [f"and {len(said) - _FAULTS_SHOWN} more"]
+        raise kind("; ".join(said))
+
+
 def read_rows(
     path: str | os.PathLike[str],
     check: Callable[[dict[str, str]], dict[str, Any]],
     check_header: Callable[[list[str]], None],
     once: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """Return the rows of a CSV file; an error's message begins with file and line.
+    """Return the rows of a CSV file; an error's message begins with the file and has all faults.
 
     Args:
         path: of the file.
@@ -284,7 +312,8 @@ def read_rows(
         once: columns whose values no two rows have in common.
     """
     source = existing_file(path)
-    found = []
+    found: list[dict[str, Any]] = []
+    faults = Faults()
     seen: dict[tuple[Any, ...], int] = {}
     with in_front(f"{source}: "):
         text = csv_text(source)
@@ -296,7 +325,7 @@ def read_rows(
         with in_front(f", line {line}: "):
             check_header(header)
         for line, cells in lines:
-            with in_front(f", line {line}: "):
+            with faults.noted(f"line {line}: "):
                 if len(cells) != len(header):
                     raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
                 row = check(dict(zip(header, cells, strict=True)))
@@ -306,6 +335,8 @@ def read_rows(
                     raise InvalidEventError(f"has {what} a second time, after line {seen[given]}")
                 seen[given] = line
                 found.append(row)
+        with in_front(", "):
+            faults.check()
     return found
 
 

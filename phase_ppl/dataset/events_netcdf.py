@@ -29,7 +29,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, overload
 
-import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
@@ -57,7 +56,7 @@ from phase_ppl.dataset.events_json import (
     truth_record,
     turned,
 )
-from phase_ppl.dataset.hdf5 import check_hdf5, content_of, netcdf_bytes, reading
+from phase_ppl.dataset.hdf5 import UNLOCKED, check_hdf5, content_of, netcdf_bytes, opened, reading
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.names import ENTITIES, LANDMARKS
@@ -292,8 +291,8 @@ class Listing(NamedTuple):
 def read(path: str | os.PathLike[str]) -> Entries:
     """Return the events of the file ``path``, in memory, each still to be checked."""
     check_hdf5(path)
-    with reading(), h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
-        dataset = content_of(file)
+    with reading():
+        dataset = content_of(path)["/"]
     tag = _format(dataset)
     if tag == EVENT_FORMAT:
         name = event_id({"id": _text(dataset, "event", required=True)})
@@ -311,7 +310,8 @@ def read(path: str | os.PathLike[str]) -> Entries:
 @contextlib.contextmanager
 def _opened_dataset(path: str | os.PathLike[str]) -> Iterator[xr.Dataset]:
     check_hdf5(path)
-    with reading(), xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
+    options: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
+    with reading(), xr.open_dataset(path, engine="h5netcdf", **options) as dataset:
         yield dataset
 
 
@@ -512,7 +512,7 @@ class StoredEvents(Sequence[Event]):
                     )
                 listed = _listing(path, state)
                 with reading():
-                    file = stack.enter_context(h5py.File(path, "r"))
+                    file = stack.enter_context(opened(path))
             for one in wanted:
                 with naming(path, one.id):
                     yield event_at(file, listed, one.place)

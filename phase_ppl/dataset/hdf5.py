@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 import numpy as np
 
 from phase_ppl.dataset.documents import MAX_BYTES, reading_bytes, too_large
-from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 
 if TYPE_CHECKING:
+    import h5py
     import xarray as xr
 
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
@@ -36,6 +37,7 @@ _ROOT: Final = "/"
 _SEAL: Final = "sha256"
 _FILL: Final = "_FillValue"
 _NUMBERS: Final = "biuf"
+_ATTRIBUTES: Final = (str, int, float, np.generic, np.ndarray, list, tuple)
 
 _CONTROL: Final = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f]|(?P<escaped>\\u00(?:[01][0-9a-f]|7f|[89][0-9a-f]))", re.I
@@ -65,10 +67,18 @@ def netcdf_bytes(
     ``how`` is the encoding of arrays of numbers, in xarray's terms; filters and checksums are for
     those that are not empty. Where ``sealed``, the root gets a checksum of everything, which
     :func:`read_netcdf` compares.
+
+    Raises:
+        InvalidSettingError: an attribute, such as one that a user has added, is of no kind that
+            NetCDF has.
     """
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
+    for path, dataset in groups.items():
+        _check_attributes(f"group {path!r}", dataset.attrs)
+        for name, variable in dataset.variables.items():
+            _check_attributes(f"{str(name)!r} in group {path!r}", variable.attrs)
     if sealed:
         groups = {**groups, _ROOT: groups[_ROOT].assign_attrs({_SEAL: _checksum(groups)})}
     memory = io.BytesIO()
@@ -86,6 +96,16 @@ def netcdf_bytes(
             }
             dataset.dump_to_store(store, encoding=encoding)
     return memory.getvalue()
+
+
+def _check_attributes(where: str, attrs: Mapping[Any, Any]) -> None:
+    for name, value in attrs.items():
+        kind = np.asarray(value).dtype.kind if isinstance(value, _ATTRIBUTES) else "O"
+        if not isinstance(name, str) or kind not in "iufU":
+            raise InvalidSettingError(
+                f"attribute {name!r} of {where} is {shown(value)}: NetCDF has texts, numbers and "
+                "lists of either; delete it, or write it as a text, such as json.dumps gives"
+            )
 
 
 def with_event_id(content: bytes, event_id: str) -> bytes:
@@ -119,18 +139,35 @@ def _checksum(groups: Mapping[str, xr.Dataset]) -> str:
 # --- reading ---------------------------------------------------------------------------------
 
 
+UNLOCKED: Final = {"locking": False}
+"""How HDF5 files are opened: not every drive has locks, and none are needed, as a file takes its
+place complete and never changes."""
+
+
+def opened(source: str | os.PathLike[str] | BinaryIO) -> h5py.File:
+    """Open an HDF5 file to read it."""
+    import h5py
+
+    return h5py.File(source, "r", **UNLOCKED)
+
+
+def content_of(source: str | os.PathLike[str] | BinaryIO) -> Groups:
+    """Return the groups of a NetCDF 4 file, in memory."""
+    import h5netcdf
+
+    with h5netcdf.File(source, "r", decode_vlen_strings=True, **UNLOCKED) as file:
+        inner = {f"/{name}": _group_content(group) for name, group in file.groups.items()}
+        return {_ROOT: _group_content(file)} | inner
+
+
 def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     """Return the groups of a NetCDF 4 file, in memory, if there is no harm in it.
 
     Characters of attributes that would move the cursor of a terminal are replaced.
     """
-    import h5netcdf
-
     with reading():
         check_hdf5(path, groups=True)
-        with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
-            found = {_ROOT: content_of(file)}
-            found |= {f"/{name}": content_of(group) for name, group in file.groups.items()}
+        found = content_of(path)
     seal = found[_ROOT].attrs.get(_SEAL)
     if seal is not None and seal != _checksum(found):
         raise InvalidEventError(
@@ -143,7 +180,7 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     return found
 
 
-def content_of(group: Any) -> xr.Dataset:
+def _group_content(group: Any) -> xr.Dataset:
     """Return what a group holds; xarray's reader does the same, but also asks how it is stored."""
     import xarray as xr
 
@@ -171,10 +208,8 @@ def reading() -> Iterator[None]:
 
 def root_attribute(path: str | os.PathLike[str], name: str) -> str:
     """Return a text that the root of an HDF5 file has; "" where there is none."""
-    import h5py
-
     try:
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             return _text_of(file, name)
     except Exception:  # whoever reads it says what is wrong with it
         return ""
@@ -193,8 +228,6 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
     With ``groups`` it may hold groups of arrays, and is a posterior's. One that is large is read
     then, if it is no larger in memory than twice what it is on the disk.
     """
-    import h5py
-
     if isinstance(source, str | os.PathLike):
         if not is_hdf5(source):
             raise InvalidEventError("is no NetCDF 4 file: it does not begin like one")
@@ -205,7 +238,7 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
     with reading():
         if n_bytes > limit:
             raise too_large(MAX_BYTES)
-        with h5py.File(source, "r") as file:
+        with opened(source) as file:
             if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
                 raise InvalidEventError(
                     "is a posterior, not an event; phase_ppl.Posterior.load reads it"

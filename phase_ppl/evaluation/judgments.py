@@ -31,7 +31,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from phase_ppl.dataset.documents import in_front, read_rows
+from phase_ppl.dataset.documents import Faults, read_rows
 from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.arrays import world_of
@@ -51,6 +51,9 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path
 from phase_ppl.world.scene import PHASE, World, check_is_phase
+
+_NOT_AVAILABLE: Final = ("NA", "N/A", "NaN", "nan", "None", "null", "NULL")
+"""What R, pandas, spreadsheets and JSON write where there is nothing."""
 
 
 def columns_of(world: World) -> tuple[str, ...]:
@@ -188,33 +191,50 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
 def _check_header(world: World, of_events: bool, header: Sequence[str]) -> None:
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         raise InvalidEventError(f"is {shown(header[0])}, expected cells separated by commas")
-    for name in header:
-        if name not in columns_of(world):
-            error = unknown_name("column", name, columns_of(world))
-            why = f"the events are of the world {world.name!r}"
-            raise UnknownNameError(
-                f"{error} ({why if of_events else 'without its events a study is one of PHASE'})"
-            )
-        if header.count(name) > 1:
-            raise InvalidEventError(f"names the column {name} twice")
+    faults = Faults()
+    for name in dict.fromkeys(header):
+        with faults.noted():
+            if not name:
+                raise InvalidEventError(
+                    "has a column without a name, as pandas writes its index (index=False leaves "
+                    "it out) and Excel empty ones"
+                )
+            if name not in columns_of(world):
+                error = unknown_name("column", name, columns_of(world))
+                why = f"the events are of the world {world.name!r}"
+                raise UnknownNameError(
+                    f"{error} "
+                    f"({why if of_events else 'without its events a study is one of PHASE'})"
+                )
+            if header.count(name) > 1:
+                raise InvalidEventError(f"names the column {name} twice")
     for name in ("participant", "video"):
-        if name not in header:
-            raise InvalidEventError(f"names no column {name}")
-    if not any(name in questions_of(world) for name in header):
-        raise InvalidEventError(f"names none of the columns {', '.join(questions_of(world))}")
+        with faults.noted():
+            if name not in header:
+                raise InvalidEventError(f"names no column {name}")
+    with faults.noted():
+        if not any(name in questions_of(world) for name in header):
+            raise InvalidEventError(f"names none of the columns {', '.join(questions_of(world))}")
+    faults.check()
 
 
 def _row(cells: Mapping[str, str], world: World) -> dict[str, Any]:
     row: dict[str, Any] = {}
+    faults = Faults()
     for name in ("participant", "video"):
-        if not cells[name] or not cells[name].isprintable():
-            raise InvalidEventError(f"{name} is {shown(cells[name])}, expected printable text")
-        row[name] = cells[name]
+        with faults.noted():
+            if not cells[name] or not cells[name].isprintable():
+                raise InvalidEventError(f"{name} is {shown(cells[name])}, expected printable text")
+            row[name] = cells[name]
     for question in questions_of(world):
         answer = cells.get(question)
-        with in_front(f"{question}: "):
+        with faults.noted(f"{question}: "):
+            if answer in _NOT_AVAILABLE:
+                raise InvalidEventError(f"{answer}, expected an empty cell where there is none")
             row[question] = checked_answer(question, answer, world) if answer else None
-    row["response_time"] = _seconds(cells.get("response_time", ""))
+    with faults.noted():
+        row["response_time"] = _seconds(cells.get("response_time", ""))
+    faults.check()
     return row
 
 

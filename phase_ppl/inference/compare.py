@@ -49,6 +49,7 @@ from phase_ppl.inference.entries import Entry, Spec, entries, entry_of
 from phase_ppl.inference.infer import CHAINS, infer
 from phase_ppl.inference.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
+from phase_ppl.models.density import on_cpu
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
@@ -464,6 +465,7 @@ class ComparisonInterrupted(KeyboardInterrupt):
         self.comparison = comparison
 
 
+@on_cpu()
 def compare(
     event: Event | StepwisePosterior,
     model: Model | None = None,

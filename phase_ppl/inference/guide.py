@@ -26,7 +26,7 @@ from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
 from phase_ppl.inference.tables import BottomUpTables
-from phase_ppl.models.density import Program, Sites, draw, log_density, remembered
+from phase_ppl.models.density import Program, Sites, draw, log_density, remembered, traced
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.roles import space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, OneOf
@@ -110,7 +110,7 @@ def _prior_of_way(prior: Program) -> FloatArray:
     space = space_of_prior(prior)
 
     def probabilities(key: jax.Array) -> jax.Array:
-        trace = handlers.trace(handlers.seed(prior, key)).get_trace()
+        trace = traced(prior, key)
         return jnp.exp(trace[space.company_site]["fn"].log_prob(jnp.arange(len(space.ways))))
 
     def averaged() -> jax.Array:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import warnings
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.dataset.motion import is_slow
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.run import Kernel, Run, check_event, model_again
 from phase_ppl.inference.sampler import RunOptions, sample
 from phase_ppl.inference.settings import KERNEL, Budget, SimpleSettings
+from phase_ppl.models.density import on_cpu
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, OutputError, instance_of, shown
@@ -42,6 +45,7 @@ def infer(
 def infer(
     event: Event | StepwisePosterior, model: Model | None = None, *, kernel: Kernel, **options: Any
 ) -> Posterior: ...
+@on_cpu()
 def infer(
     event: Event | StepwisePosterior,
     model: Model | None = None,
@@ -170,9 +174,9 @@ def infer(
         from phase_ppl.inference.stepwise import filter_event
 
         model = _complete_model(model, planner, None).for_reading()
-        return filter_event(
-            check_event(event), model, seed=seed, threads=workers, progress=progress
-        )
+        event = check_event(event)
+        _check_rate(event, model)
+        return filter_event(event, model, seed=seed, threads=workers, progress=progress)
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
     settings = SimpleSettings() if settings is None else settings
@@ -197,6 +201,7 @@ def infer(
         run.check(iterations, budget)  # before it is read
         read = infer(event, model, seed=seed, workers=workers, progress=progress)
         return sample_table(read, run, options)
+    _check_rate(event, model)
     if checkpoint is not None:
         from phase_ppl.inference.checkpoint import SUFFIXES
 
@@ -210,6 +215,7 @@ def infer(
         return sample(run, options)
 
 
+@on_cpu()
 def resume(
     path: str | os.PathLike[str],
     event: Event | None = None,
@@ -324,6 +330,18 @@ def resume(
     )
     with locked(path):
         return sample(run, options, saved)
+
+
+def _check_rate(event: Event, model: Model) -> None:
+    """Warn of tracks that agents of the joint simulator leave at another frame rate only."""
+    scene, track = event.scene, event.observation.trajectory
+    if model.simulator is None and is_slow(track, scene.radius, len(scene.world.agents)):
+        warnings.warn(
+            f"event {shown(event.id)}: agents change their speed less than the floor's friction "
+            "alone would make them; a frame is a twelfth of a second, and tracks with another "
+            "number of frames a second are read by phase_ppl.Observation.at_rate(trajectory, fps)",
+            stacklevel=4,
+        )
 
 
 def _complete_model(

@@ -38,7 +38,7 @@ from phase_ppl.inference.tables import (
 )
 from phase_ppl.models import priors
 from phase_ppl.models.bridge import Record
-from phase_ppl.models.density import remembered
+from phase_ppl.models.density import remembered, tracing
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
@@ -268,6 +268,7 @@ def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
 # --- compiled programs ----------------------------------------------------------------------------
 
 
+@tracing()
 def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     """Return the kernel for an event."""
     info, options, model, settings, n_frames = recipe
@@ -389,6 +390,7 @@ class Length(NamedTuple):
     sims_per_step: int = 1  # the most simulations that an iteration takes per particle
 
     @classmethod
+    @tracing()
     def of(
         cls,
         kernel: Any,

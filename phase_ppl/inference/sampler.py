@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES, _FRAME_BYTES = 3000, 104  # of memory that a simulation takes, and each of its frames
+_STARTS: Final = 3  # times that all particles start anew, where no simulation succeeds
 _ROUNDS: Final = 3  # times that rivals are tried, if every time others lead
 _APART: Final = 0.5  # units by which a first frame may be off the start
 
@@ -292,6 +293,12 @@ class Sampler:
         self._pace.begin()
         state = self._in_thread(compute)
         if initial:
+            for again in range(_STARTS):
+                # one that weighs its start would be taken for better than it is
+                if self._completed(state).any() or hasattr(state, "log_weight"):
+                    break
+                start = functools.partial(self._init, self._keys(again), self._data)
+                state = self._in_thread(start)
             state = self._all_started(state)
         self._particles.append(particles_of(state))
         self._state = state
@@ -364,11 +371,8 @@ class Sampler:
         drawn = log_drawn.astype(np.float32)
         return compiled_given(run.recipe)(keys, given, drawn, log_floor, self._data)
 
-    def _all_started(self, state: Any) -> Any:
-        """Return the initial state with particles whose simulation failed where the next one is.
-
-        Any start leaves the stationary law as it is.
-        """
+    def _completed(self, state: Any) -> NDArray[np.bool_]:
+        """Return (chain,) whether the initial simulation succeeded."""
         for field in ("z", "sim_seed", "rng_key"):
             if not hasattr(state, field):
                 raise InvalidSettingError(
@@ -379,12 +383,19 @@ class Sampler:
         keys = {request_key(record.sites, record.result.seed) for record in done}
         sites = {name: np.asarray(values) for name, values in state.z.items()}
         # a request that two chains share is recorded for one of them
-        completed = np.array(
+        return np.array(
             [
                 request_key({name: values[c] for name, values in sites.items()}, int(seed)) in keys
                 for c, seed in enumerate(np.asarray(state.sim_seed))
             ]
         ) | np.isin(chain, [record.chain for record in done])
+
+    def _all_started(self, state: Any) -> Any:
+        """Return the initial state with particles whose simulation failed where the next one is.
+
+        Any start leaves the stationary law as it is.
+        """
+        records, completed = self._bridge.records, self._completed(state)
         if not records:
             raise SimulationError("no initial hypothesis has prior mass: nothing was simulated")
         if not completed.any():

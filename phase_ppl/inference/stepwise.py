@@ -32,7 +32,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     instance_of,
-    number_of_workers,
+    number_of_threads,
     shown,
     whole_number,
 )
@@ -91,7 +91,7 @@ class Watch:
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
         self._scene, self._event_id = scene, event_id
         self._seed = whole_number("seed", seed, minimum=0)
-        self.threads = number_of_workers(threads, "threads")
+        self.threads = number_of_threads(threads)
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
         tracking, in_phase = likelihood.tracking, scene.world == PHASE

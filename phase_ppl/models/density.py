@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple, TypeVar
+import importlib
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax._src import xla_bridge
 from numpyro import handlers
+
+from phase_ppl.world.errors import InvalidSettingError
 
 Program = Callable[..., Any]  # A NumPyro program
 Sites = Mapping[str, jax.Array]  # latent site -> value
@@ -43,6 +49,45 @@ def remembered(most: int) -> Callable[[Callable[..., Result]], Callable[..., Res
     return decorate
 
 
+# --- in other people's processes and threads ------------------------------------------------------
+
+_stack: Final = threading.RLock()
+_forked = False
+
+
+def _note_fork() -> None:
+    global _forked
+    _forked = _forked or xla_bridge.backends_are_initialized()
+
+
+os.register_at_fork(after_in_child=_note_fork)
+
+
+def _check_not_forked() -> None:
+    """Raise InvalidSettingError where JAX would hang, as its threads stayed behind."""
+    if _forked:
+        raise InvalidSettingError(
+            "this process was forked from one in which JAX was at work, and would hang: start "
+            'processes by multiprocessing.get_context("spawn"), in ProcessPoolExecutor by '
+            "mp_context, or before anything is inferred"
+        )
+
+
+@contextlib.contextmanager
+def tracing() -> Iterator[None]:
+    """Keep other threads from tracing programs: NumPyro has one stack of handlers for all.
+
+    A context, and a decorator of functions that enter handlers. No simulation is run within.
+    """
+    _check_not_forked()
+    with _stack:
+        yield
+
+
+# --- programs -------------------------------------------------------------------------------------
+
+
+@tracing()
 def traced(program: Program, key: jax.Array, given: Sites | None = None, *args: Any) -> Any:
     """Return the trace of a run of ``program(*args)`` with a key, the values of sites if given."""
     with_values = handlers.substitute(program, data=dict(given or {}))
@@ -111,6 +156,7 @@ def draw(program: Program, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
     return {name: site["value"] for name, site in latent.items()}
 
 
+@tracing()
 def log_density(program: Program, sites: Sites, *args: Any) -> jax.Array:
     """Return the log density of ``program(*args)`` at ``sites``, -inf outside its support.
 
@@ -166,7 +212,43 @@ def is_stepped() -> bool:
     return bool(config.jax_disable_jit)
 
 
-def on_cpu() -> contextlib.AbstractContextManager[Any]:
-    """Return a context in which JAX works on the processor."""
-    # the programs are tiny, and the same everywhere; an accelerator would not help
-    return jax.default_device(jax.local_devices(backend="cpu")[0])
+@contextlib.contextmanager
+def on_cpu() -> Iterator[None]:
+    """Let JAX work on the processor, by its and NumPy's defaults, whatever a program has set.
+
+    A context, and a decorator. The random numbers, and with them the results, are the same in all
+    programs; simulations in threads of their own have the settings of their program.
+    """
+    _check_not_forked()
+    with contextlib.ExitStack() as settings:
+        # the programs are tiny, and the same everywhere; an accelerator would not help
+        settings.enter_context(jax.default_device(_processor()))
+        settings.enter_context(_single_precision())
+        settings.enter_context(np.errstate(all="warn", under="ignore"))
+        for name, value in _OWN_SETTINGS.items():
+            settings.enter_context(getattr(jax, name)(value))
+        yield
+
+
+_OWN_SETTINGS: Final = {
+    "default_prng_impl": "threefry2x32",
+    "numpy_dtype_promotion": "standard",
+    "numpy_rank_promotion": "allow",
+    "threefry_partitionable": True,
+    "transfer_guard": "allow",
+}
+
+
+def _processor() -> jax.Device:
+    try:
+        return jax.local_devices(backend="cpu")[0]
+    except RuntimeError as error:
+        platforms, reason = os.environ.get("JAX_PLATFORMS"), " ".join(str(error).split())
+        raise InvalidSettingError(
+            f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {reason}"
+        ) from error
+
+
+def _single_precision() -> contextlib.AbstractContextManager[Any]:
+    place: Any = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
+    return cast("contextlib.AbstractContextManager[Any]", place.enable_x64(False))

@@ -30,6 +30,7 @@ from phase_ppl.models.density import (
     single_sites,
     trace_log_density,
     traced,
+    tracing,
 )
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
@@ -101,7 +102,8 @@ def _of_rows(
 @remembered(_PRIORS_KEPT)
 def upstream(prior: Program) -> dict[str, set[str]]:
     """Return latent site -> the sites on whose values its distribution depends."""
-    found = get_dependencies(prior)["prior_dependencies"]
+    with tracing():
+        found = get_dependencies(prior)["prior_dependencies"]
     return {name: set(others) - {name} for name, others in found.items()}
 
 

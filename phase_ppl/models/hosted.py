@@ -31,7 +31,7 @@ from jax.experimental import serialize_executable
 from jax.extend import core
 
 from phase_ppl.models.bridge import answered, asked_for
-from phase_ppl.models.density import compiled_quickly, is_stepped, on_cpu
+from phase_ppl.models.density import compiled_quickly, is_stepped, on_cpu, tracing
 from phase_ppl.physics.jit import cache_folder
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.files import write_bytes
@@ -156,6 +156,7 @@ class Hosted:
         self._function, self._identity = function, identity
         self._made: dict[Any, Callable[..., Any]] = {}
 
+    @tracing()
     def shapes(self, *args: Any) -> Any:
         """Return shapes and types of what a call returns."""
         return jax.eval_shape(self._function, *args)
@@ -182,11 +183,12 @@ class Hosted:
         codes: list[Any] = [read_code(*shape) for shape in shapes]
         return None if None in codes else functools.partial(_run, outline, codes)
 
+    @tracing()
     def _make(self, args: tuple[Any, ...], kind: Any) -> Callable[..., Any]:
         traced, shapes = jax.make_jaxpr(self._function, return_shape=True)(*args)
         program = _written_out(traced)
         if program is None:
-            return compiled_quickly(self._function)
+            return compiled_quickly(tracing()(self._function))
         numbers: dict[core.Var, int] = {}
 
         def numbered(variables: Iterable[core.Var]) -> tuple[int, ...]:

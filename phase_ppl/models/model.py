@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -21,6 +20,7 @@ from phase_ppl.models.density import (
     compiled_quickly,
     latent_sites,
     log_density,
+    on_cpu,
     remembered,
     site_shapes,
     traced,
@@ -256,6 +256,7 @@ _FAR: Final = 100  # how far from the allowed codes others are looked for
 
 
 @remembered(_REMEMBERED)
+@on_cpu()
 def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     """Return the latent sites of a prior with their shapes."""
     if not callable(prior):
@@ -265,14 +266,6 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
         )
     given = as_given(prior)
     name = getattr(given, "__name__", shown(given))
-    try:
-        jax.local_devices(backend="cpu")
-    except RuntimeError as error:
-        platforms = os.environ.get("JAX_PLATFORMS")
-        raise InvalidSettingError(
-            f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: "
-            f"{in_one_line(error)}"
-        ) from error
     if priors.name_of(given):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     if isinstance(prior, WorldPrior):

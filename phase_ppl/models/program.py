@@ -14,7 +14,7 @@ from jax import random
 from numpyro import handlers
 
 from phase_ppl.models.bridge import request
-from phase_ppl.models.density import NO_DENSITY, Sites, draw, log_density
+from phase_ppl.models.density import NO_DENSITY, Sites, draw, log_density, tracing
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import space_of_prior
 from phase_ppl.models.uniform import IMPOSSIBLE, SEED_BITS, dimensions, in_steps, sites_at
@@ -139,6 +139,7 @@ class EventProgram:
         """Return a hypothesis, with any further sites, from the prior."""
         return draw(self.model.prior, key)
 
+    @tracing()
     def log_prior(self, sites: Sites) -> jax.Array:
         """Return the log density of the prior, -inf outside its support."""
         with handlers.block():  # where it is asked for within a program

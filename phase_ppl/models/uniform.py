@@ -17,7 +17,7 @@ import numpyro.distributions as dist
 from numpyro import handlers
 
 from phase_ppl.models.bridge import no_gradient
-from phase_ppl.models.density import latent_sites
+from phase_ppl.models.density import latent_sites, tracing
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError
 
@@ -49,6 +49,7 @@ def in_steps(uniform: jax.Array) -> jax.Array:
 in_steps.defjvp(no_gradient)  # it would be 0 everywhere, which is worse than none
 
 
+@tracing()
 def sites_at(model: Model, uniform: jax.Array) -> dict[str, jax.Array]:
     """Return the hypothesis, with any further sites, that (dimension,) numbers stand for.
 

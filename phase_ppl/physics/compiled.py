@@ -9,12 +9,7 @@ from __future__ import annotations
 import math
 
 from phase_ppl.physics.actions import DIRECTIONS, Action
-from phase_ppl.physics.constants import (
-    FLOOR_FRICTION,
-    LONGEST_MOVE,
-    SHARED_WELD_SWEEPS,
-    WORLD_INNER_STEPS,
-)
+from phase_ppl.physics.constants import FLOOR_FRICTION, SHARED_WELD_SWEEPS
 from phase_ppl.physics.contacts import find_contacts, rub, solve
 from phase_ppl.physics.flat import (
     ANGLE,
@@ -161,7 +156,8 @@ def _parts(
             vy += scratch.kick[body, 1]
         fastest = max(fastest, vx * vx + vy * vy)
     parts = params.inner_steps
-    while parts < WORLD_INNER_STEPS and fastest * params.dt**2 > (LONGEST_MOVE * parts) ** 2:
+    way = fastest * params.dt**2
+    while parts < params.most_parts and way > (params.longest_move * parts) ** 2:
         parts *= 2
     return parts
 

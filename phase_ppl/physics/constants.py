@@ -9,8 +9,10 @@ Units: lengths in units of the arena, simulated seconds, newtons.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.geometry import is_agent
 from phase_ppl.world.names import AGENTS
 
@@ -29,6 +31,16 @@ IMAGINATION_INNER_STEPS: Final = 1
 LONGEST_MOVE: Final = 0.2
 """In the agents' heads a substep is divided further, up to ``WORLD_INNER_STEPS``, while a body
 would move more than this in one part, units."""
+
+LEAST_SIZE: Final = 0.8
+MOST_STRENGTH: Final = 600.0
+"""Where no body is smaller or stronger, as in PHASE, ``WORLD_INNER_STEPS`` are enough. Elsewhere
+both engines divide a substep as far as the least body needs, up to ``MOST_INNER_STEPS``."""
+
+MOST_INNER_STEPS: Final = 1024
+
+_MOVE_OF_SIZE: Final = 0.25
+"""Of the least body's size, how far a body may move in one part: then none passes a wall."""
 
 FLOOR_FRICTION: Final = 100.0
 """Largest friction force on any body, whatever its mass, acting on the body origin, N."""
@@ -67,6 +79,42 @@ SHARED_WELD_SWEEPS: Final = 3
 
 WORLD_ITERATIONS: Final = 20  # solver iterations per inner step in the world
 IMAGINATION_ITERATIONS: Final = 10  # solver iterations per inner step in the agents' heads
+
+
+def division(
+    radii: Sequence[float], strengths: Sequence[float], arena: Sequence[float]
+) -> tuple[float, int]:
+    """Return how far bodies may move in a part of a substep, units, and how many parts may be.
+
+    Args:
+        radii: sizes of all bodies, agents first.
+        strengths: of the agents, newtons.
+        arena: least and greatest x, least and greatest y.
+
+    Raises:
+        InvalidSettingError: a body is so small that an agent as strong could pass walls all the
+            same; the message says how large it must be.
+    """
+    least = min(radii)
+    if least >= LEAST_SIZE and max(strengths) <= MOST_STRENGTH:
+        return LONGEST_MOVE, WORLD_INNER_STEPS
+    far = math.hypot(arena[1] - arena[0], arena[3] - arena[2])
+    longest = min(LONGEST_MOVE, _MOVE_OF_SIZE * least)
+    fastest, strength, size = max(
+        # what a force makes of a body on the longest way that there is
+        (SUBSTEP * math.sqrt(2.0 * strength / mass(0, size) * far), strength, size)
+        for strength, size in zip(strengths, radii, strict=False)
+    )
+    if fastest > MOST_INNER_STEPS * longest:
+        allowed = fastest / MOST_INNER_STEPS / _MOVE_OF_SIZE
+        if size == least:  # a larger one is slower too
+            allowed = math.sqrt(allowed * least)
+        raise InvalidSettingError(
+            f"a body of size {least:g} is too small where an agent of size {size:g} has "
+            f"{strength:g} N: it would be so fast that walls did not stop it; expected a size of "
+            f"at least {math.ceil(1e3 * allowed) / 1e3:g}, or less strength"
+        )
+    return longest, MOST_INNER_STEPS
 
 
 def mass(entity: int, radius: float, n_agents: int = len(AGENTS)) -> float:

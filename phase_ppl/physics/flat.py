@@ -53,6 +53,8 @@ class Params(NamedTuple):
     substeps: int  # per planner step
     dt: float  # length of one, s
     inner_steps: int  # parts into which the movement of a substep is at least divided
+    most_parts: int  # and into which it is divided while a body would move farther in one
+    longest_move: float
     iterations: int  # of the solver
     friction: float  # largest impulse of the floor friction in a substep
     contact_rates: FloatArray  # by number of parts, bias velocity per unit of overlap
@@ -151,8 +153,9 @@ def make_params(
     walls, wall_boxes = _walls(scene)
     x0, x1, y0, y1 = scene.arena
     inset = constants.WALL_RADIUS
-    most_parts = max(inner_steps, 2 * constants.WORLD_INNER_STEPS)
-    part_length = constants.SUBSTEP / np.maximum(1, np.arange(most_parts + 1))
+    longest_move, most_parts = constants.division(radius.tolist(), strengths, scene.arena)
+    lengths = np.arange(max(inner_steps, 2 * most_parts) + 1)
+    part_length = constants.SUBSTEP / np.maximum(1, lengths)
     return Params(
         radius=np.array(radius),
         cog=cog,
@@ -171,6 +174,8 @@ def make_params(
         substeps=constants.SUBSTEPS,
         dt=constants.SUBSTEP,
         inner_steps=inner_steps,
+        most_parts=most_parts,
+        longest_move=longest_move,
         iterations=iterations,
         friction=constants.FLOOR_FRICTION * constants.SUBSTEP,
         contact_rates=(1.0 - constants.COLLISION_BIAS**part_length) / part_length,

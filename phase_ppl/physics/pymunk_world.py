@@ -17,8 +17,8 @@ to that pose. Without this, every change of velocity shows one substep late and 
 small.
 
 *Divided moves.* Chipmunk does not see collisions between two poses, so that moves are divided into
-inner steps. Forces and friction act in the first of them with all of the substep's impulse: free
-motion then does not depend on the number of inner steps.
+inner steps, into more of them where a body is small for its speed. Forces and friction act in the
+first of them with all of the substep's impulse: free motion then does not depend on their number.
 """
 
 from __future__ import annotations
@@ -64,10 +64,13 @@ class PymunkWorld:
     Args:
         scene: sizes, walls, arena, start poses, and whether agents stop after each step.
         strengths: maximum force of each agent, newtons.
-        inner_steps: parts into which the movement of a substep is divided.
+        inner_steps: parts into which the movement of a substep is at least divided.
         initial: state to start from; None for the scene's start, from which the world makes one
             empty substep first, as the original does (it separates overlapping bodies).
         iterations: solver iterations per inner step.
+
+    Raises:
+        InvalidSettingError: a body is too small for what the agents' strengths make of its speed.
     """
 
     def __init__(
@@ -86,7 +89,10 @@ class PymunkWorld:
             CENTRE_OF_MASS_Y * r if is_agent(i, self._n_agents) else 0.0
             for i, r in enumerate(self._radius)
         ]
-        self._inner_steps = inner_steps
+        self._least_parts = self._inner_steps = inner_steps
+        self._longest_move, self._most_parts = constants.division(
+            self._radius, strengths, scene.arena
+        )
         self._dt = constants.SUBSTEP / inner_steps
         self._space = pymunk.Space()
         self._space.iterations = iterations
@@ -248,8 +254,32 @@ class PymunkWorld:
             if self._resets_velocity:
                 self._halt(body)
 
+    def _parts(self, actions: Sequence[int]) -> int:
+        """Return the number of inner steps that keeps all moves of this substep short enough."""
+        parts, fastest = self._least_parts, 0.0
+        if self._most_parts <= constants.WORLD_INNER_STEPS:
+            return parts
+        for entity, body in enumerate(self._bodies):
+            speed = body.velocity.length
+            if entity < self._n_agents and Action.UP <= actions[entity] <= Action.DOWN_RIGHT:
+                speed += self._strengths[entity] * constants.SUBSTEP / body.mass
+            fastest = max(fastest, speed)
+        while parts < self._most_parts and fastest * constants.SUBSTEP > self._longest_move * parts:
+            parts *= 2
+        return parts
+
+    def _divide(self, parts: int) -> None:
+        """Divide moves into so many; bodies stay where the move that is due takes them."""
+        if parts == self._inner_steps:
+            return
+        before, self._inner_steps, self._dt = self._dt, parts, constants.SUBSTEP / parts
+        for body in self._bodies:
+            body.position += body.velocity * (before - self._dt)
+            body.angle += body.angular_velocity * (before - self._dt)
+
     def _substep(self, actions: Sequence[int]) -> None:
-        n = self._inner_steps
+        n = self._parts(actions)
+        self._divide(n)
         for part in range(n):
             if part == 0:
                 for agent, action in enumerate(actions):

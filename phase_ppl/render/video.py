@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
+from phase_ppl.render.ffmpeg import ffmpeg
 from phase_ppl.render.frames import (
     Drawable,
     Painter,
@@ -135,21 +136,10 @@ def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) ->
 
 
 def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subprocess.Popen[bytes]:
-    import imageio_ffmpeg
-
-    try:
-        program = imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError as error:
-        raise OSError(str(error)) from None
     rate = str(Fraction(fps).limit_denominator(1001))
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*size), "-r", rate]
-    return subprocess.Popen(
-        [program, "-v", "error", "-y", *source, "-i", "-", *result],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,  # Ctrl-C is for Python, which then ends ffmpeg
-    )
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    return ffmpeg(["-v", "error", "-y", *source, "-i", "-", *result], **streams)
 
 
 FRAMES_PER_SECOND: Final = 20

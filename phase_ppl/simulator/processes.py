@@ -20,7 +20,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -35,6 +35,7 @@ from typing import Any, Final, Generic, TypeVar
 
 import cloudpickle
 import loky
+from loky.backend import resource_tracker as loky_tracker
 
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, error_text, too_long
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, number_of_workers, shown
@@ -46,10 +47,13 @@ Job = TypeVar("Job")
 GROWTH_BYTES: Final = 2_000_000_000
 """How much a worker may grow before a fresh one takes its place; compiled programs take room."""
 
+_SAFE_PATH: Final = "PYTHONSAFEPATH"
+
 ENVIRONMENT: Final = {
     **{f"{name}_NUM_THREADS": "1" for name in ("MKL", "NUMBA", "NUMEXPR", "OMP", "OPENBLAS")},
     "VECLIB_MAXIMUM_THREADS": "1",
     "LOKY_MAX_MEMORY_LEAK_SIZE": str(GROWTH_BYTES),
+    _SAFE_PATH: "1",
 }
 """Of our workers: the cores are shared out among processes, not threads."""
 
@@ -81,12 +85,17 @@ class Unknown(enum.Enum):
     THING = enum.auto()
 
 
-def _start_worker(token: str, packed: bytes) -> None:
-    """Prepare a worker process of our own; ``packed`` is the pickled thing it works with."""
+def _start_worker(things: Mapping[str, bytes], safe_path: bool) -> None:
+    """Prepare a worker process of our own for pickled things, by their tokens.
+
+    ``safe_path``: whether its parent keeps the current folder out of its path.
+    """
     # a group of its own: Ctrl-C in the terminal is for the parent alone, which decides what it
     # means; and what work starts can be ended together with its worker
     os.setpgid(0, 0)
     parent = os.getppid()
+    if not safe_path:  # what work starts is not ours
+        os.environ.pop(_SAFE_PATH, None)
 
     def end_with_parent() -> None:
         while os.getppid() == parent:
@@ -94,7 +103,7 @@ def _start_worker(token: str, packed: bytes) -> None:
         os._exit(1)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
-    _packed[token] = packed
+    _packed.update(things)
 
 
 def in_worker() -> bool:
@@ -141,8 +150,16 @@ def slots_of(workers: int | None, executor: Executor | None) -> int | None:
 
     InvalidSettingError: there can be no such number, or ``executor`` is none.
     """
-    if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise InvalidSettingError(f"executor={shown(executor)} is no PEP 3148 executor")
+    if executor is not None:
+        if hasattr(executor, "get_executor"):
+            raise InvalidSettingError(
+                f"executor={shown(executor)} is a client; its executor is client.get_executor()"
+            )
+        if not callable(getattr(executor, "submit", None)):
+            raise InvalidSettingError(
+                f"executor={shown(executor)} is no PEP 3148 executor, such as "
+                "concurrent.futures.ProcessPoolExecutor or client.get_executor() of dask"
+            )
     return None if executor is not None and workers is None else number_of_workers(workers)
 
 
@@ -166,6 +183,36 @@ def pool_for(
     if executor is not None:
         return BorrowedExecutor(executor, slots, token, packed)
     return OwnWorkers(slots or 1, token, packed, warms_up)
+
+
+def _own_executor(workers: int, things: Mapping[str, bytes]) -> Any:
+    """Return an executor of worker processes that know things by their tokens.
+
+    Neither they nor what watches over them looks for modules in the current folder before their
+    path is that of this process: it may be somebody else's, and hold a ``random.py``.
+    """
+    try:
+        os.getcwd()  # which they are to begin in
+    except FileNotFoundError:
+        raise InvalidSettingError(
+            "the current folder is gone, and worker processes begin in it: os.chdir to another "
+            "one, or workers=1, which needs none"
+        ) from None
+    safe_path = _SAFE_PATH in os.environ
+    os.environ.setdefault(_SAFE_PATH, "1")
+    try:
+        # the first unblocks interrupts when it starts, so they have to start before all else
+        resource_tracker.ensure_running()
+        loky_tracker.ensure_running()
+    finally:
+        if not safe_path:
+            os.environ.pop(_SAFE_PATH, None)
+    return loky.ProcessPoolExecutor(
+        workers,
+        initializer=_start_worker,
+        initargs=(things, safe_path),
+        env=ENVIRONMENT,
+    )
 
 
 class OwnWorkers:
@@ -207,14 +254,7 @@ class OwnWorkers:
             if self._closed:
                 raise Cancelled("the runner is closed")
             if self._executor is None:
-                # it unblocks interrupts when it starts, so it has to start first
-                resource_tracker.ensure_running()
-                self._executor = loky.ProcessPoolExecutor(
-                    self.slots or 1,
-                    initializer=_start_worker,
-                    initargs=(self._token, self._packed),
-                    env=ENVIRONMENT,
-                )
+                self._executor = _own_executor(self.slots or 1, {self._token: self._packed})
             # processes started meanwhile inherit it: Ctrl-C prints no half-started traces of theirs
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
@@ -285,9 +325,15 @@ class BorrowedExecutor:
         """Begin ``function(thing, *arguments)``, sending the thing where it is not known."""
         packed = self._packed if with_thing else None
         try:
-            return self._executor.submit(_do_in_worker, self._token, packed, function, arguments)
+            found = self._executor.submit(_do_in_worker, self._token, packed, function, arguments)
         except Exception as error:  # shut down, or broken
             raise SimulationError(f"the executor takes no more work: {error}") from error
+        if not isinstance(found, Future):
+            raise InvalidSettingError(
+                f"executor={shown(self._executor)} is no PEP 3148 executor: its submit gives "
+                f"{shown(found)}, expected a concurrent.futures.Future"
+            )
+        return found
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
         """Withdraw what has not begun; the rest runs to its end, unheeded."""
@@ -311,7 +357,7 @@ def mapped(
     with contextlib.ExitStack() as stack:
         run: Callable[..., Iterable[Result]] = map
         if workers > 1 and len(tasks) > 1:
-            run = stack.enter_context(loky.ProcessPoolExecutor(min(workers, len(tasks)))).map
+            run = stack.enter_context(_own_executor(min(workers, len(tasks)), {})).map
         columns = zip(*tasks, strict=True)
         yield from counted(run(function, *columns), None, unit, "simulating", len(tasks))
 
@@ -517,13 +563,14 @@ def results(
     """
     if not jobs:
         return
-    if executor is None and workers == 1:
+    own = number_of_workers(workers) if executor is None else None
+    if own == 1 and (workers or multiprocessing.current_process().daemon):
         _warm_up(thing)
         for job in jobs:
             yield job, _attempt(thing, function, job)
         return
     # processes even for a single job, which may be the one that kills its process
-    slots = number_of_workers(workers) if executor is None else workers or AT_ONCE
+    slots = own or workers or AT_ONCE
     pool = pool_for(thing, what, slots, executor, hasattr(thing, "warm_up"))
     dispatch = Dispatch(
         pool,

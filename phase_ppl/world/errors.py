@@ -143,11 +143,26 @@ def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST
     return number
 
 
-def number_of_workers(value: object, name: str = "workers") -> int:
-    """Return how many processes or threads there are to be; None: one per usable core."""
+def number_of_threads(value: object, name: str = "threads") -> int:
+    """Return how many threads there are to be; None: one per usable core."""
     import loky
 
     return loky.cpu_count() if value is None else whole_number(name, value, 1, MOST_WORKERS)
+
+
+def number_of_workers(value: object) -> int:
+    """Return how many processes there are to be; None: one per usable core, or as may be."""
+    import multiprocessing
+
+    number = number_of_threads(value, "workers")
+    if number > 1 and multiprocessing.current_process().daemon:
+        if value is None:
+            return 1
+        raise InvalidSettingError(
+            f"workers={number}, but this process is daemonic, as those of multiprocessing.Pool "
+            "are, and may start no others; workers=1 needs none"
+        )
+    return number
 
 
 def check_memory(what: str, n_bytes: float) -> None:

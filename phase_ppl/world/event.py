@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,6 +16,7 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     check_name,
     instance_of,
+    positive_number,
     shown,
 )
 from phase_ppl.world.goals import GOALS, goal_index
@@ -66,6 +68,7 @@ SHOWN_SECONDS_PER_FRAME: Final = 0.25
 """Playback time of one frame: three times slower than simulated time."""
 
 MIN_FRAMES: Final = 2
+_PARTS: Final = 5  # of a planner step, over which a frame is the mean
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,7 +77,8 @@ class Observation:
 
     Attributes:
         trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped];
-            frame 0 is the start, frame k the mean over the five substeps of planner step k.
+            frame 0 is the start, frame k the mean over the five substeps of planner step k, which
+            takes a twelfth of a second. :meth:`at_rate` reads others.
 
     Raises:
         InvalidEventError: fewer than 2 frames, a wrong shape, or a value that is not finite.
@@ -93,6 +97,32 @@ class Observation:
                 f"trajectory has {len(trajectory)} frame(s), expected at least {MIN_FRAMES}"
             )
         object.__setattr__(self, "trajectory", trajectory)
+
+    @classmethod
+    def at_rate(cls, trajectory: ArrayLike, fps: float) -> Observation:
+        """Return what frames at another rate show, such as those of a tracker or a game.
+
+        Between them bodies go on straight lines. Of 60 a second five are a frame here, on average.
+
+        Args:
+            trajectory: (time, entity, coord) x, y [units], angle [rad], the first at the start.
+            fps: frames per second of the time in which bodies move.
+
+        Raises:
+            InvalidEventError: as of the class, or less than a twelfth of a second.
+            InvalidSettingError: ``fps`` is no positive number.
+        """
+        rate = positive_number("fps", fps)
+        given = finite_array("trajectory", trajectory, (None, None, 3))
+        if rate == FRAMES_PER_SECOND:
+            return cls(given)
+        given = np.dstack([given[..., :2], np.unwrap(given[..., 2:], axis=0)])
+        steps = math.floor((len(given) - 1) / rate * FRAMES_PER_SECOND + 1e-6)
+        at = (1 + np.arange(steps * _PARTS)) * rate / (_PARTS * FRAMES_PER_SECOND)
+        known, columns = np.arange(len(given)), given.reshape(len(given), -1).T
+        between = np.stack([np.interp(at, known, column) for column in columns], axis=1)
+        means = between.reshape(steps, _PARTS, *given.shape[1:]).mean(axis=1)
+        return cls(np.concatenate([given[:1], means]))
 
     @property
     def n_frames(self) -> int:

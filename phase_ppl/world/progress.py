@@ -20,7 +20,11 @@ _ROUNDS: Final = 2
 
 def is_shown(shown: bool | None) -> bool:
     """Return whether to show a bar; None: where stderr is a terminal, and in notebooks."""
-    return (sys.stderr.isatty() or "ipykernel" in sys.modules) if shown is None else shown
+    # there is none in a program without a console, and one that was closed cannot be asked
+    there = sys.stderr is not None and not sys.stderr.closed
+    if shown is None:
+        return there and (sys.stderr.isatty() or "ipykernel" in sys.modules)
+    return shown and there
 
 
 class Bar(tqdm):

@@ -174,7 +174,7 @@ def test_a_film_of_another_scene_is_refused(phase: tuple[Event, Path]) -> None:
 
 
 def test_what_is_no_film_or_one_of_another_world_is_refused(
-    phase: tuple[Event, Path], tmp_path: Path
+    phase: tuple[Event, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     event, path = phase
     grey = ppl.World(["red agent", "grey agent"], [], {"home": (8, 8)}, name="small")
@@ -196,6 +196,10 @@ def test_what_is_no_film_or_one_of_another_world_is_refused(
         (tmp_path / "none.mp4", {"layout": "phase"}, "none.mp4: no such file"),
     ):
         check_refused(functools.partial(ppl.read_video, source, **given), said)  # type: ignore[arg-type]
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
+    said = r"ffmpeg cannot be started \(/nowhere/ffmpeg: No such file.*IMAGEIO_FFMPEG_EXE"
+    with pytest.raises(InvalidEventError, match=said):
+        ppl.read_video(path, layout="phase")
     with pytest.raises(OutputError, match=r"check.jpg: expected a name in .png"):
         ppl.VideoReading(event, np.ones((4, 4)), {}).picture(tmp_path / "check.jpg")
 

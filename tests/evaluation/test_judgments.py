@@ -139,6 +139,38 @@ def test_bad_file_is_refused_with_its_line(
     assert len(str(caught.value)) < len(str(path)) + 250
 
 
+@pytest.mark.parametrize(
+    ("content", "messages"),
+    [
+        (
+            "participant,video,relation,goal_rde,\n",
+            ["line 1: unknown column 'goal_rde'", "; has a column without a name"],
+        ),
+        (
+            f"{HEADER}\n{ROW}\np02,a,NA,,foe,soon\n{ROW}\n{ROW}",
+            [
+                "line 3: goal_red: NA, expected an empty cell",
+                "; relation: unknown relation 'foe'",
+                "; response_time is 'soon'",
+                "; line 4: has participant 'p01', video 'a' a second time",
+                "; line 5: has",
+            ],
+        ),
+        ("\n".join([HEADER, *(f"p{k},a,,,foe," for k in range(11))]), ["line 9: ", "and 3 more"]),
+    ],
+)
+def test_all_that_is_wrong_with_a_file_is_said_at_once(
+    tmp_path: Path, content: str, messages: list[str]
+) -> None:
+    path = write(tmp_path, content)
+    with pytest.raises(PhasePPLError) as caught:
+        load_judgments(path)
+    said = str(caught.value)
+    assert said.startswith(f"{path}, line ")
+    assert "\n" not in said
+    assert [message for message in messages if message not in said] == []
+
+
 def test_what_is_no_file_or_too_large_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

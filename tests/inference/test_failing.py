@@ -124,6 +124,21 @@ def test_raise_keeps_what_was_done_and_can_go_on(tmp_path: Path) -> None:
     assert caught.value.posterior is None  # of the initial particles nothing is kept
 
 
+def test_particles_start_anew_where_no_simulation_succeeds() -> None:
+    def fail(calls: int) -> Callable[[int], None]:
+        return lambda later: fails_once(0) if later < calls else None
+
+    chains = OPTIONS["chains"]
+    model = ppl.Model(simulator=Disturbed(1, fail(chains + 1)))
+    post = ppl.infer(EVENT, model, **OPTIONS)
+    assert post.cost["failures"] == chains + 1
+    assert failed(post).sum() == chains + 1
+    in_vain = Disturbed(1, fail(1000))
+    with pytest.raises(SimulationError, match=r"all initial simulations failed; .*not today"):
+        ppl.infer(EVENT, ppl.Model(simulator=in_vain), **OPTIONS)
+    assert in_vain.calls == 4 * chains
+
+
 # --- what hangs ------------------------------------------------------------------------------
 
 

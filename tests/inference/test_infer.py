@@ -234,11 +234,11 @@ def test_an_interrupt_keeps_the_iterations_that_were_done_or_nothing(
     assert one.cost["interrupted"]
 
 
-def failing(rows: Sequence[int]) -> Change:
+def failing(rows: Sequence[int], calls: int = 1) -> Change:
     def change(number: int, runner: Any, results: Results) -> Results:
         return [
             SimulationResult.failed(r.hypothesis, r.seed, len(r.errors), "ValueError: no luck")
-            if number == 0 and row in rows
+            if number < calls and row in rows
             else r
             for row, r in enumerate(results)
         ]
@@ -258,6 +258,8 @@ def test_particle_whose_first_simulation_failed_starts_where_another_does(
     weighted = infer(kernel="importance").tree["sample_stats"]["log_weight"].values
     assert np.isneginf(weighted[:, 0]).tolist() == [False, True, True, False], "it counts once"
     disturb(monkeypatch, failing(range(CHAINS)))
+    assert infer().tree["simulations"]["failed"].sum() == CHAINS, "all started anew"
+    disturb(monkeypatch, failing(range(CHAINS), calls=100))
     with pytest.raises(ppl.SimulationError, match=r"seed \d+: ValueError: no luck"):
         infer()
 

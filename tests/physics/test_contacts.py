@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.geometry import agent_outline, rotation
 from tests.physics.conftest import CompiledWorld, after, start_in
 
@@ -123,3 +125,30 @@ def test_compiled_model_survives_impossible_states() -> None:
         running.weld[:] = rng.normal(0, 2, (2, 3))
         after(running, *rng.integers(-1, N_ACTIONS, (20, 2)).tolist())
         assert np.isfinite(running.bodies).all()
+
+
+@pytest.mark.parametrize(("size", "strength"), [(0.1, 600.0), (0.3, 300.0), (0.4, 600.0)])
+def test_nobody_is_so_small_for_its_speed_that_it_passes_a_wall(
+    start: Any, size: float, strength: float
+) -> None:
+    wall = [[[16, 12], [16, 22]], [[16, 12], [16, 2]]]
+    # an item on the way, which the agent drives before it
+    placed = {0: (7.0, 8.0, -np.pi / 2), 2: (11.0, 8.0)}
+    running = start(placed, {0: size, 2: size}, wall, (strength, 150.0))
+    furthest = 0.0
+    for _ in range(12):
+        x = after(running, (Action.UP, Action.NO_FORCE)).pose[[0, 2], 0]
+        assert (x < 16.0).all()
+        furthest = max(furthest, x[0])
+    assert furthest > 14.0
+
+
+def test_a_body_too_small_for_any_division_is_refused_with_the_size_that_would_do(
+    start: Any,
+) -> None:
+    with pytest.raises(InvalidSettingError, match=r"size 0\.02 is too small .* 600 N") as raised:
+        start({}, {0: 0.02}, strengths=(600.0, 600.0))
+    needed = float(re.findall(r"at least ([\d.]+)", str(raised.value))[0])
+    start({}, {0: needed}, strengths=(600.0, 600.0))
+    with pytest.raises(InvalidSettingError, match="too small"):
+        start({}, {0: 0.95 * needed}, strengths=(600.0, 600.0))

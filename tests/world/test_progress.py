@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+
 import pytest
 
 from phase_ppl.world import progress
@@ -21,6 +23,16 @@ def test_the_bar_says_that_it_warms_up_until_the_first_simulation(
     with Progress(1, shown=False) as bar:
         bar.one_more()
     assert capsys.readouterr().err == ""
+
+
+def test_without_a_console_there_is_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = io.StringIO()
+    closed.close()
+    for stream in (None, closed):
+        monkeypatch.setattr(progress.sys, "stderr", stream)
+        for shown in (None, True, False):
+            with Progress(1, shown=shown) as bar:
+                bar.one_more()
 
 
 def test_uneven_simulations_give_a_steady_estimate(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,6 +57,7 @@ STYLE: Final[Any] = {
     "axes.titlelocation": "left",
     "axes.titlesize": NORMAL + 1,
     "figure.labelsize": SMALL,
+    "axes.formatter.use_locale": False,
     "figure.titlesize": NORMAL + 1,
     "font.size": SMALL,
     "grid.color": "#e6e6e6",
@@ -66,6 +67,7 @@ STYLE: Final[Any] = {
     "lines.solid_capstyle": "round",
     "text.color": INK,
     "text.parse_math": False,
+    "text.usetex": False,  # names are no TeX, and LaTeX need not be there
     **{f"{axis}tick.{name}": value for axis in "xy" for name, value in
        {"color": INK, "labelsize": SMALL + 0.5, "major.size": 3, "major.width": 0.7}.items()},
 }  # fmt: skip

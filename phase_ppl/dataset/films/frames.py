@@ -9,13 +9,14 @@ import subprocess
 import tempfile
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
+from phase_ppl.render.ffmpeg import ffmpeg
 from phase_ppl.render.frames import BACKGROUND, WALL_COLOUR, WALL_PIXELS, Painter, Pixels
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown_path
@@ -65,18 +66,10 @@ class Film:
 
     def _decoded(self) -> Generator[Image.Image, None, None]:
         """Yield all frames, and note how fast they are."""
-        import imageio_ffmpeg
-
-        program = imageio_ffmpeg.get_ffmpeg_exe()
-        command = [program, "-hide_banner", "-nostats", "-i", str(self.path)]
-        command += ["-f", "image2pipe", "-c:v", "ppm", "-"]
+        options = ["-hide_banner", "-nostats", "-i", str(self.path)]
+        options += ["-f", "image2pipe", "-c:v", "ppm", "-"]
         some = False
-        with (
-            tempfile.TemporaryFile() as said,
-            subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said
-            ) as process,
-        ):
+        with tempfile.TemporaryFile() as said, self._started(options, said) as process:
             assert process.stdout is not None
             try:
                 while process.stdout.readline():  # of each picture: its kind, size, depth
@@ -100,6 +93,13 @@ class Film:
             )
         rate = re.search(r"Video:.* ([\d.]+) fps", words)
         self.fps = float(rate[1]) if rate else 0.0
+
+    def _started(self, options: Sequence[str], said: IO[bytes]) -> subprocess.Popen[bytes]:
+        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}
+        try:
+            return ffmpeg(options, **streams)
+        except OSError as error:
+            raise InvalidEventError(f"{shown_path(self.path)}: {error}") from error
 
 
 class View:

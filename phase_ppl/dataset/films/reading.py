@@ -138,7 +138,8 @@ def read_video(
         frames_per_step: frames of the film per frame of the event, a twelfth of a simulated
             second. Default: a quarter of a second of the film, as films are made. Between two
             frames of the film bodies go on straight lines.
-        start: seconds of the film before the event begins, such as those of a still picture.
+        start: seconds of the film before the event begins, such as those of a still picture; of
+            the films of PHASE's authors 0.1, as their pictures show fifths of a step.
         max_gap: frames of the event in a row in which a body may be lost; its places there are
             interpolated.
         progress: whether to show a progress bar; None: where stderr is a terminal.

@@ -24,6 +24,7 @@ from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of, expected, people
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel
+from phase_ppl.models.density import tracing
 from phase_ppl.models.observers import OBSERVERS, Evidence, Perception, Program, observer_named
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
@@ -57,6 +58,7 @@ class FittedObserver:
     questions: tuple[str, ...]
     perception: Perception | None
 
+    @tracing()
     def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
         """Return question -> (draw, event, answer) shares of people that are expected."""
 
@@ -237,6 +239,7 @@ class PeopleFit(FittedObserver):
         )
 
 
+@tracing()
 def sampled(
     observer: Program,
     name: str,

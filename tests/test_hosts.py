@@ -1,0 +1,246 @@
+"""The package in other people's programs: their threads, pools, folders, drives and objects."""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import multiprocessing
+import os
+import subprocess
+import sys
+import textwrap
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.errors import InvalidSettingError, number_of_workers
+from phase_ppl.world.event import Observation
+from tests.analysis.readings import reading
+from tests.inference import runs
+from tests.simulator.toys import AT_REST, GO, SCENE, WEAK, drift
+from tests.world.examples import check_refused, make_event
+
+ROOT = Path(__file__).parent.parent
+
+SHADOWING = ("random.py", "signal.py", "copy.py", "argparse.py")
+SCRIPT = """
+    import multiprocessing, os
+    import jax
+    from phase_ppl.models.density import on_cpu
+    from phase_ppl.simulator.processes import mapped
+    from phase_ppl.simulator.runner import Runner
+    from tests.simulator.toys import AT_REST, GO, SCENE, WEAK
+
+    def simulator(scene, hypothesis, rng):
+        assert "PYTHONSAFEPATH" not in os.environ  # of what it starts itself
+        while True:
+            yield scene.start
+
+    with Runner(simulator, SCENE, AT_REST, workers=2) as runner:
+        print([result.failure for result in runner.run([GO, WEAK], [1, 2])])
+    print(list(mapped(pow, [(2, 3), (3, 2)], workers=2, unit="power")))
+
+    def infer():
+        try:
+            with on_cpu():
+                print("was not refused")
+        except ValueError as error:
+            print(error, flush=True)
+
+    jax.devices()
+    child = multiprocessing.get_context("fork").Process(target=infer)
+    child.start()
+    child.join()
+"""
+
+
+def test_workers_run_nothing_of_the_current_folder_and_a_forked_process_is_told_to_be_spawned(
+    tmp_path: Path,
+) -> None:
+    program, folder = tmp_path / "script.py", tmp_path / "somebody's ünd\n else"
+    program.write_text(textwrap.dedent(SCRIPT))
+    folder.mkdir()
+    for name in SHADOWING:
+        (folder / name).write_text("raise SystemExit('the folder was run')")
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", str(program)],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    first, second, third = done.stdout.splitlines()
+    assert (first, second) == ("[None, None]", "[8, 9]")
+    assert "forked" in third
+    assert 'multiprocessing.get_context("spawn")' in third
+
+
+def test_runs_in_threads_are_as_one_after_the_other() -> None:
+    def run(prior: str) -> ppl.Posterior:
+        model = ppl.Model(simulator=runs.MODEL.simulator, prior=prior)
+        return ppl.infer(runs.EVENT, model, **{**runs.OPTIONS, "iterations": 1})
+
+    priors = ["uniform", "sparse_social", "uniform"]
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(run, priors))
+    for prior, post in zip(priors[:2], found, strict=False):
+        runs.assert_same_draws(post.tree, run(prior).tree)
+    runs.assert_same_draws(found[0].tree, found[2].tree)
+
+
+SETTINGS = {
+    "jax_enable_x64": True,
+    "jax_default_prng_impl": "rbg",
+    "jax_numpy_dtype_promotion": "strict",
+    "jax_numpy_rank_promotion": "raise",
+    "jax_transfer_guard": "disallow",
+}
+
+
+def test_settings_of_jax_and_numpy_in_the_program_around_change_nothing() -> None:
+    options = {"kernel": "local_mh", "iterations": 1}
+    before = {name: getattr(jax.config, name) for name in SETTINGS}
+    doubles: list[Any] = []
+
+    def simulator(scene: Any, hypothesis: Any, rng: Any) -> Any:
+        doubles.append(jax.config.jax_enable_x64)  # its own settings are as they are
+        return runs.MODEL.simulator(scene, hypothesis, rng)  # type: ignore[misc]
+
+    model = ppl.Model(simulator=simulator)
+    usual = ppl.infer(runs.EVENT, model, **{**runs.OPTIONS, **options})
+    try:
+        for name, value in SETTINGS.items():
+            jax.config.update(name, value)
+        with np.errstate(all="raise"):
+            found = ppl.infer(runs.EVENT, model, **{**runs.OPTIONS, **options})
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
+    runs.assert_same_draws(usual.tree, found.tree)
+    assert doubles[0] is False
+    assert doubles[-1] is True
+
+
+def test_a_daemonic_process_does_without_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "4")
+    assert number_of_workers(None) == 1
+    assert number_of_workers(1) == 1
+    with pytest.raises(InvalidSettingError, match=r"workers=2, but .* daemonic.*workers=1 needs"):
+        Runner(drift, SCENE, AT_REST, workers=2)
+    with Runner(drift, SCENE, AT_REST) as runner:
+        assert all(result.completed for result in runner.run([GO, WEAK], [1, 2]))
+
+
+def test_workers_cannot_begin_in_a_folder_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tmp_path.rmdir()
+    with (
+        pytest.raises(InvalidSettingError, match=r"folder is gone.* workers=1, which needs none"),
+        Runner(drift, SCENE, AT_REST, workers=2) as runner,
+    ):
+        runner.run([GO], [1])
+
+
+class Client:
+    def submit(self, *given: Any) -> str:
+        return "a future of its own"
+
+
+class Dask(Client):
+    def get_executor(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("executor", "message"),
+    [
+        (Dask(), r"is a client; its executor is client\.get_executor\(\)"),
+        (multiprocessing, r"no PEP 3148 executor, such as concurrent\.futures"),
+        (Client(), "its submit gives 'a future of its own', expected a concurrent.futures.Future"),
+    ],
+)
+def test_what_nearly_is_an_executor_is_refused_with_what_is_one(
+    executor: Any, message: str
+) -> None:
+    with (
+        pytest.raises(InvalidSettingError, match=message),
+        Runner(drift, SCENE, AT_REST, executor=executor) as runner,
+    ):
+        runner.run([GO], [1])
+
+
+def test_files_are_read_without_locks(tmp_path: Path) -> None:
+    path, events = tmp_path / "run.nc", tmp_path / "events.nc"
+    post = runs.infer(iterations=1)
+    post.save(path)
+    ppl.save_events([make_event()], events)
+    with path.open("rb") as one, events.open("rb") as other:
+        for file in (one, other):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        runs.assert_same_draws(ppl.load_posterior(path).tree, post.tree)
+        assert len(ppl.load_events(events)) == 1
+
+
+def test_tracks_of_sixty_frames_a_second_are_read_as_what_they_show_and_warned_of_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    event = ppl.load_event("independent")
+    world, poses, frames = PymunkWorld(event.scene, (450.0, 300.0)), [], []
+    poses.append(world.state.pose)
+    frames.append(poses[0])
+    for k in range(12):
+        of_step = [world.state.pose for _ in world.substeps([2 + k % 8, 9 - k % 8])]
+        poses += of_step
+        frames.append(np.mean(of_step, axis=0))
+    read = Observation.at_rate(poses, 60).trajectory
+    np.testing.assert_allclose(read, frames, atol=1e-9)
+    np.testing.assert_array_equal(Observation.at_rate(frames, 12).trajectory, frames)
+    assert Observation.at_rate(poses[::10], fps=6).n_frames == len(frames)
+    check_refused(lambda: Observation.at_rate(poses, fps=0), "fps=0, expected a positive")
+    check_refused(lambda: Observation.at_rate(poses[:3], fps=60), "has 1 frame")
+
+    monkeypatch.setattr("phase_ppl.inference.stepwise.filter_event", lambda *given, **more: None)
+    for name in ("collaborate", "compete", "independent", "oppose"):
+        ppl.infer(ppl.load_event(name))
+    track = event.observation.trajectory
+    fine = CubicSpline(range(len(track)), track)(np.arange(0, len(track) - 1, 0.2))
+    slow = dataclasses.replace(event, observation=Observation(fine))
+    with pytest.warns(UserWarning, match=r"friction alone .*Observation\.at_rate\(trajectory, fps"):
+        ppl.infer(slow)
+
+
+@pytest.mark.parametrize("value", [None, True, {"a": 1}, b"bytes", 1 + 2j, [None]])
+def test_an_attribute_that_no_file_can_hold_is_named_before_it_is_written(
+    tmp_path: Path, value: Any
+) -> None:
+    post = StepwisePosterior(reading())
+    post.dataset.attrs["note"] = value
+    with pytest.raises(InvalidSettingError, match=r"attribute 'note' of group '/' is .*json"):
+        post.save(tmp_path / "post.nc")
+    assert not list(tmp_path.iterdir())
+
+
+def test_on_a_system_that_is_not_supported_the_first_name_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    monkeypatch.delitem(vars(ppl), "load_event", raising=False)
+    with pytest.raises(ImportError, match=r"on Linux and macOS; on Windows, .* in WSL"):
+        _ = ppl.load_event
+    from phase_ppl.cli import main
+
+    assert main(["infer", "independent"]) == 2
+    assert "WSL" in capsys.readouterr().err
