@@ -1,214 +1,179 @@
-"""Do the numbers of a posterior mean what they say, on worlds whose posterior is known?
+"""Do the numbers of a posterior mean what they say, on simulators that nobody tuned on?
 
-python benchmarks/estimates.py [--only KERNEL ...] [--world flat|noisy ...] [--runs N] [--json FILE]
+    python benchmarks/estimates.py [--only KERNEL ...] [--setting MxL ...] [--toy NAME ...]
+        [--events N] [--runs N] [--json FILE]
 
-Every pair of goals and the strengths decide how far a simulation ends from the video, and chance
-does, so that the posterior can be summed exactly: in the world "flat" not at all (posterior =
-prior), in "noisy" with a standard deviation over seeds of some nats. N runs of 15 particles, of 6
-and of 60 iterations, are weighed in every way. Printed are, for P(relation), P(goal) and the mean
-strengths: the mean distance from the exact number, how often it lies within 1.96 ``error`` of the
-answer (aim: 0.95), and the log score of the goals in the posterior itself.
+On four toys (``toys.py``) whose posterior can be summed, every kernel is run N times on N events
+each with M particles and L iterations. Shown by kernel and setting, over all toys or by toy:
+
+* ``enough``: share of the runs that rest on ``FEW_DRAWS`` effective simulations; the others are
+  shown in brackets, for what their numbers would be worth;
+* ``held``: how often the exact probability of a goal or relation (of 0.03 or more) lies within 1.96
+  errors, and the exact mean strength (aim: 0.90 to 0.98);
+* ``stated``: root mean square of the errors over that of the distances from the exact value (aim:
+  0.8 to 1.5);
+* ``TV``: mean distance from the exact marginals of goals and relation;
+* ``sure``: answers called sure, how many of them have more than 1/2 in the exact posterior; and
+  those of runs called decided, how many of them are true of the event.
 """
 
 from __future__ import annotations
 
-import functools
 import itertools
-from collections.abc import Iterator
-from pathlib import Path
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import common
 import numpy as np
+import toys
 import xarray as xr
 
 import phase_ppl as ppl
+from phase_ppl.analysis.estimate import FEW_DRAWS
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.draws import burn_in
-from phase_ppl.inference.tables import bottom_up_tables
-from phase_ppl.models.effective import log_prior_of_effective
-from phase_ppl.models.priors import uniform
+from phase_ppl.inference.registry import kernel_info
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.goals import N_GOALS, is_self_referring
-from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, STRENGTH_RANGE, Hypothesis
-from phase_ppl.world.scene import Scene
-from tests.inference.toy import walking_event
+from phase_ppl.world.hypothesis import Hypothesis
 
-CHAINS = 15
-LENGTHS = (6, 60)
-SEEDS = 8
-"""Simulator seeds make one of so many equally likely simulations."""
-
-BEST_STRENGTH = {"noisy": (340.0, 190.0), "misled": (420.0, 300.0), "flat": (300.0, 300.0)}
-KERNELS = ("local_mh", "mixture", "prior_mh", "single_site_mh", "random_walk_mh")
-WORLDS = {"flat": (0.0, 0.0, 0.0), "noisy": (30.0, 4.0, 0.01), "misled": (30.0, 4.0, 0.03)}
-"""World -> typical distance of a pair of goals from the video, its spread over seeds, units, and
-what a newton off the fitting strengths adds. In 14 frames at beta 0.05 a unit is 0.7 nats. In the
-last one the proposals know nothing of what fits."""
+KERNELS = ("local_mh", "prior_mh", "single_site_mh", "gibbs", "importance", "smc", "amis")
+SETTINGS = ("15x6", "15x40", "15x200", "100x49")
+ASKED = ("goal_red", "goal_green", "relation")
+LEAST = 0.03  # exact probability from which on an answer is looked at
 
 
-@functools.cache
-def offsets(world: str) -> FloatArray:
-    """Return (goal_red, goal_green, seed) the distance from the video at the best strengths."""
-    level, spread, _ = WORLDS[world]
-    rng = np.random.default_rng(3)
-    base = level * rng.gamma(4.0, 0.25, (N_GOALS, N_GOALS, 1))
-    if world == "noisy":  # as in videos, what is proposed more often fits better
-        seen = walking_event()
-        tables = bottom_up_tables(seen.scene, seen.observation, ppl.SimpleSettings())
-        for agent, axis in ((0, 1), (1, 0)):
-            logits = np.asarray(tables.goal_logits)[-1, 0, agent]
-            fit = np.clip(logits - logits.max(), -4.0, 0.0) / 4.0
-            base *= 1.0 - 0.6 * np.expand_dims(1.0 + fit, (axis, 2))
-    return base + spread * np.abs(rng.normal(size=(N_GOALS, N_GOALS, SEEDS)))
-
-
-def slope(world: str) -> float:
-    """Return the distance from the video per newton off the strengths that fit, units."""
-    return WORLDS[world][2]
-
-
-def simulator(
-    video: FloatArray,
-    offset: FloatArray,
-    slope: float,
-    best: tuple[float, float],
-    scene: Scene,
-    hypothesis: Hypothesis,
-    rng: np.random.Generator,
-) -> Iterator[FloatArray]:
-    """Yield the video, moved aside."""
-    red, green = hypothesis.effective_goals
-    aside = offset[red, green, rng.integers(SEEDS)]
-    aside += slope * np.abs(np.subtract(hypothesis.strengths, best)).sum()
-    for frame in itertools.cycle(video):
-        moved = frame.copy()
-        moved[0, 0] += aside
-        yield moved
-
-
-@functools.cache
-def exact(world: str) -> dict[str, FloatArray]:
-    """Return the marginals of goals and relation, and the mean strengths, summed exactly."""
-    pairs = np.array(
-        [
-            (red, green)
-            for red, green in itertools.product(range(N_GOALS), repeat=2)
-            if not is_self_referring(red, 0) and not is_self_referring(green, 1)
-        ]
-    )
-    middle = {name: np.full(len(pairs), 400.0) for name in ("strength_red", "strength_green")}
-    log_prior = log_prior_of_effective(uniform, pairs, middle)
-    rate = 0.05 * walking_event().observation.n_frames
-    log_mean = np.log(np.exp(-rate * offsets(world)[pairs[:, 0], pairs[:, 1]]).mean(axis=1))
-    mass = np.exp(log_prior + log_mean - (log_prior + log_mean).max())
-    mass /= mass.sum()
-    grid = np.linspace(*STRENGTH_RANGE, 4001)
-    means = []
-    for best in BEST_STRENGTH[world]:
-        density = np.exp(-rate * slope(world) * np.abs(grid - best))
-        means.append(float((grid * density).sum() / density.sum()))
-    relation = RELATION_TABLE[pairs[:, 0], pairs[:, 1]]
-    return {
-        "goal_red": np.bincount(pairs[:, 0], mass, N_GOALS),
-        "goal_green": np.bincount(pairs[:, 1], mass, N_GOALS),
-        "relation": np.bincount(relation, mass, len(RELATIONS)),
-        "strength": np.array(means),
-    }
-
-
-def shortened(tree: xr.DataTree, chains: slice, draws: int) -> xr.DataTree:
-    """Return what a run of only some of the chains, and of so many iterations, would have left."""
+def of_chains(tree: xr.DataTree, chains: slice) -> xr.DataTree:
+    """Return what a run of only some of the chains would have left."""
     first, last = chains.start, chains.stop
     groups = {}
     for name, node in tree.children.items():
         dataset = node.to_dataset()
         if "chain" in dataset.dims:
-            dataset = dataset.isel(chain=chains, draw=slice(0, draws))
-            dataset = dataset.assign_coords(chain=np.arange(dataset.sizes["chain"]))
+            dataset = dataset.isel(chain=chains).assign_coords(chain=np.arange(last - first))
         if name == "simulations":
-            chain, iteration = dataset["chain"].values, dataset["iteration"].values
-            kept = (first <= chain) & (chain < last) & (iteration <= draws)
-            dataset = dataset.isel(simulation=kept)
+            chain = dataset["chain"].values
+            dataset = dataset.isel(simulation=(first <= chain) & (chain < last))
             dataset["chain"] = dataset["chain"] - first
         groups[name] = dataset
     result = xr.DataTree.from_dict(groups)
-    result.attrs = {**tree.attrs, "burn_in": burn_in(draws)}
+    result.attrs = {**tree.attrs, "burn_in": burn_in(result["posterior"].sizes["draw"])}
     return result
 
 
-def measured(tree: xr.DataTree, world: str, draws: int, weights: str) -> dict[str, Any]:
-    """Return distance, coverage and log score of a way to weigh, over the runs of a tree."""
-    known = exact(world)
-    runs = tree["posterior"].sizes["chain"] // CHAINS
-    off: dict[str, list[float]] = {"goal": [], "relation": [], "strength": []}
-    held: dict[str, list[bool]] = {name: [] for name in off}
-    scores = []
+def posteriors(
+    toy: toys.Toy, event: ppl.Event, kernel: str, chains: int, iterations: int, runs: int
+) -> Iterator[Posterior]:
+    """Yield the posteriors of runs that differ by chance; of chains that do not meet, by one."""
+    given: dict[str, Any] = {"kernel": kernel, "iterations": iterations, "workers": 1}
+    given["progress"] = False
+    if kernel in ("smc", "amis"):
+        for seed in range(runs):
+            yield ppl.infer(event, toy.model, chains=chains, seed=seed, **given)
+        return
+    # a budget has no rivals tried, who are those of all runs together
+    tree = ppl.infer(event, toy.model, chains=chains * runs, seed=0, **given).tree
     for run in range(runs):
-        part = shortened(tree, slice(run * CHAINS, (run + 1) * CHAINS), draws)
-        post = Posterior(part, weights)
-        score = 0.0
-        for name in ("goal_red", "goal_green", "relation"):
-            found, kind = post.marginal(name), name.split("_")[0]
-            distance = found.values - known[name]
-            off[kind].append(0.5 * float(np.abs(distance).sum()))
-            # of labels of some probability: those of the rest are 0 within 0
-            rows = known[name] > 0.05
-            held[kind] += (np.abs(distance) <= 1.96 * found["error"].values)[rows].tolist()
-            if kind == "goal":
-                score += float(known[name] @ np.log(np.maximum(found.values, 1e-4))) / 2
-        for agent, mean in zip(("red", "green"), known["strength"], strict=True):
-            answer = post.mean(f"strength_{agent}")
-            off["strength"].append(abs(float(answer) - mean))
-            held["strength"].append(bool(abs(answer - mean) <= 1.96 * answer.error))
-        scores.append(score)
-    return {
-        **{f"{kind}_off": float(np.mean(values)) for kind, values in off.items()},
-        **{f"{kind}_covered": float(np.mean(values)) for kind, values in held.items()},
-        "log_score": float(np.mean(scores)),
-    }
+        part = of_chains(tree, slice(run * chains, (run + 1) * chains))
+        if kernel_info(kernel).weighted:
+            part.attrs["burn_in"] = 0
+        yield Posterior(part)
+
+
+def judged(
+    post: Posterior, exact: Mapping[str, FloatArray], true: Hypothesis
+) -> dict[str, list[Any]]:
+    """Return distances, errors, and whether what is called sure is right."""
+    numbers, apart = [], []
+    for name in ASKED:
+        found = post.marginal(name)
+        known = exact[name] > LEAST
+        off = found.values - exact[name]
+        numbers += list(zip(off[known], found["error"].values[known], strict=True))
+        apart.append(0.5 * float(np.abs(off).sum()))
+    strengths = []
+    for agent, mean in zip(("red", "green"), exact["strength"], strict=True):
+        answer = post.mean(f"strength_{agent}")
+        strengths.append((float(answer) - mean, answer.error))
+    red, green = true.effective_goals
+    labels = post.quantities["goal_red"]
+    assert labels is not None, "goals have labels"
+    truth = {"goal_red": labels[red], "goal_green": labels[green], "relation": true.relation}
+    sure, decided = [], []
+    for name, one in post.leaders().items():
+        asked = post.quantities[name]
+        assert asked is not None, "it has labels"
+        if one["sure"]:
+            sure.append(bool(exact[name][asked.index(one["label"])] > 0.5))
+            if post.diagnostics()["decided"]:
+                decided.append(one["label"] == truth[name])
+    return {"p": numbers, "strength": strengths, "tv": apart, "sure": sure, "decided": decided}
+
+
+def summed(found: list[dict[str, list[Any]]]) -> dict[str, Any]:
+    """Return the figures of many runs."""
+    figures: dict[str, Any] = {"runs": len(found)}
+    for kind in ("p", "strength"):
+        rows = np.array([row for one in found for row in one[kind]], float).reshape(-1, 2)
+        off, error = rows[~np.isnan(rows[:, 1])].T
+        figures[f"{kind}_held"] = float((np.abs(off) <= 1.96 * error).mean()) if len(off) else None
+        figures[f"{kind}_stated"] = (
+            float(np.sqrt((error**2).mean() / (off**2).mean())) if (off**2).sum() else None
+        )
+    figures["tv"] = float(np.mean([one["tv"] for one in found])) if found else None
+    for kind in ("sure", "decided"):
+        right = [one for run in found for one in run[kind]]
+        figures |= {kind: len(right), f"{kind}_right": sum(right)}
+    return figures
+
+
+def shown(name: str, enough: dict[str, Any], other: dict[str, Any]) -> str:
+    def columns(of: dict[str, Any]) -> str:
+        if not of["runs"]:
+            return " " * 36
+        names = ("p_held", "p_stated", "strength_held", "strength_stated", "tv")
+        return " ".join(f"{math.nan if of[n] is None else of[n]:6.2f}" for n in names) + "  "
+
+    share = enough["runs"] / (enough["runs"] + other["runs"])
+    right = "  ".join(
+        f"{enough[kind + '_right'] + other[kind + '_right']} of {enough[kind] + other[kind]}"
+        for kind in ("sure", "decided")
+    )
+    return f"{name:34}{share:6.2f}  {columns(enough)}({columns(other).strip():>34})  {right}"
 
 
 def main() -> None:
     parser = common.parser(__doc__, "json")
     parser.add_argument("--only", nargs="+", default=KERNELS, metavar="KERNEL")
-    parser.add_argument("--world", nargs="+", default=list(WORLDS), choices=list(WORLDS))
-    parser.add_argument("--runs", type=int, default=40)
-    parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS)
-    parser.add_argument("--weights", nargs="+", default=["count", "stratified"])
-    parser.add_argument("--keep", metavar="DIR")
+    parser.add_argument("--setting", nargs="+", default=SETTINGS, metavar="MxL")
+    names = [toy.name for toy in toys.TOYS]
+    parser.add_argument("--toy", nargs="+", default=names, choices=names, metavar="NAME")
+    parser.add_argument("--events", type=int, default=4)
+    parser.add_argument("--runs", type=int, default=4)
     options = parser.parse_args()
     report: dict[str, Any] = {}
-    head = f"{'world':7}{'kernel':16}{'L':>4} {'weights':11}"
-    print(head + "   off: goal relation newtons   covered: goal relation strength   log score")
-    for world, kernel in itertools.product(options.world, options.only):
-        kept = Path(options.keep) / f"{world}-{kernel}.nc" if options.keep else None
-        if kept is not None and kept.exists():
-            tree = Posterior.load(kept, "count").tree
-        else:
-            event = walking_event()
-            table = event.observation.trajectory, offsets(world), slope(world), BEST_STRENGTH[world]
-            post = ppl.infer(
-                event,
-                ppl.Model(simulator=functools.partial(simulator, *table)),
-                kernel=kernel,
-                chains=CHAINS * options.runs,
-                iterations=max(options.lengths),
-                seed=0,
+    print(f"{'':34}enough  p: held, stated; strength: held, stated; TV (not enough)  sure, decided")
+    for kernel, setting in itertools.product(options.only, options.setting):
+        chains, iterations = map(int, setting.split("x"))
+        everything: dict[bool, list[Any]] = {True: [], False: []}
+        for toy in (toy for toy in toys.TOYS if toy.name in options.toy):
+            found: dict[bool, list[Any]] = {True: [], False: []}
+            for seed in range(options.events):
+                event, true = toy.event(seed)
+                exact = toy.exact(event)
+                for post in posteriors(toy, event, kernel, chains, iterations, options.runs):
+                    is_enough = post.diagnostics()["effective_size"] >= FEW_DRAWS
+                    found[is_enough].append(judged(post, exact, true))
+            for is_enough in found:
+                everything[is_enough] += found[is_enough]
+            both = summed(found[True]), summed(found[False])
+            report[f"{kernel} {setting} {toy.name}"] = dict(
+                zip(("enough", "not"), both, strict=True)
             )
-            tree = post.tree
-            if kept is not None:
-                post.save(kept)
-        for draws, weights in itertools.product(options.lengths, options.weights):
-            row = measured(tree, world, draws, weights)
-            report[f"{world} {kernel} {draws} {weights}"] = row
-            print(
-                f"{world:7}{kernel:16}{draws:4} {weights:11}"
-                f"{row['goal_off']:12.3f}{row['relation_off']:9.3f}{row['strength_off']:8.1f}"
-                f"{row['goal_covered']:17.2f}{row['relation_covered']:9.2f}"
-                f"{row['strength_covered']:9.2f}{row['log_score']:12.2f}",
-                flush=True,
-            )
+            print(shown(f"  {kernel} {setting} {toy.name}", *both), flush=True)
+        both = summed(everything[True]), summed(everything[False])
+        report[f"{kernel} {setting}"] = dict(zip(("enough", "not"), both, strict=True))
+        print(shown(f"{kernel} {setting}", *both), flush=True)
     common.write(report, options.json)
 
 

@@ -52,19 +52,20 @@ class Toy:
         simulator = functools.partial(simulate, self.name)
         return ppl.Model(simulator=simulator, likelihood=RadialLikelihood(self.beta))
 
-    def event(self, seed: int) -> Event:
-        """Return an event drawn from the model."""
+    def event(self, seed: int) -> tuple[Event, Hypothesis]:
+        """Return an event drawn from the model, and what it was drawn from."""
         rng = np.random.default_rng([TOYS.index(self), seed])
         scene, likelihood = stage(), RadialLikelihood(self.beta, 4)
         pairs, log_prior, _ = prior()
         pair = pairs[rng.choice(len(pairs), p=np.exp(log_prior))].tolist()
-        hypothesis = Hypothesis(*pair, (0, 0), *rng.uniform(*STRENGTH_RANGE, 2).tolist())
+        (red, green), strengths = pair, rng.uniform(*STRENGTH_RANGE, 2).tolist()
+        hypothesis = Hypothesis(red, green, (0, 0), *strengths)
         while True:  # what leaves the arena is drawn again, which is seldom
             frames = itertools.islice(simulate(self.name, scene, hypothesis, rng), FRAMES)
             shown = np.array(list(frames))
             shown[..., :2] = likelihood.replicate(shown[..., :2], rng)
             with contextlib.suppress(InvalidEventError):
-                return Event(scene, Observation(shown), f"{self.name}-{seed}")
+                return Event(scene, Observation(shown), f"{self.name}-{seed}"), hypothesis
 
     def exact(self, event: Event) -> dict[str, FloatArray]:
         """Return the marginals of goals and relation, and the mean strengths."""
@@ -106,11 +107,11 @@ class Toy:
     ) -> tuple[FloatArray, FloatArray]:
         squares = []  # of each agent (goal * level * bend, time)
         for agent in range(2):
-            found = [
+            ways = [
                 path(self.name, agent, goal, level, bend, start[agent, :2])
                 for goal, level, bend in itertools.product(range(N_GOALS), grid, range(BENDS))
             ]
-            squares.append(((np.array(found) - seen[None, :, agent]) ** 2).sum(axis=2))
+            squares.append(((np.array(ways) - seen[None, :, agent]) ** 2).sum(axis=2))
         rest = ((seen[:, 2:] - start[2:, :2]) ** 2).sum(axis=(1, 2))
         n = LEVELS * BENDS
         found = np.empty((len(pairs), LEVELS, LEVELS))

@@ -220,6 +220,7 @@ class Hypotheses(Printed):
         if without is not None:
             error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
             error = with_unseen(table, error, of._size_of(rows), table.size)
+            error = np.hypot(error, of._unseen * (table - 1 / table.size))
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
             table, {**coords, "error": (names, error)}, dims=names, name="probability"
@@ -509,6 +510,11 @@ class Hypotheses(Printed):
         return self._jackknives.get(share)
 
     @functools.cached_property
+    def _unseen(self) -> float:
+        """The probability that what was never simulated may have, where draws cannot tell."""
+        return 0.0
+
+    @functools.cached_property
     def _effective_size(self) -> float:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
 
@@ -574,6 +580,7 @@ class Hypotheses(Printed):
         error = without.error(statistic(values, without.weights), number)
         if statistic is estimate.share:
             error = with_unseen(number, error, self._size_of(rows))
+            error = np.hypot(error, self._unseen * (number - 0.5))
         elif statistic is estimate.mean:
             # a few draws that agree by chance do not make it sure
             size = self._size_of(rows)

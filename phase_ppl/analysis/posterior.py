@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
@@ -28,6 +29,7 @@ from phase_ppl.analysis.tree import (
     shape_of_draws,
     simulation_of_draw,
     space_of_tree,
+    unseen_share,
     untried,
 )
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, normalised, so_far
@@ -134,6 +136,11 @@ class Posterior(EventPosterior):
         if over_chains is None or n_sets < 2:
             return None
         return Jackknives((over_chains, Jackknife(self._without_sets, n_sets - 1.0)))
+
+    @functools.cached_property
+    def _unseen(self) -> float:
+        # chains come to what they have not seen; a proposal that was fitted need not
+        return unseen_share(self._tree) if self._attrs.get("adapts") else 0.0
 
     def _most_effective(self) -> float:
         """Return how many independent draws the draws can be worth at most.

@@ -142,6 +142,9 @@ def prior_of_goals(tree: xr.DataTree, goals: NDArray[np.int64]) -> NDArray[np.fl
     return np.exp(np.logaddexp.reduce(space.log_prior_of_effective(own, company, goals), axis=0))
 
 
+_MOST: Final = 100.0  # nats that make anything certain
+
+
 def untried(tree: xr.DataTree) -> float:
     """Return the prior mass of the effective goals of all without a completed simulation.
 
@@ -154,6 +157,29 @@ def untried(tree: xr.DataTree) -> float:
         return float("nan")
     # rounded sums of all may be a little above 1
     return max(0.0, 1.0 - float(found.sum()) / possible_mass(tree))
+
+
+def unseen_share(tree: xr.DataTree) -> float:
+    """Return the posterior probability that goals which were never simulated may have.
+
+    They are taken to be as likely, given the video, as those that were simulated for the first time
+    in the later half of these. 0 where the tree has no evidence to compare that with.
+    """
+    stats, simulations = tree["sample_stats"].dataset, tree["simulations"].dataset
+    mass = untried(tree)
+    if "log_evidence" not in stats or not mass > 0:
+        return 0.0
+    evidence = float(stats["log_evidence"].values[0, -1])
+    done = simulations["completed"].values & ~simulations["failed"].values
+    order = np.argsort(simulations["iteration"].values[done], kind="stable")
+    goals = effective_goals(tree, "simulations")[done][order]
+    _, first = np.unique(goals, axis=0, return_index=True)
+    later = np.sort(first)[len(first) // 2 :]
+    prior = prior_of_goals(tree, goals[later])
+    assert prior is not None, "what is untried is known"
+    likelihood = simulations["log_likelihood"].values[done][order][later]
+    ratio = float((prior * np.exp(np.minimum(likelihood - evidence, _MOST))).sum() / prior.sum())
+    return mass * ratio / (1 + mass * ratio)
 
 
 def possible_mass(tree: xr.DataTree) -> float:

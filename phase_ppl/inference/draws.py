@@ -119,6 +119,7 @@ def build_tree(
         "weights": "stratified" if short else "count",
         "burn_in": 0 if kernel.weighted else burn_in(n_draws),
         "schema": SCHEMA,
+        **({"adapts": 1} if kernel.adapts else {}),
         **attrs,
     }
     return tree

@@ -276,11 +276,11 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     program = EventProgram(model, bridge, n_frames, salt, observed, table)
     supplies: dict[str, Any] = {"settings": settings} if "settings" in info.needs else {}
     if "guide" in info.needs:
-        of = model.prior, model.sites, proposal
-        share = settings.prior_share
-        supplies["guide"] = (
-            guide_of(*of, share) if info.adapts else bottom_up_guide(*of, prior_share=share)
-        )
+        of, share = (model.prior, model.sites), settings.prior_share
+        if isinstance(proposal, Proposal):
+            supplies["guide"] = guide_of(*of, proposal, share)
+        else:
+            supplies["guide"] = bottom_up_guide(*of, proposal, prior_share=share)
     return info.make(program, **supplies, **dict(options))
 
 

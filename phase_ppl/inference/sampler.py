@@ -319,9 +319,12 @@ class Sampler:
         """Return the particles with the weights that they have in the end."""
         if self._adaptation is None:
             return self._particles
-        weights = self._adaptation.log_weights()
-        pairs = zip(self._particles, weights, strict=True)
-        return [{**particles, "log_weight": one} for particles, one in pairs]
+        pairs = zip(self._particles, self._adaptation.log_weights(), strict=True)
+        # weights are relative to a likelihood without any error
+        perfect = self._run.model.error_likelihood.log_prob(np.zeros(self._n_frames)).sum()
+        evidence = np.full(self._run.chains, self._adaptation.log_evidence() + float(perfect))
+        given = {"log_evidence": evidence}
+        return [{**particles, **given, "log_weight": one} for particles, one in pairs]
 
     def _try_rivals(self, bar: Progress) -> None:
         """Simulate the rivals of the leading goals that no simulation has tried.

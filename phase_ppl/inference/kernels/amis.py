@@ -56,6 +56,10 @@ EFFECTIVE: Final = 30.0
 POWER: Final = 0.8
 """Power to which the likelihood is raised at most, so that proposals are wider than the answer."""
 
+UNTRIED: Final = 0.2
+"""Share of a proposal that is for goals that nobody has simulated yet: what is learned of single
+agents need not hold for all of them together."""
+
 PSEUDO: Final = 0.5
 """Simulations for which what is expected of goals counts, beside those that there are."""
 
@@ -76,9 +80,9 @@ class Proposal(NamedTuple):
 
     # log probabilities of the way and of each agent's stated goal, given the way and the goals of
     # the agents before: (way,), (way, goal), (way, goal, goal), ...
-    goals: tuple[FloatArray, ...]
-    strength: FloatArray  # (agent, effective goal) mean, newtons; NaN: as in the prior
-    strength_sd: FloatArray  # likewise
+    goals: tuple[NDArray[Any], ...]
+    strength: NDArray[Any]  # (agent, effective goal) mean, newtons; NaN: as in the prior
+    strength_sd: NDArray[Any]  # likewise
 
 
 def guide_of(
@@ -199,6 +203,11 @@ class Adaptation:
         log_mixture = np.logaddexp.reduce(log_share[:, None] + self._log_density, axis=0)
         return list((np.concatenate(self._log_targets) - log_mixture).reshape(-1, size))
 
+    def log_evidence(self) -> float:
+        """Return the log of the mean weight, less what the weights leave out of the likelihood."""
+        log_weights = np.concatenate(self.log_weights())
+        return float(np.logaddexp.reduce(log_weights) - math.log(len(log_weights)))
+
     def _evaluated(
         self, proposal: Proposal, batches: Sequence[Mapping[str, NDArray[Any]]]
     ) -> FloatArray:
@@ -237,8 +246,13 @@ class Adaptation:
         log_value = log_ratio.sum(axis=1) + power * self._log_likelihood(
             np.sqrt(all_of.squares.sum(axis=2))
         )
-        found = _corrected(expected, acts_on, all_of.goals, log_value, scores, space)
-        return Proposal(_chained(stated + found), *strength.astype(np.float32))
+        found, tried = _corrected(expected, acts_on, all_of.goals, log_value, scores, space)
+        table, untried = stated + found, np.where(tried, -np.inf, stated)
+        if np.isfinite(untried).any():
+            shares = np.log(1 - UNTRIED), np.log(UNTRIED)
+            parts = zip(shares, (table, untried), strict=True)
+            table = np.logaddexp(*(one + share - _log_sum(one) for share, one in parts))
+        return Proposal(_chained(table), *strength.astype(np.float32))
 
     def _log_ratio(self, agent: int, all_of: _Simulated) -> FloatArray:
         """Return (row,) log P / Q of the strength of an agent, given what it acts on."""
@@ -305,7 +319,7 @@ class _Simulated(NamedTuple):
         return cls(made_by, space.effective(sites).astype(np.int64), strengths, squares)
 
 
-def first_proposal(suggested: FloatArray, prior: Program) -> Proposal:
+def first_proposal(suggested: NDArray[Any], prior: Program) -> Proposal:
     """Return the first proposal, given logits (..., agent, goal) of what the video suggests.
 
     Raises:
@@ -373,12 +387,12 @@ def _corrected(
     log_value: FloatArray,
     scores: FloatArray,
     space: HypothesisSpace,
-) -> FloatArray:
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return the log of what goals are expected to come to, corrected by what they came to.
 
     As root mean square of the simulations of the same effective goals, of which ``PSEUDO`` are as
     expected: draws that are to make a sum sure are shared out so (Neyman), and what was not tried
-    yet is tried sooner than by its mean.
+    yet is tried sooner than by its mean. Also returns which of them were simulated.
     """
     own = sum(scores[agent][goals[:, agent]] for agent in range(space.n_agents))
     square = np.exp(2 * (log_value - log_value.max()))
@@ -390,14 +404,19 @@ def _corrected(
     of_all = np.ravel_multi_index(tuple(np.where(possible, acts_on, 0)), shape)
     with np.errstate(divide="ignore"):  # of what was not simulated
         sums = np.logaddexp(np.log(total[of_all]), np.log(PSEUDO) + scale + 2 * expected)
-    return np.where(possible, 0.5 * (sums - np.log(n[of_all] + PSEUDO)), -np.inf)
+    found = np.where(possible, 0.5 * (sums - np.log(n[of_all] + PSEUDO)), -np.inf)
+    return found, n[of_all] > 0
 
 
-def _chained(log_table: FloatArray) -> tuple[FloatArray, ...]:
+def _log_sum(table: FloatArray) -> float:
+    return float(np.logaddexp.reduce(table, axis=None))
+
+
+def _chained(log_table: FloatArray) -> tuple[NDArray[Any], ...]:
     """Return log probabilities of each axis of a table given those before."""
-    log_table = log_table - np.logaddexp.reduce(log_table, axis=None)
-    chained: list[FloatArray] = []
-    before = np.zeros(())
+    log_table = log_table - _log_sum(log_table)
+    chained: list[NDArray[Any]] = []
+    before: FloatArray = np.zeros(())
     for axes in range(1, log_table.ndim + 1):
         flat = log_table.reshape(*log_table.shape[:axes], -1)
         joint = np.logaddexp.reduce(flat, axis=-1)
