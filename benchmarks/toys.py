@@ -57,8 +57,9 @@ class Toy:
         rng = np.random.default_rng([TOYS.index(self), seed])
         scene, likelihood = stage(), RadialLikelihood(self.beta, 4)
         pairs, log_prior, _ = prior()
-        pair = pairs[rng.choice(len(pairs), p=np.exp(log_prior))].tolist()
-        hypothesis = Hypothesis(*pair, (0, 0), *rng.uniform(*STRENGTH_RANGE, 2).tolist())
+        red, green = pairs[rng.choice(len(pairs), p=np.exp(log_prior))].tolist()
+        strengths = rng.uniform(*STRENGTH_RANGE, 2).tolist()
+        hypothesis = Hypothesis(red, green, (0, 0), *strengths)
         while True:  # what leaves the arena is drawn again, which is seldom
             frames = itertools.islice(simulate(self.name, scene, hypothesis, rng), FRAMES)
             shown = np.array(list(frames))
@@ -106,11 +107,11 @@ class Toy:
     ) -> tuple[FloatArray, FloatArray]:
         squares = []  # of each agent (goal * level * bend, time)
         for agent in range(2):
-            found = [
+            paths = [
                 path(self.name, agent, goal, level, bend, start[agent, :2])
                 for goal, level, bend in itertools.product(range(N_GOALS), grid, range(BENDS))
             ]
-            squares.append(((np.array(found) - seen[None, :, agent]) ** 2).sum(axis=2))
+            squares.append(((np.array(paths) - seen[None, :, agent]) ** 2).sum(axis=2))
         rest = ((seen[:, 2:] - start[2:, :2]) ** 2).sum(axis=(1, 2))
         n = LEVELS * BENDS
         found = np.empty((len(pairs), LEVELS, LEVELS))

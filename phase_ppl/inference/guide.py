@@ -92,8 +92,8 @@ def _local_program(
             of_agent = logits[..., agent, :]
             replace[name] = functools.partial(_goal_distribution, way_site, of_agent)
         for agent, name in enumerate(space.strength_sites):
-            of_agent = estimated(strength[agent], strength_sd[agent])
-            replace[name] = functools.partial(strength_distribution, *of_agent)
+            found = estimated(strength[agent], strength_sd[agent])
+            replace[name] = functools.partial(strength_distribution, *found)
         with (
             handlers.block(hide=list(given)),
             handlers.substitute(data=given),

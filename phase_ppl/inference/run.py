@@ -110,6 +110,11 @@ class Run:
         self.info = info_of(self.kernel)
         if is_stepwise(model.likelihood):
             check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
+            if self.info.adapts:
+                raise InvalidSettingError(
+                    f"kernel {self.info.name!r} learns from simulations, and what the closed loop "
+                    "has read takes none: it is summed exactly; take 'importance'"
+                )
         self.model = model.for_sampling().in_world(world)
         self.settings = self.settings.settled(world)
         self.chains = whole_number("chains", self.chains)
@@ -276,10 +281,11 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     program = EventProgram(model, bridge, n_frames, salt, observed, table)
     supplies: dict[str, Any] = {"settings": settings} if "settings" in info.needs else {}
     if "guide" in info.needs:
-        of = model.prior, model.sites, proposal
-        share = settings.prior_share
+        of, share = (model.prior, model.sites), settings.prior_share
         supplies["guide"] = (
-            guide_of(*of, share) if info.adapts else bottom_up_guide(*of, prior_share=share)
+            guide_of(*of, proposal, share)
+            if isinstance(proposal, Proposal)
+            else bottom_up_guide(*of, proposal, prior_share=share)
         )
     return info.make(program, **supplies, **dict(options))
 

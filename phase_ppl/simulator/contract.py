@@ -195,7 +195,7 @@ def in_turn(
     limit: Callable[[], float],
     stop: Sequence[Future[Any]],
     deadline: float,
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Yield what each work returns, in order, from a thread where something can end it.
 
     A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
