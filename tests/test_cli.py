@@ -300,11 +300,11 @@ class TestQuery:
     def folder(self, tmp_path: Path) -> Path:
         folder = tmp_path / "my results"
         folder.mkdir()
-        simulations = [
-            Simulation(hypothesis("Get blue item to red lm", "Get blue item to red lm"), 0),
-            Simulation(hypothesis("get to green agent", "Get pink item to blue lm"), 1),
-        ]
-        post = phase_ppl.Posterior(make_tree(simulations, [[0], [0], [0], [1]]))
+        both = hypothesis("Get blue item to red lm", "Get blue item to red lm")
+        other = hypothesis("get to green agent", "Get pink item to blue lm")
+        simulations = [Simulation(h, seed) for seed, h in enumerate([both, both, both, other])]
+        draws = [[chain, chain] for chain in range(4)]
+        post = phase_ppl.Posterior(make_tree(simulations, draws))
         post.save(folder / "posterior.nc")
         return folder
 

@@ -271,8 +271,8 @@ def leaving_out(
 def widened(size: float) -> float:
     """Return by what the error of a mean over ``size`` draws grows for their spread being unknown.
 
-    So that 1.96 errors hold as much as Student's t would: 6.5 for two draws, 1.04 for thirty; 1
-    where the size is NaN.
+    So that 1.96 errors hold as much as Student's t would: 2.2 for three draws or fewer, 1.04 for
+    thirty; 1 where the size is NaN.
     """
     if math.isnan(size):
         return 1.0

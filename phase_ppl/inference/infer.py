@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import warnings
 from concurrent.futures import Executor
@@ -201,7 +202,6 @@ def infer(
         run.check(iterations, budget)  # before it is read
         read = infer(event, model, seed=seed, workers=workers, progress=progress)
         return sample_table(read, run, options)
-    _check_rate(event, model)
     if checkpoint is not None:
         from phase_ppl.inference.checkpoint import SUFFIXES
 
@@ -212,7 +212,7 @@ def infer(
             )
         check_output(checkpoint, SUFFIXES)
     with locked(checkpoint):
-        return sample(run, options)
+        return sample(run, options, checked=functools.partial(_check_rate, event, model, 5))
 
 
 @on_cpu()
@@ -332,7 +332,7 @@ def resume(
         return sample(run, options, saved)
 
 
-def _check_rate(event: Event, model: Model) -> None:
+def _check_rate(event: Event, model: Model, level: int = 4) -> None:
     """Warn of tracks that agents of the joint simulator leave at another frame rate only."""
     scene, track = event.scene, event.observation.trajectory
     if model.simulator is None and is_slow(track, scene.radius, len(scene.world.agents)):
@@ -340,7 +340,7 @@ def _check_rate(event: Event, model: Model) -> None:
             f"event {shown(event.id)}: agents change their speed less than the floor's friction "
             "alone would make them; a frame is a twelfth of a second, and tracks with another "
             "number of frames a second are read by phase_ppl.Observation.at_rate(trajectory, fps)",
-            stacklevel=4,
+            stacklevel=level,
         )
 
 

@@ -89,6 +89,11 @@ class KernelInfo:
             raise InvalidSettingError(
                 f"kernel {self.name!r} makes {shown(made)}: expected a NumPyro MCMCKernel{hint}"
             )
+        if getattr(made, "adapts", False) and not self.adapts:
+            raise InvalidSettingError(
+                f"kernel {self.name!r} makes a {type(made).__name__}, whose proposal learns: give "
+                "the class itself, or its name"
+            )
         return made
 
     @property
@@ -211,4 +216,5 @@ def info_of(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         even_chains=getattr(kernel, "even_chains", False),
         keeps=getattr(kernel, "keeps", "all"),
         weighted=getattr(kernel, "weighted", False),
+        adapts=getattr(kernel, "adapts", False),
     )

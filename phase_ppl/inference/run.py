@@ -110,6 +110,11 @@ class Run:
         self.info = info_of(self.kernel)
         if is_stepwise(model.likelihood):
             check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
+            if self.info.adapts:
+                raise InvalidSettingError(
+                    f"kernel {self.info.name!r} learns from simulations, and what the closed loop "
+                    "has read takes none: it is summed exactly; take 'importance'"
+                )
         self.model = model.for_sampling().in_world(world)
         self.settings = self.settings.settled(world)
         self.chains = whole_number("chains", self.chains)

@@ -127,12 +127,21 @@ class RunOptions:
             )
 
 
-def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
-    """Do a run, or what is left of it, and return its posterior."""
+def sample(
+    run: Run,
+    options: RunOptions,
+    saved: Checkpoint | None = None,
+    checked: Callable[[], None] = lambda: None,
+) -> Posterior:
+    """Do a run, or what is left of it, and return its posterior.
+
+    ``checked`` is called when nothing can be refused any more, and before it begins.
+    """
     given = {name: getattr(options, name) for name in _OF_SIMULATIONS}
     place = run.model.build_simulator(), run.event.scene, run.event.observation
     with contextlib.closing(Runner(*place, workers=options.workers, **given)) as runner:
         sampler = Sampler(run, options, runner, saved)
+        checked()
         try:
             sampler.advance()
         except (KeyboardInterrupt, Cancelled):

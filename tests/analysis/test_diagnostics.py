@@ -250,7 +250,7 @@ def test_an_answer_is_decided_only_where_all_its_rivals_were_simulated() -> None
 
 
 def test_leaders_say_by_how_much_they_lead() -> None:
-    each = [[place] for place in range(10)]
+    each = [[place] * 2 for place in range(10)]
     found = posterior_of([A] * 9 + [B], each).leaders()["goal_red"]
     assert (found["label"], found["next"]) == (GOALS[A.goal_red], GOALS[B.goal_red])
     assert (found["probability"], found["next_probability"]) == pytest.approx((0.9, 0.1))

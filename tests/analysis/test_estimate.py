@@ -69,7 +69,7 @@ def test_an_estimate_is_a_float_in_all_else() -> None:
 def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> None:
     strengths = [200.0, 260.0, 320.0, 500.0]
     hypotheses = [hypothesis(strengths=(s, 300)) for s in strengths]
-    post = posterior_of(hypotheses, [[i] for i in range(4)])
+    post = posterior_of(hypotheses, [[i, i] for i in range(4)])
     expected = np.std(strengths, ddof=1) / 2 * widened(4)
     assert post.mean("strength_red").error == pytest.approx(expected)
     without = [np.std(np.delete(strengths, i)) for i in range(4)]
@@ -110,11 +110,11 @@ def test_all_questions_about_a_label_have_the_same_error() -> None:
 def test_the_mode_doubts_itself_by_half_in_a_tie_and_little_where_all_agree() -> None:
     tied = posterior_of((2, 5), [[0], [0], [1], [1]]).mode("goal_red")
     assert (tied, tied.error) == (GOALS[2], 0.5)
-    agreed = posterior_of((2, 5), [[1], [1], [1]]).mode("goal_red")
+    agreed = posterior_of((5, 5, 5), [[0, 0], [1, 1], [2, 2]]).mode("goal_red")
     # three independent draws that agree: Jeffreys' posterior of one half or less
     assert (agreed, agreed.error) == (GOALS[5], pytest.approx(beta(3.5, 0.5).cdf(0.5)))
     # of 8 chains 5 lead: the difference 1/4 has the error 2 sd / sqrt(8), sd^2 = 15 / 56
-    leads = posterior_of((2, 5), [[0]] * 5 + [[1]] * 3).mode("goal_red")
+    leads = posterior_of((2,) * 5 + (5,) * 3, [[i, i] for i in range(8)]).mode("goal_red")
     z = 0.25 / (2 * math.sqrt(15 / 56) / math.sqrt(8))
     by_chains = 0.5 * math.erfc(z / math.sqrt(2))
     codes, weights = np.repeat([0, 1], [5, 3]), np.full(8, 1 / 8)
@@ -129,7 +129,7 @@ def test_the_mode_doubts_itself_by_half_in_a_tie_and_little_where_all_agree() ->
 
 def test_more_chains_than_can_be_left_out_singly_are_left_out_in_groups() -> None:
     hypotheses = [hypothesis(strengths=(200.0 + i, 300)) for i in range(320)]
-    post = posterior_of(hypotheses, [[i] for i in np.random.default_rng(0).permutation(320)])
+    post = posterior_of(hypotheses, [[i, i] for i in np.random.default_rng(0).permutation(320)])
     expected = np.std(np.arange(320), ddof=1) / math.sqrt(320)
     assert post.mean("strength_red").error == pytest.approx(expected, rel=0.3)
 
@@ -192,30 +192,67 @@ def error_over_spread(results: Sequence[Any]) -> float:
 
 
 def test_few_particles_that_agree_leave_room_for_what_they_did_not_show() -> None:
-    post = posterior_of((2, 5), [[0]] * 15)
+    each = [[i, i] for i in range(16)]
+    post = posterior_of((2,) * 15, each[:15])
     # Jeffreys: mean 0.5 / 16 after 15 draws without it, variance p (1 - p) / 17
-    mean = 0.5 / 16
-    expected = math.sqrt(mean * (1 - mean) / 17 + mean**2)
+    expected = unseen(0.5, 15)
     assert post.probability(goal_red=GOALS[5]).error == pytest.approx(expected)
     assert post.probability(goal_red=GOALS[2]).error == pytest.approx(expected)
-    assert float(post.marginal("goal_red").error.sel(goal_red=GOALS[9])) == pytest.approx(expected)
+    # any other of all goals: one draw is shared by all of them
+    by_label = post.marginal("goal_red").error.sel(goal_red=GOALS[9])
+    assert float(by_label) == pytest.approx(unseen(1 / len(GOALS), 15))
     # of 16 that are worth 15 half fulfil the condition
-    mean, half = 0.5 / 8.5, posterior_of((2, 5), [[0], [1]] * 8)
+    half = posterior_of((2, 5) * 8, each)
     of_half = half.probability({"goal_red": GOALS[2]}, scenario="independent")
-    assert of_half.error == pytest.approx(math.sqrt(mean * (1 - mean) / 9.5 + mean**2))
+    assert of_half.error == pytest.approx(unseen(0.5, 7.5))
+
+
+def unseen(beforehand: float, n: float) -> float:
+    """Return the error of what none of ``n`` draws is, of a posterior with such a prior."""
+    mean = beforehand / (n + 1)
+    return math.sqrt(mean * (1 - mean) / (n + 2) + mean**2)
+
+
+def test_draws_are_worth_no_more_than_the_simulations_that_they_rest_on() -> None:
+    # all agree, but it is one simulation: nothing is sure
+    one = posterior_of((2, 5), [[0, 0]] * 15)
+    assert one.diagnostics()["effective_size"] == pytest.approx(1)
+    assert one.probability(goal_red=GOALS[5]).error == pytest.approx(unseen(0.5, 1))
+    assert not one.leaders()["goal_red"]["sure"]
+    assert "rest on 1.0 effective simulations; an answer needs 5" in one.diagnostics()["verdict"]
+    # particles that were chosen among all along are worth half
+    chosen = posterior_of((2,) * 15, [[i] for i in range(15)])
+    assert chosen.diagnostics()["effective_size"] == pytest.approx(7.5)
+
+
+def test_chains_that_have_not_come_to_where_the_others_are_do_not_count() -> None:
+    def post(*behind: float) -> Posterior:
+        level = [0.0, *behind]
+        simulations = [
+            Simulation(hypothesis(5), 2 * chain + draw, iteration=1, log_likelihood=level[chain])
+            for chain, draw in np.ndindex(len(level), 2)
+        ]
+        draws = [[2 * chain, 2 * chain + 1] for chain in range(len(level))]
+        return Posterior(make_tree(simulations, draws), "count")
+
+    alike, alone = post(*[0.0] * 9), post(*[-20.0] * 9)
+    assert alike.diagnostics()["effective_size"] == pytest.approx(20)
+    assert alone.diagnostics()["effective_size"] == pytest.approx(1)
+    assert alike.leaders()["goal_red"]["sure"]
+    assert not alone.leaders()["goal_red"]["sure"]
 
 
 def test_draws_whose_chains_happen_to_agree_are_worth_no_more_than_their_number() -> None:
-    even, odd = [0, 1, 0, 1, 0, 1, 0, 1], [0, 1, 0, 1, 0, 1, 0, 0]
-    post = posterior_of((2, 5), [even, even, even, odd])
+    goals = [2, 5] * 15 + [2, 2]
+    post = posterior_of(goals, np.arange(32).reshape(4, 8).tolist())
     # by how little the chains differ, they would be worth more than there are
     assert post.diagnostics()["effective_size"] == pytest.approx(32)
 
 
 def test_draws_are_worth_what_those_of_the_less_sure_goal_are() -> None:
-    pairs = [hypothesis(red, green) for green in (9, 12) for red in (2, 5)]
-    of_half = [[0, 1], [1, 0], [0, 1], [1, 0]]  # one goal of green, and either of red
-    post = posterior_of(pairs, [*of_half, *(np.array(of_half) + 2).tolist()[:3], [2, 2]])
+    reds = [[2, 5], [5, 2]] * 3 + [[2, 5], [2, 2]]  # and one goal of green in each chain
+    pairs = [hypothesis(red, 9 if c < 4 else 12) for c, row in enumerate(reds) for red in row]
+    post = posterior_of(pairs, np.arange(16).reshape(8, 2).tolist())
     # of green, who never moves, by the jackknife of 8 chains
     assert post.diagnostics()["effective_size"] == pytest.approx(7)
 
@@ -258,9 +295,10 @@ def test_errors_of_strata_are_as_large_as_runs_differ(noise: float, most: float)
     assert np.mean(results) == pytest.approx(exact[0], abs=bias)
 
 
-@pytest.mark.parametrize("n", [2, 5, 30])
+@pytest.mark.parametrize("n", [3, 5, 30])
 def test_errors_of_a_mean_of_few_draws_hold_what_they_say(n: int) -> None:
     draws = np.random.default_rng(0).normal(size=(4000, n))
     error = draws.std(axis=1, ddof=1) / np.sqrt(n) * widened(n)
     assert (np.abs(draws.mean(axis=1)) <= 1.96 * error).mean() == pytest.approx(0.95, abs=0.015)
     assert widened(float("nan")) == 1.0
+    assert widened(1.5) == widened(3)  # with one degree of freedom it would be 6.5

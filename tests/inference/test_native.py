@@ -366,7 +366,7 @@ def test_a_prior_can_be_stepped_through_in_infer_and_in_mcmc() -> None:
             seen.append(int(red))
 
     model = ppl.Model(prior=watched, simulator=MODEL.simulator)
-    few = {"chains": 2, "iterations": None, "budget": ppl.simulations(4)}
+    few = {"chains": 1, "iterations": None, "budget": ppl.simulations(2)}
     with opened(model) as program, jax.disable_jit():
         seen.clear()
         mcmc = sampled(ppl.kernels.PriorMH(program), 1, 1)

@@ -83,14 +83,14 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
         info_of(7)  # type: ignore[arg-type]
 
 
-CONSISTENT = ("enumerate", "importance", "sa", "smc")
+CONSISTENT = ("amis", "enumerate", "importance", "sa", "smc")
 
 
 @pytest.mark.parametrize("name", [*CONSISTENT, "aies", "gibbs"])
 def test_what_is_made_of_a_kernel_counts_its_draws_as_it_does(name: str) -> None:
     info: Any = info_of(name)
     own = info_of(type("Own", (info.factory,), {}))
-    for what in ("even_chains", "keeps", "weighted"):
+    for what in ("even_chains", "keeps", "weighted", "adapts"):
         assert getattr(own, what) == getattr(info, what), what
     assert own.validity == "unknown"  # before it is made
     assert info.factory.validity == info.validity

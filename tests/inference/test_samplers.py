@@ -193,6 +193,7 @@ def by_effective_goals(rows: Iterable[Any]) -> dict[tuple[int, int], float]:
         ("sa", {"iterations": 2, "pool": 3}, 30, 2),
         ("aies", {"iterations": 2, "chains": 12}, 36, 2),
         ("importance", {"iterations": 2}, 18, 3),
+        ("amis", {"iterations": 2}, 18, 3),
     ],
 )
 def test_whole_run_keeps_its_promise_and_survives_a_file(
@@ -208,7 +209,7 @@ def test_whole_run_keeps_its_promise_and_survives_a_file(
     assert post.weights == "count"
     assert ("weighted draws" in post.diagnostics()["verdict"]) == info.weighted
     weight = post.tree["sample_stats"]["log_weight"].values
-    assert (np.ptp(weight) > 0) == (kernel in ("enumerate", "importance"))
+    assert (np.ptp(weight) > 0) == (kernel in ("enumerate", "importance", "amis"))
     assert ("log_evidence" in post.tree["sample_stats"]) == (kernel == "smc")
     assert post.tree.attrs["validity"] == info.validity
     if kernel == "enumerate":

@@ -136,6 +136,17 @@ class AMIS(Importance):
     versions. Nothing is stopped early.
     """
 
+    adapts = True
+
+    @property
+    def guide(self) -> Program:
+        """The present proposal, which only a run of ``infer`` fits to its draws."""
+        if self._guide is None:
+            raise InvalidSettingError(
+                "AMIS learns from a whole run: call phase_ppl.infer(event, kernel='amis')"
+            )
+        return super().guide
+
     def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         return self.draw_guide(key, 0), jnp.asarray(-1, jnp.int32)
 
@@ -313,9 +324,10 @@ class _Simulated(NamedTuple):
     ) -> _Simulated:
         names = (space.company_site, *space.goal_sites, *space.strength_sites)
         sites = {name: np.array([record.sites[name] for record in records]) for name in names}
-        shown = np.stack([record.result.trajectory[..., :2] for record in records])
+        # as a checkpoint keeps them, so that a run that goes on learns the same
+        found = [record.result.trajectory[..., :2].astype(np.float32) for record in records]
         strengths = np.stack([sites[name] for name in space.strength_sites], axis=1)
-        squares = ((shown.astype(np.float64) - observed) ** 2).sum(axis=3)
+        squares = ((np.array(found, np.float64) - observed) ** 2).sum(axis=3)
         return cls(made_by, space.effective(sites).astype(np.int64), strengths, squares)
 
 
