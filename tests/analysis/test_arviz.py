@@ -73,8 +73,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     | {"strengths": [300.0, 400.0]},
     "smc": {"move": "prior_mh"},
 }
-QUICK = ("importance", "local_mh", "prior_mh")
-"""Kernels that other tests run on this event too: compiled programs are shared."""
+QUICK = ("amis", "local_mh", "prior_mh")
+"""Of each kind of draws a kernel that compiles soon: weighted, proposed, from the prior."""
 
 
 @functools.cache
@@ -175,7 +175,7 @@ def test_arviz_finds_draws_of_weighted_rows_worth_as_many_as_their_weights() -> 
 def test_a_file_has_the_same_draws(tmp_path: Path) -> None:
     own = {"same_target": "target_red = target_green"}
     posts = [Posterior(run_of("local_mh", 6).tree, w) for w in ("stratified", "count")]
-    for post in (*posts, run_of("importance", 6), StepwisePosterior(reading()).at(2)):
+    for post in (*posts, run_of("amis", 6), StepwisePosterior(reading()).at(2)):
         for name, words in own.items():
             post.define(name, words)
         again = ppl.load_posterior(post.save(tmp_path / "post.nc"))

@@ -117,6 +117,7 @@ def test_a_complete_run_gives_its_posterior_without_simulating(
     assert path.read_bytes() == before
 
 
+@pytest.mark.filterwarnings("ignore:event 'walk'")  # no agent of the joint simulator moves so
 def test_event_and_parts_of_the_package_need_not_be_given_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -189,8 +189,8 @@ def unequal_strengths() -> None:
 def test_strengths_of_few_values_and_of_no_upper_end_are_walked_as_the_prior_has_them() -> None:
     runner = TableRunner(np.zeros_like(ERRORS))  # nothing is known but the prior
     program, _bridge = table_program(runner, unequal_strengths)
-    states = run(RandomWalkMH(program, scale=100.0), 60, random.split(KEYS[0], 500))
-    red, green = (np.asarray(states.z[name])[30:] for name in ("strength_red", "strength_green"))
+    states = run(RandomWalkMH(program, scale=100.0), 50, random.split(KEYS[0], 250))
+    red, green = (np.asarray(states.z[name])[20:] for name in ("strength_red", "strength_green"))
     assert [(red == value).mean() for value in VALUES] == pytest.approx(SHARES, abs=0.04)
     assert (green.mean(), green.std()) == pytest.approx((200.0, 100.0), rel=0.08)
 
