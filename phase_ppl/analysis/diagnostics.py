@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import FEW_DRAWS, total_variation, worth
+from phase_ppl.analysis.estimate import total_variation, worth
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
 from phase_ppl.analysis.tree import (
     are_weighted,
@@ -43,6 +43,7 @@ def diagnostics(
     rows: Rows,
     leaders: Mapping[str, dict[str, Any]],
     effective_size: float,
+    needed: float,
     scenario: ScenarioFunction | None = None,
 ) -> dict[str, Any]:
     """Return the diagnostics of a tree of draws as plain data.
@@ -67,11 +68,12 @@ def diagnostics(
     * ``untried_rivals``: how many pairs that differ from the leading one in nothing but one
       agent's landmark were never simulated, though the prior allows them.
     * ``decided``: whether all leaders are sure, have more than ``ALONE`` without the prior, by
-      ``FEW_DRAWS`` independent draws or more, and all rivals were tried.
+      ``effective_size_needed`` independent draws or more, and all rivals were tried.
     * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
       weighting in use; None with one particle.
     * ``effective_size``: how many independent draws would be as sure of the goals as the
       weighting in use; None with one particle.
+    * ``effective_size_needed``: how many of these an answer needs to be sure.
     * ``untried``: prior mass of the pairs of effective goals without a completed simulation; None
       where the file does not hold the prior of pairs.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
@@ -134,11 +136,12 @@ def diagnostics(
         },
         "leaders": answers,
         "untried_rivals": n_untried,
-        "decided": effective_size >= FEW_DRAWS
+        "decided": effective_size >= needed
         and not n_untried
         and all(one["sure"] and (one["without_prior"] or 0) > ALONE for one in answers.values()),
         "monte_carlo_error": {name: leaders[name]["error"] for name in goals},
         "effective_size": effective_size,
+        "effective_size_needed": needed,
         "untried": untried(tree),
         "scalars": {
             name: {

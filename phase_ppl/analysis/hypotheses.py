@@ -286,7 +286,7 @@ class Hypotheses(Printed):
                 "next": second,
                 "next_probability": float(second_share),
                 "sure": bool(
-                    share - SURE * share.error > 0.5 and not self._effective_size < FEW_DRAWS
+                    share - SURE * share.error > 0.5 and not self._effective_size < self._needed
                 ),
             }
         return found
@@ -508,6 +508,11 @@ class Hypotheses(Printed):
             parts = rows.weights, rows.groups, rows.halves
             self._jackknives[share] = leaving_out(*parts, share, rows.strata)
         return self._jackknives.get(share)
+
+    @functools.cached_property
+    def _needed(self) -> float:
+        """How many effective draws an answer is to rest on, to be sure."""
+        return FEW_DRAWS
 
     @functools.cached_property
     def _unseen(self) -> float:

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.estimate import Jackknife, Jackknives, shares, worth
+from phase_ppl.analysis.estimate import FEW_WHERE_TOLD, TOLD, Jackknife, Jackknives, shares, worth
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.tree import (
@@ -29,6 +29,7 @@ from phase_ppl.analysis.tree import (
     shape_of_draws,
     simulation_of_draw,
     space_of_tree,
+    suggestion_agreement,
     unseen_share,
     untried,
 )
@@ -138,6 +139,11 @@ class Posterior(EventPosterior):
         return Jackknives((over_chains, Jackknife(self._without_sets, n_sets - 1.0)))
 
     @functools.cached_property
+    def _needed(self) -> float:
+        told = suggestion_agreement(self._tree)
+        return FEW_WHERE_TOLD if told >= TOLD else super()._needed
+
+    @functools.cached_property
     def _unseen(self) -> float:
         # chains come to what they have not seen; a proposal that was fitted need not
         return unseen_share(self._tree) if self._attrs.get("adapts") else 0.0
@@ -157,7 +163,8 @@ class Posterior(EventPosterior):
         frame = pd.DataFrame({**columns, "sim_seed": stats["sim_seed"].values.ravel()})
         visited = frame.groupby(names, sort=False).ngroup().to_numpy()
         size = worth(shares(visited, self._rows.weights))
-        if len(stats["draw"]) == 1:  # a population has chosen among its particles all along
+        if len(stats["draw"]) == 1 and "log_evidence" in stats:
+            # a population has chosen among its particles all along
             return size / 2
         if not are_equal(self._rows.weights) or are_weighted(self._counted):
             return size
@@ -297,6 +304,7 @@ class Posterior(EventPosterior):
             self._rows,
             self.leaders(),
             self._effective_size,
+            self._needed,
             self._words.scenario,
         )
 

@@ -159,6 +159,27 @@ def untried(tree: xr.DataTree) -> float:
     return max(0.0, 1.0 - float(found.sum()) / possible_mass(tree))
 
 
+def suggestion_agreement(tree: xr.DataTree) -> float:
+    """Return the rank correlation of how much the video suggests simulations with how they fit.
+
+    Of log proposal less log prior density with the log likelihood; 0 where proposals have none.
+    """
+    simulations = tree["simulations"].dataset
+    if "log_proposal" not in simulations:
+        return 0.0
+    done = simulations["completed"].values & ~simulations["failed"].values
+    suggested = (simulations["log_proposal"] - simulations["log_prior"]).values
+    done &= np.isfinite(suggested)
+    if done.sum() < _FEWEST_RANKS:
+        return 0.0
+    columns = suggested[done], simulations["log_likelihood"].values[done]
+    ranks = pd.DataFrame(np.transpose(columns)).rank()
+    return float(np.nan_to_num(ranks[0].corr(ranks[1])))
+
+
+_FEWEST_RANKS: Final = 10
+
+
 def unseen_share(tree: xr.DataTree) -> float:
     """Return the posterior probability that goals which were never simulated may have.
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from phase_ppl.analysis.estimate import FEW_DRAWS, with_error
+from phase_ppl.analysis.estimate import with_error
 from phase_ppl.analysis.with_arviz import MIN_CHAINS_BETWEEN, MIN_DRAWS, MIN_DRAWS_WITHIN
 
 AGREED: Final = 0.8
@@ -73,10 +73,10 @@ def _signs(found: Mapping[str, Any], weighted: bool) -> Iterator[str]:
             f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
             "the bottom-up guess."
         )
-    if size is not None and size < FEW_DRAWS:
+    if size is not None and size < (needed := found["effective_size_needed"]):
         yield (
             f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
-            f"{FEW_DRAWS:g}. Another run may well differ."
+            f"{needed:g}. Another run may well differ."
         )
     if weighted:
         yield from _weighted(found)
