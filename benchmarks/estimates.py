@@ -162,7 +162,8 @@ def main() -> None:
                 exact = toy.exact(event)
                 for post in posteriors(toy, event, kernel, chains, iterations, options.runs):
                     found_out = post.diagnostics()
-                    is_enough = found_out["effective_size"] >= found_out["effective_size_needed"]
+                    needed = found_out["effective_size_needed"] or math.inf
+                    is_enough = found_out["effective_size"] >= needed
                     found[is_enough].append(judged(post, exact, true))
             for is_enough in found:
                 everything[is_enough] += found[is_enough]

@@ -73,7 +73,8 @@ def diagnostics(
       weighting in use; None with one particle.
     * ``effective_size``: how many independent draws would be as sure of the goals as the
       weighting in use; None with one particle.
-    * ``effective_size_needed``: how many of these an answer needs to be sure.
+    * ``effective_size_needed``: how many of these an answer needs to be sure; None where no
+      number will do, as most goals were not simulated and what was does not fit by choice.
     * ``untried``: prior mass of the pairs of effective goals without a completed simulation; None
       where the file does not hold the prior of pairs.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
@@ -141,7 +142,7 @@ def diagnostics(
         and all(one["sure"] and (one["without_prior"] or 0) > ALONE for one in answers.values()),
         "monte_carlo_error": {name: leaders[name]["error"] for name in goals},
         "effective_size": effective_size,
-        "effective_size_needed": needed,
+        "effective_size_needed": needed if np.isfinite(needed) else None,
         "untried": untried(tree),
         "scalars": {
             name: {

@@ -103,8 +103,8 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
 FEW_DRAWS: Final = 5.0
 """Independent draws below which an answer rests on too little to be sure of anything."""
 
-FEW_WHERE_TOLD, TOLD = 2.0, 0.3
-"""Likewise, where simulations fit the better the more the video suggested them: from that rank
+FEW_WHERE_TOLD, TOLD = 2.0, 0.35
+"""Likewise, where goals fit the better the more the video suggested them: from that rank
 correlation on. In a world that the suggestions know (PHASE) answers on 2 to 5 effective draws were
 right in 29 of 29, in worlds that they do not know in 5 of 10 (``benchmarks/estimates.py``)."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import os
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
@@ -52,6 +53,9 @@ HINDSIGHT: Final = (
 _ARRIVED: Final = 0.5
 """Share of the chains, weighted by the density where they are, that is to be left (Kish) for them
 to have come to the same place."""
+
+_MOST_UNTRIED: Final = 0.5
+"""Prior mass of goals that may never have been simulated, where suggestions do not tell of them."""
 
 _STREAM: Final = 0x9EA1  # keeps replicates apart from what else follows from the run's seed
 
@@ -140,8 +144,12 @@ class Posterior(EventPosterior):
 
     @functools.cached_property
     def _needed(self) -> float:
-        told = suggestion_agreement(self._tree)
-        return FEW_WHERE_TOLD if told >= TOLD else super()._needed
+        if self._looked_up:
+            return super()._needed
+        if suggestion_agreement(self._tree) >= TOLD:
+            return FEW_WHERE_TOLD
+        # what was tried was not chosen for fitting, and most was not tried
+        return math.inf if self.untried > _MOST_UNTRIED else super()._needed
 
     @functools.cached_property
     def _unseen(self) -> float:

@@ -160,9 +160,10 @@ def untried(tree: xr.DataTree) -> float:
 
 
 def suggestion_agreement(tree: xr.DataTree) -> float:
-    """Return the rank correlation of how much the video suggests simulations with how they fit.
+    """Return the rank correlation of how much the video suggests goals with how they fit.
 
-    Of log proposal less log prior density with the log likelihood; 0 where proposals have none.
+    Of log proposal less log prior density with the log likelihood, of the first simulation of the
+    goals of all; 0 where proposals have no density, or goals are few.
     """
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
@@ -170,9 +171,11 @@ def suggestion_agreement(tree: xr.DataTree) -> float:
     done = simulations["completed"].values & ~simulations["failed"].values
     suggested = (simulations["log_proposal"] - simulations["log_prior"]).values
     done &= np.isfinite(suggested)
-    if done.sum() < _FEWEST_RANKS:
+    goals = effective_goals(tree, "simulations")[done]
+    _, first = np.unique(goals, axis=0, return_index=True)
+    if len(first) < _FEWEST_RANKS:
         return 0.0
-    columns = suggested[done], simulations["log_likelihood"].values[done]
+    columns = suggested[done][first], simulations["log_likelihood"].values[done][first]
     ranks = pd.DataFrame(np.transpose(columns)).rank()
     return float(np.nan_to_num(ranks[0].corr(ranks[1])))
 

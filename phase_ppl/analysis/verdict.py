@@ -73,7 +73,13 @@ def _signs(found: Mapping[str, Any], weighted: bool) -> Iterator[str]:
             f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
             "the bottom-up guess."
         )
-    if size is not None and size < (needed := found["effective_size_needed"]):
+    needed = found["effective_size_needed"]
+    if needed is None:
+        yield (
+            f"Not enough: goals with {untried:.2f} of the prior's mass were never simulated, and "
+            "those that were are no better than chance."
+        )
+    elif size is not None and size < needed:
         yield (
             f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
             f"{needed:g}. Another run may well differ."

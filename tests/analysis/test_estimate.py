@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.stats import beta
 
 from phase_ppl.analysis.estimate import (
@@ -221,8 +222,10 @@ def test_draws_are_worth_no_more_than_the_simulations_that_they_rest_on() -> Non
     assert not one.leaders()["goal_red"]["sure"]
     assert "rest on 1.0 effective simulations; an answer needs 5" in one.diagnostics()["verdict"]
     # particles that were chosen among all along are worth half
-    chosen = posterior_of((2,) * 15, [[i] for i in range(15)])
-    assert chosen.diagnostics()["effective_size"] == pytest.approx(7.5)
+    tree = posterior_of((2,) * 15, [[i] for i in range(15)]).tree
+    evidence = {"log_evidence": (("chain", "draw"), np.zeros((15, 1)))}
+    tree["sample_stats"] = xr.DataTree(tree["sample_stats"].to_dataset().assign(evidence))
+    assert Posterior(tree).diagnostics()["effective_size"] == pytest.approx(7.5)
 
 
 def test_chains_that_have_not_come_to_where_the_others_are_do_not_count() -> None:
