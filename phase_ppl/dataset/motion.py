@@ -30,7 +30,7 @@ original ones that were cut go on for 5 to 9 frames."""
 
 _MOVING: Final = 0.02  # units per frame that count as motion where the end of it is looked for
 
-_ENOUGH: Final = 10  # frames in motion that say something about their rate
+_ENOUGH: Final = 40  # frames in which an agent moves, to tell how it changes its speed
 _SLOW_AT: Final = 0.9  # quantile of changes of speed that is as large as any but the rarest
 
 HELD_WITHIN: Final = 0.05
