@@ -108,6 +108,7 @@ FEW_WHERE_TOLD, TOLD = 2.0, 0.35
 correlation on. In a world that the suggestions know (PHASE) answers on 2 to 5 effective draws were
 right in 29 of 29, in worlds that they do not know in 5 of 10 (``benchmarks/estimates.py``)."""
 
+MISLED: Final = 0.1  # rank correlation below which suggestions are no better than chance
 _FEWEST_DEGREES: Final = 2.0  # of freedom: with one, 6.5 spreads would be one error
 _CLEARLY: Final = 2.0  # standard errors by which halves of the draws are to differ
 N_SETS: Final = 30  # random sets of chains that are left out

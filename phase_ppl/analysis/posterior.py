@@ -15,7 +15,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.estimate import FEW_WHERE_TOLD, TOLD, Jackknife, Jackknives, shares, worth
+from phase_ppl.analysis.estimate import (
+    FEW_WHERE_TOLD,
+    MISLED,
+    TOLD,
+    Jackknife,
+    Jackknives,
+    shares,
+    worth,
+)
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
 from phase_ppl.analysis.tree import (
@@ -146,10 +154,12 @@ class Posterior(EventPosterior):
     def _needed(self) -> float:
         if self._looked_up:
             return super()._needed
-        if suggestion_agreement(self._tree) >= TOLD:
+        told = suggestion_agreement(self._tree)
+        if told >= TOLD:
             return FEW_WHERE_TOLD
-        # what was tried was not chosen for fitting, and most was not tried
-        return math.inf if self.untried > _MOST_UNTRIED else super()._needed
+        # what was tried does not fit any better for being suggested, and most was not tried
+        misled = told < MISLED and self.untried > _MOST_UNTRIED
+        return math.inf if misled else super()._needed
 
     @functools.cached_property
     def _unseen(self) -> float:

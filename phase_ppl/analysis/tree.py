@@ -163,21 +163,21 @@ def suggestion_agreement(tree: xr.DataTree) -> float:
     """Return the rank correlation of how much the video suggests goals with how they fit.
 
     Of log proposal less log prior density with the log likelihood, of the first simulation of the
-    goals of all; 0 where proposals have no density, or goals are few.
+    goals of all; NaN where proposals have no density, or goals are few.
     """
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
-        return 0.0
+        return np.nan
     done = simulations["completed"].values & ~simulations["failed"].values
     suggested = (simulations["log_proposal"] - simulations["log_prior"]).values
     done &= np.isfinite(suggested)
     goals = effective_goals(tree, "simulations")[done]
     _, first = np.unique(goals, axis=0, return_index=True)
     if len(first) < _FEWEST_RANKS:
-        return 0.0
+        return np.nan
     columns = suggested[done][first], simulations["log_likelihood"].values[done][first]
     ranks = pd.DataFrame(np.transpose(columns)).rank()
-    return float(np.nan_to_num(ranks[0].corr(ranks[1])))
+    return float(ranks[0].corr(ranks[1]))
 
 
 _FEWEST_RANKS: Final = 10
