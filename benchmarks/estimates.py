@@ -31,7 +31,7 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.draws import burn_in
+from phase_ppl.inference.draws import LONG, burn_in
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import Hypothesis
@@ -63,14 +63,16 @@ def of_chains(tree: xr.DataTree, chains: slice) -> xr.DataTree:
 def posteriors(
     toy: toys.Toy, event: ppl.Event, kernel: str, chains: int, iterations: int, runs: int
 ) -> Iterator[Posterior]:
-    """Yield the posteriors of runs that differ by chance; of chains that do not meet, by one."""
+    """Yield the posteriors of runs that differ by chance.
+
+    Long chains that do not meet are run at once and divided; the rivals of short ones are theirs.
+    """
     given: dict[str, Any] = {"kernel": kernel, "iterations": iterations, "workers": 1}
     given["progress"] = False
-    if kernel in ("smc", "amis"):
+    if kernel in ("smc", "amis") or iterations < LONG:
         for seed in range(runs):
             yield ppl.infer(event, toy.model, chains=chains, seed=seed, **given)
         return
-    # a budget has no rivals tried, who are those of all runs together
     tree = ppl.infer(event, toy.model, chains=chains * runs, seed=0, **given).tree
     for run in range(runs):
         part = of_chains(tree, slice(run * chains, (run + 1) * chains))

@@ -7,16 +7,17 @@ which jump from draw to draw, random thirds. Added is what chains do not show by
 
 * Chains that still move away from where they began. Where draws count equally, the squared
   difference of the statistic between the first and the last half of the draws, as far as it is
-  beyond chance. Of chains that have settled this makes errors too large, by up to two thirds.
+  clearly beyond chance.
 * What few draws need not have shown. Fifteen particles that agree do not make a goal impossible:
-  the error of a probability is at least that of Jeffreys' posterior after as many independent
-  draws as the run is worth (:func:`with_unseen`).
+  the error of a probability is at least that of a posterior after as many independent draws as the
+  run is worth (:func:`with_unseen`), at most the distinct simulations that it rests on.
+* What a proposal that was fitted has never tried (``phase_ppl.analysis.tree.unseen_share``).
 
 So an error is
 
 * unknown (NaN) with one chain, or where without one of the sets nothing is left to condition on;
 * too small where all chains began at the same wrong place and none has left it;
-* too small for kernels whose chains exchange states (smc, sa, aies), and too large for
+* too small for kernels whose chains exchange states (sa, aies), and too large for
   ``enumerate``, whose chains share out the hypotheses and do not sample them.
 
 It is no MCSE of ArviZ's: that is of chains whose draws count alike, and knows neither weighted
@@ -105,8 +106,8 @@ FEW_DRAWS: Final = 5.0
 
 FEW_WHERE_TOLD, TOLD = 2.0, 0.35
 """Likewise, where goals fit the better the more the video suggested them: from that rank
-correlation on. In a world that the suggestions know (PHASE) answers on 2 to 5 effective draws were
-right in 29 of 29, in worlds that they do not know in 5 of 10 (``benchmarks/estimates.py``)."""
+correlation on. In PHASE, which the suggestions know, answers on 2 to 5 effective draws are as right
+as others (``benchmarks/decided.py``), in worlds that they do not know, not."""
 
 MISLED: Final = 0.1  # rank correlation below which suggestions are no better than chance
 _FEWEST_DEGREES: Final = 2.0  # of freedom: with one, 6.5 spreads would be one error

@@ -90,7 +90,7 @@ def _signs(found: Mapping[str, Any], weighted: bool) -> Iterator[str]:
         yield from _disagreement(found)
         yield from _mixing(found)
         yield from _other_leaders(found["categories"])
-    if untried is not None and untried >= UNTRIED:
+    if untried is not None and untried >= UNTRIED and needed is not None:  # else it is said
         yield (
             f"{_combined(found).capitalize()} with {untried:.2f} of the prior's mass were never "
             "simulated, and count as impossible."

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import untried_rivals
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.weights import WEIGHTINGS
+from phase_ppl.analysis.weights import WEIGHTINGS, log_sum_exp
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.draws import Columns, build_tree, particles_of, sites_of
 from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given, make_kernel
@@ -328,11 +328,13 @@ class Sampler:
         """Return the particles with the weights that they have in the end."""
         if self._adaptation is None:
             return self._particles
-        pairs = zip(self._particles, self._adaptation.log_weights(), strict=True)
-        # weights are relative to a likelihood without any error
+        with on_cpu():
+            weights = self._adaptation.log_weights()
+        # they are relative to a likelihood without any error
         perfect = self._run.model.error_likelihood.log_prob(np.zeros(self._n_frames)).sum()
-        evidence = np.full(self._run.chains, self._adaptation.log_evidence() + float(perfect))
-        given = {"log_evidence": evidence}
+        evidence = log_sum_exp(weights) - math.log(weights.size) + float(perfect)
+        given = {"log_evidence": np.full(self._run.chains, evidence)}
+        pairs = zip(self._particles, weights, strict=True)
         return [{**particles, **given, "log_weight": one} for particles, one in pairs]
 
     def _try_rivals(self, bar: Progress) -> None:
@@ -343,6 +345,8 @@ class Sampler:
         """
         chains = self._run.chains
         if self._length.budget is not None or self._rivals_from is not None:  # by an earlier call
+            return
+        if self._run.info.weighted:  # whose draws are weighed, not the simulations
             return
         tried: set[tuple[int, ...]] = set()
         for round_ in range(_ROUNDS):

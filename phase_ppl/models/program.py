@@ -21,6 +21,7 @@ from phase_ppl.models.uniform import IMPOSSIBLE, SEED_BITS, dimensions, in_steps
 from phase_ppl.world.event import Observation
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.scene import Scene
+from phase_ppl.world.space import HypothesisSpace
 
 MAX_SEED: Final = 2**31 - 1  # simulator seeds lie below this
 SEED_SITE: Final = "sim_seed"
@@ -213,11 +214,7 @@ class EventProgram:
 
     def effective_goals(self, sites: Sites) -> jax.Array:
         """Return (agent,) the codes of the goals that agents act on."""
-        space = self.space
-        way = sites[space.company_site]
-        stated = jnp.stack([jnp.asarray(sites[name], jnp.int32) for name in space.goal_sites])
-        owner, agents = jnp.asarray(space.owner)[way], np.arange(space.n_agents)
-        return jnp.asarray(space.becomes)[way, agents, stated[owner]]
+        return effective_goals(self.space, sites)
 
     def _effective(self, sites: Sites) -> jax.Array:
         """Return a number, uint32, that stands for the effective goals of all agents."""
@@ -226,6 +223,14 @@ class EventProgram:
         agents = np.arange(space.n_agents)
         place = np.array([space.n_goals**k for k in agents[::-1].tolist()], np.uint64)
         return (goals * place.astype(np.uint32)).sum(dtype=jnp.uint32)
+
+
+def effective_goals(space: HypothesisSpace, sites: Sites) -> jax.Array:
+    """Return (agent,) the codes of the goals that agents act on; inside compiled code."""
+    way = sites[space.company_site]
+    stated = jnp.stack([jnp.asarray(sites[name], jnp.int32) for name in space.goal_sites])
+    owner, agents = jnp.asarray(space.owner)[way], np.arange(space.n_agents)
+    return jnp.asarray(space.becomes)[way, agents, stated[owner]]
 
 
 def event_salt(scene: Scene, observation: Observation) -> int:

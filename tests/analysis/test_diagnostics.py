@@ -251,6 +251,36 @@ def test_an_answer_is_decided_only_where_all_its_rivals_were_simulated() -> None
     assert not untold["decided"]
 
 
+def test_more_is_needed_where_what_the_video_suggests_does_not_fit() -> None:
+    others = [hypothesis(goal, 5) for goal in range(20) if goal != 0][:14]
+    fits = np.arange(14.0)
+    tried = [
+        Simulation(one, place, iteration=1, log_likelihood=fit)
+        for place, (one, fit) in enumerate(zip(others, fits, strict=True))
+    ]
+
+    def needed(suggested: Any, prior: Any) -> float | None:
+        tree = with_prior(make_tree(tried, [[place] for place in range(14)]), prior)
+        simulations = tree["simulations"].to_dataset()
+        proposal = ("simulation", np.asarray(suggested, float))
+        tree["simulations"] = xr.DataTree(simulations.assign(log_proposal=proposal))
+        found = Posterior(tree).diagnostics()
+        assert ("no better than chance" in found["verdict"]) == (
+            found["effective_size_needed"] is None
+        )
+        size: float | None = found["effective_size_needed"]
+        return size
+
+    everywhere = np.full((len(GOALS), len(GOALS)), 1 / len(GOALS) ** 2)
+    there = np.zeros((len(GOALS), len(GOALS)))
+    for one in others:
+        there[one.effective_goals] = 1 / 14
+    assert needed(fits, everywhere) == 2.0, "it fits as suggested"
+    assert needed(-fits, everywhere) is None, "misled, and most was not tried"
+    assert needed(-fits, there) == 5.0, "misled, but all was tried"
+    assert needed([np.nan] * 14, everywhere) == 5.0, "nothing was suggested"
+
+
 def test_leaders_say_by_how_much_they_lead() -> None:
     each = [[place] * 2 for place in range(10)]
     found = posterior_of([A] * 9 + [B], each).leaders()["goal_red"]

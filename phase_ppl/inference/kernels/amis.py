@@ -31,8 +31,9 @@ import numpyro
 import numpyro.distributions as dist
 from numpy.typing import NDArray
 from numpyro import handlers
-from scipy.special import ndtr
 
+from phase_ppl.analysis.estimate import worth
+from phase_ppl.analysis.weights import log_sum_exp, normalised
 from phase_ppl.inference.guide import Mixture, Replaced, estimated, strength_distribution
 from phase_ppl.inference.kernels.weighted import Importance
 from phase_ppl.inference.registry import register_kernel
@@ -40,6 +41,7 @@ from phase_ppl.models.bridge import Record
 from phase_ppl.models.density import Program, Sites, compiled_quickly, log_density, remembered
 from phase_ppl.models.effective import prior_table
 from phase_ppl.models.model import Model
+from phase_ppl.models.program import effective_goals
 from phase_ppl.models.roles import WorldPrior, masses_of, space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.world.arrays import FloatArray
@@ -93,16 +95,11 @@ def guide_of(
 
     def fitted(_: Any) -> None:
         given: dict[str, jax.Array] = {}
-        place: tuple[jax.Array, ...] = ()
-        for name, logits in zip(
-            (space.company_site, *space.goal_sites), proposal.goals, strict=True
-        ):
-            given[name] = numpyro.sample(name, dist.Categorical(logits=jnp.asarray(logits)[place]))
-            place = (*place, given[name])
-        way, stated = place[0], jnp.stack(place[1:])
-        agents = np.arange(space.n_agents)
-        acts_on = jnp.asarray(space.becomes)[way, agents, stated[jnp.asarray(space.owner)[way]]]
-        replace = {}
+        names = (space.company_site, *space.goal_sites)
+        for name, logits in zip(names, proposal.goals, strict=True):
+            law = dist.Categorical(logits=jnp.asarray(logits)[tuple(given.values())])
+            given[name] = numpyro.sample(name, law)
+        acts_on, replace = effective_goals(space, given), {}
         for agent, name in enumerate(space.strength_sites):
             known, normal = estimated(
                 jnp.asarray(proposal.strength)[agent, acts_on[agent]],
@@ -169,14 +166,13 @@ class Adaptation:
     ) -> None:
         self._model, self._observed, self._share = model, observed, prior_share
         self._space = space_of_prior(model.prior)
-        sites = tuple(model.sites.items())
-        self._density = _density_of_proposals(model.prior, sites, prior_share)
         self._proposals = [first]
         self._made_by: list[int] = []  # which proposal drew each batch
         self._batches: list[Mapping[str, NDArray[Any]]] = []
-        self._log_targets: list[FloatArray] = []  # of each batch, log P(h) L; -inf: failed
-        self._log_density = np.empty((1, 0))  # (proposal, draw)
+        self._log_weights: list[FloatArray] = []  # under what drew each batch; -inf: failed
         self._simulated: list[_Simulated] = []
+        shape = (self._space.n_goals,) * self._space.n_agents
+        self._tried = np.zeros(shape, bool)  # (goal, ..., goal) effective ones, failed ones too
         self._fitted_to = 0
 
     @property
@@ -188,56 +184,48 @@ class Adaptation:
         self, sites: Mapping[str, NDArray[Any]], log_weight: FloatArray, records: Sequence[Record]
     ) -> None:
         """Count a batch (chain, ...) that the present proposal drew, and fit the next one."""
-        columns = [self._evaluated(one, [sites]) for one in self._proposals]
-        self._log_density = np.concatenate([self._log_density, np.stack(columns)], axis=1)
         self._made_by.append(len(self._proposals) - 1)
         self._batches.append(sites)
-        self._log_targets.append(log_weight + columns[-1])
-        done = [record for record in records if record.result.completed]
-        if done:
-            made_by = len(self._proposals) - 1
-            self._simulated.append(_Simulated.of(done, made_by, self._observed, self._space))
-        n = self._log_density.shape[1]
-        if n < max(GROWTH * self._fitted_to, _FEWEST * self._space.n_goals) or not self._simulated:
-            return
-        self._fitted_to = n
-        self._proposals.append(self._fitted())
-        row = self._evaluated(self.proposal, self._batches)
-        self._log_density = np.vstack([self._log_density, row])
+        self._log_weights.append(log_weight)
+        if records:
+            found = _Simulated.of(records, self._made_by[-1], self._observed, self._space)
+            self._tried[tuple(found.goals.T)] = True
+            done = np.array([record.result.completed for record in records])
+            self._simulated.append(_Simulated(*(column[done] for column in found)))
+        n = len(self._batches) * len(log_weight)
+        known = any(len(one.goals) for one in self._simulated)
+        if known and n >= max(GROWTH * self._fitted_to, _FEWEST * self._space.n_goals):
+            self._fitted_to = n
+            self._proposals.append(self._fitted())
 
-    def log_weights(self) -> list[FloatArray]:
-        """Return (chain,) the log weights of each batch against the mixture of all proposals."""
-        size = len(self._log_targets[0])
-        drawn = np.bincount(self._made_by, minlength=len(self._proposals)) * size
-        with np.errstate(divide="ignore"):  # of the one that has drawn nothing yet
-            log_share = np.log(drawn / drawn.sum())
-        log_mixture = np.logaddexp.reduce(log_share[:, None] + self._log_density, axis=0)
-        return list((np.concatenate(self._log_targets) - log_mixture).reshape(-1, size))
+    def log_weights(self) -> FloatArray:
+        """Return (batch, chain) the log weights against the mixture of all proposals."""
+        # one that has drawn nothing yet is no part of it
+        drawn = np.bincount(self._made_by)
+        log_density = np.stack([self._evaluated(one) for one in self._proposals[: len(drawn)]])
+        log_share = np.log(drawn / drawn.sum())
+        log_mixture = np.logaddexp.reduce(log_share[:, None] + log_density, axis=0)
+        made_by = np.repeat(self._made_by, len(self._log_weights[0]))
+        own = log_density[made_by, np.arange(len(made_by))]
+        found = np.concatenate(self._log_weights) + own - log_mixture
+        return found.reshape(len(self._batches), -1)
 
-    def log_evidence(self) -> float:
-        """Return the log of the mean weight, less what the weights leave out of the likelihood."""
-        log_weights = np.concatenate(self.log_weights())
-        return float(np.logaddexp.reduce(log_weights) - math.log(len(log_weights)))
-
-    def _evaluated(
-        self, proposal: Proposal, batches: Sequence[Mapping[str, NDArray[Any]]]
-    ) -> FloatArray:
-        """Return (draw,) the log density of draws under a proposal."""
-        columns = {name: np.concatenate([one[name] for one in batches]) for name in batches[0]}
+    def _evaluated(self, proposal: Proposal) -> FloatArray:
+        """Return (draw,) the log density of all draws under a proposal."""
+        sites = tuple(self._model.sites.items())
+        density = _density_of_proposals(self._model.prior, sites, self._share)
+        columns = _joined(self._batches)
         n, found = len(next(iter(columns.values()))), []
         for first in range(0, n, _ROWS):
             rows = np.arange(first, first + _ROWS).clip(max=n - 1)
             given = {name: values[rows] for name, values in columns.items()}
-            found.append(np.asarray(self._density(proposal, given), np.float64))
+            found.append(np.asarray(density(proposal, given), np.float64))
         return np.concatenate(found)[:n]
 
     def _fitted(self) -> Proposal:
         """Return the proposal that fits what was simulated until now."""
-        space, made_by = self._space, [np.full(len(s.goals), s.made_by) for s in self._simulated]
-        all_of = _Simulated(
-            np.concatenate(made_by),
-            *map(np.concatenate, list(zip(*self._simulated, strict=True))[1:]),
-        )
+        space = self._space
+        all_of = _Simulated(*map(np.concatenate, zip(*self._simulated, strict=True)))
         log_ratio = np.stack(
             [self._log_ratio(agent, all_of) for agent in range(space.n_agents)], axis=1
         )
@@ -257,16 +245,19 @@ class Adaptation:
         log_value = log_ratio.sum(axis=1) + power * self._log_likelihood(
             np.sqrt(all_of.squares.sum(axis=2))
         )
-        found, tried = _corrected(expected, acts_on, all_of.goals, log_value, scores, space)
-        table, untried = stated + found, np.where(tried, -np.inf, stated)
+        own = sum(scores[agent][all_of.goals[:, agent]] for agent in range(space.n_agents))
+        table = stated + _corrected(expected, acts_on, all_of.goals, log_value, own, space)
+        untried = np.where(self._tried[tuple(acts_on)], -np.inf, stated)
         if np.isfinite(untried).any():
             shares = np.log(1 - UNTRIED), np.log(UNTRIED)
             parts = zip(shares, (table, untried), strict=True)
-            table = np.logaddexp(*(one + share - _log_sum(one) for share, one in parts))
+            table = np.logaddexp(*(one + share - log_sum_exp(one) for share, one in parts))
         return Proposal(_chained(table), *strength.astype(np.float32))
 
     def _log_ratio(self, agent: int, all_of: _Simulated) -> FloatArray:
         """Return (row,) log P / Q of the strength of an agent, given what it acts on."""
+        from scipy.stats import truncnorm  # slow to import
+
         goal, newtons = all_of.goals[:, agent], all_of.strengths[:, agent]
         drawn = np.zeros((len(self._proposals), self._space.n_goals))
         np.add.at(drawn, (all_of.made_by, goal), 1.0)
@@ -277,8 +268,7 @@ class Adaptation:
             known = ~np.isnan(mean)
             mean, sd = np.where(known, mean, 0.0), np.where(known, sd, 1.0)
             low, high = ((end - mean) / sd for end in STRENGTH_RANGE)
-            normal = np.exp(-0.5 * ((newtons - mean) / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
-            normal = normal / np.maximum(ndtr(high) - ndtr(low), 1e-12)
+            normal = truncnorm.pdf(newtons, low, high, mean, sd)
             of_this = self._share / _RANGE + (1 - self._share) * np.where(known, normal, 1 / _RANGE)
             density += share[goal] * of_this
         return -np.log(density * _RANGE)
@@ -297,7 +287,7 @@ class Adaptation:
                 found[:, agent] = self._log_likelihood(np.sqrt(squares[:, :, agent] + rest))
             power = min(_power_of(found[:, a], log_ratio[:, a]) for a in range(n_agents))
             for agent in range(n_agents):
-                weights.append(_tempered(found[:, agent], log_ratio[:, agent], power))
+                weights.append(normalised(log_ratio[:, agent] + power * found[:, agent]))
                 typical[:, agent] = weights[-1] @ squares[:, :, agent]
             others = np.prod(np.array(weights) ** (1 / n_agents), axis=0)
             typical[:, n_agents:] = np.tensordot(others / others.sum(), squares[:, :, n_agents:], 1)
@@ -311,9 +301,9 @@ class Adaptation:
 
 
 class _Simulated(NamedTuple):
-    """What completed simulations came to."""
+    """What simulations came to."""
 
-    made_by: Any  # which proposal drew each
+    made_by: NDArray[np.int64]  # (row,) which proposal drew each
     goals: NDArray[np.int64]  # (row, agent) effective ones
     strengths: FloatArray  # (row, agent) newtons
     squares: FloatArray  # (row, time, entity) squared distances from the video, units
@@ -328,7 +318,8 @@ class _Simulated(NamedTuple):
         found = [record.result.trajectory[..., :2].astype(np.float32) for record in records]
         strengths = np.stack([sites[name] for name in space.strength_sites], axis=1)
         squares = ((np.array(found, np.float64) - observed) ** 2).sum(axis=3)
-        return cls(made_by, space.effective(sites).astype(np.int64), strengths, squares)
+        drawn_by = np.full(len(records), made_by)
+        return cls(drawn_by, space.effective(sites).astype(np.int64), strengths, squares)
 
 
 def first_proposal(suggested: NDArray[Any], prior: Program) -> Proposal:
@@ -346,23 +337,22 @@ def first_proposal(suggested: NDArray[Any], prior: Program) -> Proposal:
         )
     share = np.exp(suggested - suggested.max(axis=-1, keepdims=True))
     logits = np.log(0.5 * share / share.sum(axis=-1, keepdims=True) + 0.5 / space.n_goals)
-    logits = np.broadcast_to(logits, (shape[0], space.n_agents, space.n_goals))
-    table = np.zeros(shape)
-    for agent in range(space.n_agents):
-        axes = [1] * space.n_agents
-        axes[agent] = space.n_goals
-        table = table + logits[:, agent].reshape(shape[0], *axes)
-    # the video suggests own goals, not how probable each way is
+    table = _summed(np.broadcast_to(logits, (shape[0], space.n_agents, space.n_goals)))
     stated = _log_prior_of_stated(prior)
-    by_way = np.logaddexp.reduce(stated.reshape(shape[0], -1), axis=1)
-    table = np.where(np.isfinite(stated), table, -np.inf)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        total = np.logaddexp.reduce(table.reshape(shape[0], -1), axis=1)
-        table = table + np.where(np.isfinite(total), by_way - total, -np.inf).reshape(
-            -1, *[1] * space.n_agents
-        )
+    # the video suggests own goals, not how probable each way is
+    _, *goals = _chained(np.where(np.isfinite(stated), table, -np.inf))
     unknown = np.full((space.n_agents, space.n_goals), np.nan, np.float32)
-    return Proposal(_chained(table), unknown, unknown)
+    return Proposal((_chained(stated)[0], *goals), unknown, unknown)
+
+
+def _summed(logits: FloatArray) -> FloatArray:
+    """Return (way, goal, ..., goal) the sums of numbers (way, agent, goal) over the agents."""
+    n_ways, n_agents, _ = logits.shape
+    table = np.zeros([n_ways] + [1] * n_agents)
+    for agent in range(n_agents):
+        axes = [-1 if other == agent else 1 for other in range(n_agents)]
+        table = table + logits[:, agent].reshape(n_ways, *axes)
+    return np.asarray(table)
 
 
 @remembered(16)
@@ -372,24 +362,16 @@ def _log_prior_of_stated(prior: Program) -> FloatArray:
         table = prior_table(prior, (sum(STRENGTH_RANGE) / 2,))[..., 0, 0]
         return np.moveaxis(table, -1, 0)
     found = masses_of(prior)
-    n = len(found.goals)
-    table = found.company.reshape(-1, *[1] * n)
-    for agent, of_agent in enumerate(found.goals):
-        table = table + of_agent.reshape([1, *(-1 if a == agent else 1 for a in range(n))])
-    return np.asarray(table)
+    goals = np.broadcast_to(found.goals, (len(found.company), *found.goals.shape))
+    return _summed(goals) + found.company.reshape(-1, *[1] * len(found.goals))
 
 
 def _acted_on(space: HypothesisSpace) -> NDArray[np.int64]:
     """Return (agent, way, goal, ..., goal) the effective goals of ways and stated goals."""
     shape = (len(space.ways), *[space.n_goals] * space.n_agents)
-    way, *stated = np.indices(shape, sparse=True)
-    owned = np.stack([np.broadcast_to(one, shape) for one in stated])
-    found = []
-    for agent in range(space.n_agents):
-        owner = np.broadcast_to(space.owner[:, agent].reshape(way.shape), shape)
-        goal = np.take_along_axis(owned, owner[None], axis=0)[0]
-        found.append(space.becomes[np.broadcast_to(way, shape), agent, goal])
-    return np.array(found, np.int64)
+    names = (space.company_site, *space.goal_sites)
+    columns = dict(zip(names, np.indices(shape).reshape(len(shape), -1), strict=True))
+    return space.effective(columns).T.reshape(space.n_agents, *shape).astype(np.int64)
 
 
 def _corrected(
@@ -397,18 +379,17 @@ def _corrected(
     acts_on: NDArray[np.int64],
     goals: NDArray[np.int64],
     log_value: FloatArray,
-    scores: FloatArray,
+    own: FloatArray,
     space: HypothesisSpace,
-) -> tuple[FloatArray, NDArray[np.bool_]]:
+) -> FloatArray:
     """Return the log of what goals are expected to come to, corrected by what they came to.
 
     As root mean square of the simulations of the same effective goals, of which ``PSEUDO`` are as
     expected: draws that are to make a sum sure are shared out so (Neyman), and what was not tried
-    yet is tried sooner than by its mean. Also returns which of them were simulated.
+    yet is tried sooner than by its mean. ``own`` is what is expected of the simulations, (row,).
     """
-    own = sum(scores[agent][goals[:, agent]] for agent in range(space.n_agents))
     square = np.exp(2 * (log_value - log_value.max()))
-    scale = np.log(square.sum()) - np.logaddexp.reduce(2 * own)
+    scale = np.log(square.sum()) - log_sum_exp(2 * own)
     shape = (space.n_goals,) * space.n_agents
     size, code = math.prod(shape), np.ravel_multi_index(tuple(goals.T), shape)
     n, total = np.bincount(code, minlength=size), np.bincount(code, square, size)
@@ -416,17 +397,16 @@ def _corrected(
     of_all = np.ravel_multi_index(tuple(np.where(possible, acts_on, 0)), shape)
     with np.errstate(divide="ignore"):  # of what was not simulated
         sums = np.logaddexp(np.log(total[of_all]), np.log(PSEUDO) + scale + 2 * expected)
-    found = np.where(possible, 0.5 * (sums - np.log(n[of_all] + PSEUDO)), -np.inf)
-    return found, n[of_all] > 0
+    return np.where(possible, 0.5 * (sums - np.log(n[of_all] + PSEUDO)), -np.inf)
 
 
-def _log_sum(table: FloatArray) -> float:
-    return float(np.logaddexp.reduce(table, axis=None))
+def _joined(batches: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    return {name: np.concatenate([one[name] for one in batches]) for name in batches[0]}
 
 
 def _chained(log_table: FloatArray) -> tuple[NDArray[Any], ...]:
     """Return log probabilities of each axis of a table given those before."""
-    log_table = log_table - _log_sum(log_table)
+    log_table = log_table - log_sum_exp(log_table)
     chained: list[NDArray[Any]] = []
     before: FloatArray = np.zeros(())
     for axes in range(1, log_table.ndim + 1):
@@ -455,25 +435,18 @@ def _strengths(
     return np.where(n > 1, found, np.nan)
 
 
-def _tempered(log_likelihood: FloatArray, log_ratio: FloatArray, power: float) -> FloatArray:
-    """Return weights of sum 1 that are proportional to the ratio times L^power."""
-    logs = log_ratio + power * log_likelihood
-    weights = np.exp(logs - logs.max())
-    return np.asarray(weights / weights.sum())
-
-
 def _power_of(log_likelihood: FloatArray, log_ratio: FloatArray) -> float:
     """Return the highest power, at most ``POWER``, that leaves ``EFFECTIVE`` rows (Kish)."""
+
+    def is_enough(power: float) -> bool:
+        return worth(normalised(log_ratio + power * log_likelihood)) >= EFFECTIVE
+
     low, high = 0.0, POWER
-    for power in [high] + [0.0] * _BISECTIONS:
-        power = power or (low + high) / 2
-        weights = _tempered(log_likelihood, log_ratio, power)
-        if 1 / float((weights**2).sum()) >= EFFECTIVE:
-            low = power
-            if power == POWER:
-                break
-        else:
-            high = power
+    if is_enough(high):
+        return high
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if is_enough(middle) else (low, middle)
     return low
 
 
