@@ -260,11 +260,8 @@ def test_more_is_needed_where_what_the_video_suggests_does_not_fit() -> None:
     ]
 
     def needed(suggested: Any, prior: Any) -> float | None:
-        tree = with_prior(make_tree(tried, [[place] for place in range(14)]), prior)
-        simulations = tree["simulations"].to_dataset()
-        proposal = ("simulation", np.asarray(suggested, float))
-        tree["simulations"] = xr.DataTree(simulations.assign(log_proposal=proposal))
-        found = Posterior(tree).diagnostics()
+        tree = with_densities(make_tree(tried, [[place] for place in range(14)]), suggested)
+        found = Posterior(with_prior(tree, prior)).diagnostics()
         assert ("no better than chance" in found["verdict"]) == (
             found["effective_size_needed"] is None
         )

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.stats import beta
 
 from phase_ppl.analysis.estimate import (
@@ -35,6 +34,7 @@ from .factory import (
     random_tree,
     with_densities,
     with_prior,
+    with_variables,
 )
 
 
@@ -223,8 +223,8 @@ def test_draws_are_worth_no_more_than_the_simulations_that_they_rest_on() -> Non
     assert "rest on 1.0 effective simulations; an answer needs 5" in one.diagnostics()["verdict"]
     # particles that were chosen among all along are worth half
     tree = posterior_of((2,) * 15, [[i] for i in range(15)]).tree
-    evidence = {"log_evidence": (("chain", "draw"), np.zeros((15, 1)))}
-    tree["sample_stats"] = xr.DataTree(tree["sample_stats"].to_dataset().assign(evidence))
+    evidence = (("chain", "draw"), np.zeros((15, 1)))
+    tree = with_variables(tree, "sample_stats", log_evidence=evidence)
     assert Posterior(tree).diagnostics()["effective_size"] == pytest.approx(7.5)
 
 
