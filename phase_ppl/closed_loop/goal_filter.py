@@ -470,9 +470,11 @@ class Growing:
             shape = (length, *map(max, known.shape[1:], array.shape))
             fill = np.nan if array.dtype.kind == "f" else 0
             grown = np.full(shape, fill, array.dtype)
-            grown[(slice(self._n), *map(slice, known.shape[1:]))] = known[: self._n]
+            within: tuple[Any, ...] = tuple(map(slice, known.shape[1:]))
+            grown[(slice(self._n), *within)] = known[: self._n]
             known = self._all = grown
-        known[(self._n, *map(slice, array.shape))] = array
+        place: tuple[Any, ...] = tuple(map(slice, array.shape))
+        known[(self._n, *place)] = array
         self._n += 1
 
     def first(self, n: int) -> NDArray[Any]:
