@@ -1,7 +1,7 @@
 """Every public name and where it is: what type checkers read, and the package's own table."""
 
+import phase_study as _study
 from phase_ppl import render as render
-from phase_ppl import study as study
 from phase_ppl.agents.config import PlannerConfig as PlannerConfig
 from phase_ppl.analysis import figures as _plots
 from phase_ppl.analysis.comparison import Comparison as Comparison
@@ -117,5 +117,6 @@ from phase_ppl.world.scene import World as World
 
 __version__: str
 plot = _plots
+study = _study
 
 def unsupported() -> str | None: ...

@@ -21,13 +21,13 @@ from phase_ppl.dataset.load import save_events
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.study.plan import the
-from phase_ppl.study.settings import Settings
-from phase_ppl.study.store import COMPLETE, Store, trajectory_sha256
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.files import write_bytes
 from phase_ppl.world.scene import PHASE, World
+from phase_study.plan import the
+from phase_study.settings import Settings
+from phase_study.store import COMPLETE, Store, trajectory_sha256
 
 README: Final = "README.md"
 SLIPPED: Final = 500.0
@@ -201,7 +201,7 @@ def write(
     store: Store, settings: Settings, events: Mapping[str, Event], out: Path,
     include: Sequence[str], demographics: bool,
 ) -> None:  # fmt: skip
-    """Write all files of an export; arguments as of :meth:`phase_ppl.study.Study.export`."""
+    """Write all files of an export; arguments as of :meth:`phase_study.Study.export`."""
     people, is_play = _people(store, settings), settings.kind == "play"
     outcomes = ("finished", *(("left", "at it", "expired") * ("unfinished" in include)))
     for person in people:

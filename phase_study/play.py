@@ -27,12 +27,12 @@ from starlette.exceptions import HTTPException
 from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from phase_ppl.study import plan
-from phase_ppl.study.room import KEYS, Controls, Message, Outbox, Room, Seat
-from phase_ppl.study.server import MOST_MESSAGE, Site, same_origin
-from phase_ppl.study.store import COMPLETE, Participant
 from phase_ppl.world.names import BLUE_ITEM, NOTHING
 from phase_ppl.world.scene import Scene
+from phase_study import plan
+from phase_study.room import KEYS, Controls, Message, Outbox, Room, Seat
+from phase_study.server import MOST_MESSAGE, Site, same_origin
+from phase_study.store import COMPLETE, Participant
 
 COUNTDOWN: Final = 3  # seconds before a session begins
 _PING: Final = 2.0

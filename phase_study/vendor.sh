@@ -4,7 +4,7 @@
 # of its repository.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
-pages=$PWD/static/vendor tests=$PWD/../../tests/study/vendor
+pages=$PWD/static/vendor tests=$PWD/../tests/study/vendor
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 

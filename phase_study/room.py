@@ -25,13 +25,13 @@ from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.render.frames import field_of_view
-from phase_ppl.study.settings import PlaySettings
-from phase_ppl.study.store import trajectory_sha256
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, State
 from phase_ppl.world.goals import goal_index, goal_literal, is_true
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, Predicate
 from phase_ppl.world.scene import Scene
+from phase_study.settings import PlaySettings
+from phase_study.store import trajectory_sha256
 
 MOVES: Final[Mapping[str, Action]] = {
     "forward": Action.UP,

@@ -4,76 +4,76 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import signal
 import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.cli import commands as cli
-
 if TYPE_CHECKING:
-    from phase_ppl.study import Study
+    from phase_study import Study
 
 _KINDS: Final = ("judgment", "tagging", "likeness", "play")
 _INCLUDE: Final = ("unfinished", "excluded")
 
 
-def add_to(commands: Any) -> None:
-    """Add the command."""
-    parser = cli.command(
-        commands,
-        "study",
-        None,
-        "phase-ppl study demo",
+def add_to(commands: Any, cli: Any) -> None:
+    """Add the command, with the help of what the core's own commands are made of."""
+    does = "put events before people, in the browser"
+    parser = cli.command(commands, "study", None, "phase-ppl study demo", does)
+    parser.description = (
         "The paper's studies of people in the browser: judgments, tags, sessions played by hand, "
-        "and their likeness to people. docs/studies.md tells how to run one.",
+        "and their likeness to people. docs/studies.md tells how to run one."
     )
     parts = parser.add_subparsers(metavar="COMMAND", required=True)
-    _add_new(parts)
-    run = _command(parts, "run", _run, "run my-study", "Serve a study until Ctrl-C.")
-    _add_server(run)
+    _add_new(cli, parts)
+    run = _command(cli, parts, "run", _run, "run my-study", "Serve a study until Ctrl-C.")
+    _add_server(cli, run)
     says = "Say how many people came, and how far they got."
-    _command(parts, "status", _status, "status my-study", says)
+    _command(cli, parts, "status", _status, "status my-study", says)
     says = "Write what people said: CSV, events and a README."
-    export = _command(parts, "export", _export, "export my-study --out data", says)
+    export = _command(cli, parts, "export", _export, "export my-study --out data", says)
     cli.add(export, "--out FOLDER", type=Path, required=True)
     says = "people beside those who finished"
     cli.add(export, "--include", says, default=[], choices=_INCLUDE, action="append")
     cli.add(export, "--without-flagged", "leave out who missed a check")
     cli.add(export, "--demographics", "age and gender of each, not only totals")
     says = "Delete all that somebody gave, for good."
-    withdraw = _command(parts, "withdraw", _withdraw, "withdraw my-study 4f0c...", says)
+    withdraw = _command(cli, parts, "withdraw", _withdraw, "withdraw my-study 4f0c...", says)
     cli.add(withdraw, "participant ID", "the number shown at the study's end")
     example = "exclude my-study 4f0c... --reason 'the same answer throughout'"
     says = "Leave somebody out of exports, and give their videos to others."
-    exclude = _command(parts, "exclude", _exclude, example, says)
+    exclude = _command(cli, parts, "exclude", _exclude, example, says)
     cli.add(exclude, "participant ID")
     cli.add(exclude, "--reason TEXT", required=True)
     says = "Make a study of the bundled events and serve it; nothing is kept."
     demo = cli.command(parts, "demo", _demo, "phase-ppl study demo", says)
     cli.add(demo, "--kind", choices=_KINDS, default="judgment")
-    _add_server(demo)
-    _add_simulate(parts)
+    _add_server(cli, demo)
+    _add_simulate(cli, parts)
 
 
-def _command(parts: Any, name: str, run: Any, example: str, says: str) -> argparse.ArgumentParser:
+def _command(
+    cli: Any, parts: Any, name: str, run: Any, example: str, says: str
+) -> argparse.ArgumentParser:
     parser = cli.command(parts, name, run, f"phase-ppl study {example}", says)
     cli.add(parser, "folder DIR", "folder of the study", Path)
     return parser
 
 
-def _add_server(parser: argparse.ArgumentParser) -> None:
+def _add_server(cli: Any, parser: argparse.ArgumentParser) -> None:
     cli.add(parser, "--port N", "default 8000; 0: any", cli.whole(0), 8000)
     cli.add(parser, "--host", "default 127.0.0.1: this machine only", default="127.0.0.1")
     cli.add(parser, "--url", "by which people come, such as https://study.example.org", default="")
 
 
-def _add_new(parts: Any) -> None:
+def _add_new(cli: Any, parts: Any) -> None:
     parser = _command(
+        cli,
         parts,
         "new",
-        _new,
+        functools.partial(_new, cli),
         "new my-study --kind judgment events.json",
         "Make a study: a folder with its settings, films and database.",
     )
@@ -88,11 +88,12 @@ def _add_new(parts: Any) -> None:
     cli.share(parser, "workers", "progress")
 
 
-def _add_simulate(parts: Any) -> None:
+def _add_simulate(cli: Any, parts: Any) -> None:
     parser = _command(
+        cli,
         parts,
         "simulate",
-        _simulate,
+        functools.partial(_simulate, cli),
         "simulate my-study --people 200 --out simulated",
         "Send scripted people through a copy of a study, by HTTP, and export what they say; the "
         "study itself stays as it is.",
@@ -109,15 +110,15 @@ def _add_simulate(parts: Any) -> None:
 
 
 def _study(options: argparse.Namespace) -> Study:
-    from phase_ppl.study import Study
+    from phase_study import Study
 
     return Study(options.folder)
 
 
-def _new(options: argparse.Namespace) -> int:
+def _new(cli: Any, options: argparse.Namespace) -> int:
     from phase_ppl.evaluation.judgments import all_events
-    from phase_ppl.study import Study
-    from phase_ppl.study.study import check_extra
+    from phase_study import Study
+    from phase_study.study import check_extra
 
     check_extra()
     several = len(options.events) > 1
@@ -149,8 +150,8 @@ def _serve(study: Study, options: argparse.Namespace) -> None:
 
 def _demo(options: argparse.Namespace) -> int:
     import phase_ppl
-    from phase_ppl.study import Study
-    from phase_ppl.study.study import check_extra
+    from phase_study import Study
+    from phase_study.study import check_extra
 
     check_extra()
     # clean up where a service is ended; the server has written everything by then
@@ -192,9 +193,9 @@ def _exclude(options: argparse.Namespace) -> int:
     return 0
 
 
-def _simulate(options: argparse.Namespace) -> int:
-    from phase_ppl.study.simulate import simulate
-    from phase_ppl.study.study import check_extra
+def _simulate(cli: Any, options: argparse.Namespace) -> int:
+    from phase_study.simulate import simulate
+    from phase_study.study import check_extra
 
     check_extra()
     of_model = cli.once(options.option)

@@ -31,10 +31,6 @@ from phase_ppl.evaluation import evaluate as evaluation_module
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.evaluation.prediction import Prediction, questions_of
-from phase_ppl.study import plan
-from phase_ppl.study.settings import Settings
-from phase_ppl.study.store import FILE, Store
-from phase_ppl.study.study import CLIPS_FOLDER, VIDEOS, Study
 from phase_ppl.world.errors import (
     InvalidSettingError,
     SimulationError,
@@ -45,6 +41,10 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.hypothesis import scenario
 from phase_ppl.world.progress import Bar
+from phase_study import plan
+from phase_study.settings import Settings
+from phase_study.store import FILE, Store
+from phase_study.study import CLIPS_FOLDER, VIDEOS, Study
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study as Judged

@@ -13,14 +13,14 @@ from typing import Any, Final
 
 from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.evaluation.prediction import pairs_of
-from phase_ppl.study.settings import Settings
-from phase_ppl.study.store import Participant
 from phase_ppl.world.errors import number_or_nan
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import Literal, Predicate
 from phase_ppl.world.picture import Colour
 from phase_ppl.world.scene import PHASE, World
+from phase_study.settings import Settings
+from phase_study.store import Participant
 
 GENDERS: Final = ("female", "male", "non-binary", "other")
 LIKENESS: Final = ("1: very unlikely", "2", "3", "4", "5: very likely")

@@ -1,5 +1,5 @@
 /* A jsPsych plugin for every page of a study: a film on the left, questions on the right; or only text,
-   with choices, or in several steps. What is on it comes from the server (phase_ppl/study/plan.py). */
+   with choices, or in several steps. What is on it comes from the server (phase_study/plan.py). */
 "use strict";
 
 /** Return an element with attributes (functions: what listens) and children. */

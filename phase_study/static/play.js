@@ -1,5 +1,5 @@
 /* A jsPsych plugin in which somebody steers an agent: practice, the waiting room, and the sessions. The
-   server has the world and the clock (phase_ppl/study/play.py); what it does not send is not seen. */
+   server has the world and the clock (phase_study/play.py); what it does not send is not seen. */
 "use strict";
 
 var jsPsychPlay = (function (jspsych) {

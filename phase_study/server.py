@@ -25,12 +25,12 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from phase_ppl.study import plan
-from phase_ppl.study.clips import clips_of
-from phase_ppl.study.settings import Settings
-from phase_ppl.study.store import Participant, Refused, Store
 from phase_ppl.world.errors import number_or_nan
 from phase_ppl.world.event import Event
+from phase_study import plan
+from phase_study.clips import clips_of
+from phase_study.settings import Settings
+from phase_study.store import Participant, Refused, Store
 
 STATIC: Final = Path(__file__).parent / "static"
 MOST_BODY: Final = 64 * 1024

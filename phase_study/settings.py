@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from phase_ppl.evaluation.prediction import checked_answer, pairs_of
-from phase_ppl.study.clips import clips_of
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.scene import PHASE, Scene, World
+from phase_study.clips import clips_of
 
 if TYPE_CHECKING:
     import jinja2
@@ -174,7 +174,7 @@ def _template() -> jinja2.Template:
 
     environment = jinja2.Environment(keep_trailing_newline=True, undefined=jinja2.StrictUndefined)
     environment.filters["toml"] = _quoted
-    source = resources.files("phase_ppl.study") / "templates" / FILE
+    source = resources.files("phase_study") / "templates" / FILE
     return environment.from_string(source.read_text("utf-8"))
 
 

@@ -22,9 +22,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl import __version__
-from phase_ppl.study.settings import Settings
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError, shown
+from phase_study.settings import Settings
 
 FILE: Final = "study.db"
 _VERSION: Final = 1

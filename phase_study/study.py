@@ -25,13 +25,6 @@ from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.evaluation.registry import check_installed
-from phase_ppl.study import exports
-from phase_ppl.study import settings as settings_module
-from phase_ppl.study import store as store_module
-from phase_ppl.study.clips import clips_of, make_clips
-from phase_ppl.study.exports import Status
-from phase_ppl.study.settings import KINDS, Settings, template
-from phase_ppl.study.store import Stimulus, Store
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -44,6 +37,13 @@ from phase_ppl.world.files import as_path, existing_file, locked, writable_folde
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.scene import check_is_phase
+from phase_study import exports
+from phase_study import settings as settings_module
+from phase_study import store as store_module
+from phase_study.clips import clips_of, make_clips
+from phase_study.exports import Status
+from phase_study.settings import KINDS, Settings, template
+from phase_study.store import Stimulus, Store
 
 EVENTS: Final = "events.json"
 VIDEOS: Final = "videos"
@@ -191,7 +191,7 @@ class Study:
         if _PLACEHOLDER in self.settings.texts["consent"]:
             warnings.append("the text of consent in study.toml does not yet say who is responsible")
         if self.settings.kind == "play":
-            from phase_ppl.study import room
+            from phase_study import room
 
             warnings += room.warnings(self.events.values(), self.settings.play)
         return warnings
@@ -204,7 +204,7 @@ class Study:
             host: at which it listens.
         """
         check_extra()
-        from phase_ppl.study.server import Site, create_app
+        from phase_study.server import Site, create_app
 
         parts = urlsplit(url)
         if url and (
@@ -216,7 +216,7 @@ class Study:
         names = [name for name in (parts.hostname, host) if name and name not in _ANY]
         site = Site(self.folder, self.settings, self.events, secure=parts.scheme == "https")
         if self.settings.kind == "play":
-            from phase_ppl.study.play import routes
+            from phase_study.play import routes
 
             return create_app(site, names, routes(site))
         return create_app(site, names)
@@ -251,7 +251,7 @@ class Study:
         app = self.app(url, host)
         import uvicorn
 
-        from phase_ppl.study.server import MOST_MESSAGE
+        from phase_study.server import MOST_MESSAGE
 
         if host not in _LOOPBACK and not url.startswith("https:"):
             warnings.append(f"{host} can be reached by others without TLS; put a proxy before it")
