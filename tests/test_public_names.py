@@ -24,7 +24,18 @@ def test_every_public_name_is_there_and_is_what_it_is_called() -> None:
 
 
 def test_completion_in_a_module_shows_what_is_meant_for_users() -> None:
-    for name in ("plot", "render", "study", "figures", "priors", "sites", "worlds", "observers"):
+    for name in (
+        "plot",
+        "render",
+        "study",
+        "figures",
+        "priors",
+        "sites",
+        "worlds",
+        "observers",
+        "errors",
+        "files",
+    ):
         module = getattr(ppl, name)
         shown = dir(module)
         assert shown == sorted(module.__all__)

@@ -1,4 +1,4 @@
-"""The commands on events: ``simulate``, ``render``, ``read-video``, ``describe``, ``export``."""
+"""The commands on events: ``simulate``, ``render``, ``describe``, ``export``."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
@@ -21,7 +19,7 @@ from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
 from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import check_output, writable_folder, write_json
+from phase_ppl.world.files import writable_folder, write_json
 
 _PICTURE: Final = ".png"
 _STRIP: Final = 6
@@ -37,7 +35,6 @@ def add_to(commands: Any) -> None:
     cli.add(goals, "--world NAME", says)
     _add_simulate(commands)
     _add_render(commands)
-    _add_read_video(commands)
     _add_describe(commands)
     _add_export(commands)
 
@@ -184,60 +181,6 @@ def _render(options: argparse.Namespace) -> int:
         shown = f"{n} frames"
         phase_ppl.render.strip(event, options.out, n, fields_of_view=options.fields_of_view)
     print(f"{shown} of {event.id} written to {options.out}")
-    return 0
-
-
-def _add_read_video(commands: Any) -> None:
-    parser = cli.command(
-        commands,
-        "read-video",
-        _read_video,
-        "phase-ppl read-video clip.mp4 --layout phase --out clip.json --picture check.png",
-    )
-    cli.add(parser, "film FILM", "an .mp4, a .gif, or anything else that ffmpeg reads", Path)
-    known = parser.add_mutually_exclusive_group(required=True)
-    says = "the world that it shows, such as phase, or an event file of that world"
-    cli.add(known, "--layout WORLD", says)
-    says = "an event file or a bundled event's name, whose scene it shows: walls, sizes, starts"
-    cli.add(known, "--scene EVENT", says)
-    says = "frames of the film per frame of the event; default a quarter of a second of the film"
-    cli.add(parser, "--frames-per-step N", says, float)
-    cli.add(parser, "--start S", "seconds of the film before the event begins", float, 0.0)
-    says = "frames in a row in which a body may be lost; default 6"
-    cli.add(parser, "--max-gap N", says, cli.whole(0), 6)
-    cli.add(
-        parser, "--out FILE", ".json or .nc, which the other commands take", Path, required=True
-    )
-    says = "where to draw what was read over frames of the film, to check it by eye"
-    cli.add(parser, "--picture FILE.png", says, Path)
-    cli.share(parser, "progress")
-
-
-def _read_video(options: argparse.Namespace) -> int:
-    cli.check_suffix(options.out, EVENT_SUFFIXES)
-    writable_folder(options.out.parent)
-    if options.picture is not None:
-        check_output(options.picture, (_PICTURE,))
-    layout, scene = options.layout, None
-    if options.scene is not None:
-        scene = phase_ppl.load_event(options.scene).scene
-    elif Path(layout).suffix in EVENT_SUFFIXES:
-        layout = phase_ppl.load_events(layout)[0].scene.world
-    more = cli.arguments(phase_ppl.read_video, options, scene=scene, layout=layout)
-    reading = phase_ppl.read_video(options.film, **more)
-    phase_ppl.save_event(reading.event, options.out)
-    print(f"{'':16}confidence  least  in frame  interpolated")
-    for name, sure in zip(reading.event.scene.world.entities, reading.confidence.T, strict=True):
-        least = int(sure.argmin())
-        print(
-            f"{name:16}{np.median(sure):10.2f}{sure[least]:7.2f}{least:10d}{(sure == 0).sum():14d}"
-        )
-    written = [options.out]
-    if options.picture is not None:
-        reading.picture(options.picture)
-        written.append(options.picture)
-    frames = reading.event.observation.n_frames
-    print(f"\n{frames} frames written to {' and '.join(map(str, written))}")
     return 0
 
 

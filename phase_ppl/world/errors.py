@@ -1,7 +1,8 @@
 """Every exception that the package raises on purpose, and the checks of settings that raise them.
 
 All derive from :class:`PhasePPLError`; those about a value also derive from
-``ValueError``, so that code that knows nothing of this package still catches them.
+``ValueError``, so that code that knows nothing of this package still catches them. Packages built
+on this one raise and check alike: ``ppl.errors.whole_number("raters", n)``.
 """
 
 from __future__ import annotations
@@ -14,6 +15,26 @@ import numbers
 import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, Final
+
+__all__ = [
+    "AnswerError",
+    "InvalidEventError",
+    "InvalidSettingError",
+    "OutputError",
+    "PhasePPLError",
+    "QueryError",
+    "SimulationError",
+    "UnknownNameError",
+    "check_name",
+    "instance_of",
+    "nonnegative_number",
+    "number_or_nan",
+    "positive_number",
+    "shown",
+    "shown_path",
+    "unknown_name",
+    "whole_number",
+]
 
 _SHOWN_CHARACTERS = 80
 _PATH_CHARACTERS = 400
@@ -206,3 +227,7 @@ def nonnegative_number(name: str, value: object) -> float:
     if not 0 <= number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
     return number
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,4 +1,8 @@
-"""Writing files so that nobody ever finds half of one, and folders that one process works in."""
+"""Writing files so that nobody ever finds half of one, and folders that one process works in.
+
+What cannot be written raises OutputError, what is not there InvalidEventError, and what is no path
+InvalidSettingError, each in one line that names it.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,17 @@ from phase_ppl.world.errors import (
     shown,
     shown_path,
 )
+
+__all__ = [
+    "as_path",
+    "atomic_output",
+    "check_output",
+    "existing_file",
+    "locked",
+    "writable_folder",
+    "write_bytes",
+    "write_json",
+]
 
 _NAME_BYTES: Final = 255
 _PATH_BYTES: Final = 4095
@@ -152,3 +167,7 @@ def _part_of(target: Path, suffixes: Sequence[str]) -> Iterator[Path]:
         finally:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -58,7 +58,15 @@ class Bar(tqdm):
 def counted(
     items: Iterable[Item], shown: bool | None, unit: str, what: str, total: int | None = None
 ) -> Iterator[Item]:
-    """Yield the items, and count them with a :class:`Bar`."""
+    """Yield the items, and count them with a progress bar on stderr.
+
+    Args:
+        items: whatever comes one after the other.
+        shown: whether to show the bar; None: where stderr is a terminal, and in notebooks.
+        unit: what an item is, such as "event".
+        what: is done, written before the bar.
+        total: number of items, where they have no length.
+    """
     yield from Bar(total, 0, shown, unit, what, items)
 
 
