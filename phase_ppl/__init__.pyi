@@ -47,6 +47,7 @@ from phase_ppl.evaluation.experiments import load_tags as load_tags
 from phase_ppl.evaluation.fit_people import evidence_from as evidence_from
 from phase_ppl.evaluation.fit_people import fit_people as fit_people
 from phase_ppl.evaluation.judgments import Study as Study
+from phase_ppl.evaluation.judgments import all_events as all_events
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments
 from phase_ppl.evaluation.merge import merge as merge
@@ -58,6 +59,8 @@ from phase_ppl.evaluation.observers.fit import FittedObserver as FittedObserver
 from phase_ppl.evaluation.observers.fit import PeopleFit as PeopleFit
 from phase_ppl.evaluation.paper import Reproduction as Reproduction
 from phase_ppl.evaluation.prediction import Prediction as Prediction
+from phase_ppl.evaluation.prediction import pairs_of as pairs_of
+from phase_ppl.evaluation.prediction import questions_of as questions_of
 from phase_ppl.evaluation.prediction import reference_predictions as reference_predictions
 from phase_ppl.evaluation.ratings import Judgments as Judgments
 from phase_ppl.evaluation.registry import Answer as Answer
@@ -96,9 +99,14 @@ from phase_ppl.models.observers import Perception as Perception
 from phase_ppl.models.priors import register_prior as register_prior
 from phase_ppl.models.program import EventProgram as EventProgram
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
+from phase_ppl.physics.actions import Action as Action
 from phase_ppl.render.explain import explain as explain
 from phase_ppl.simulator.joint import JointSimulator as JointSimulator
 from phase_ppl.simulator.joint import simulate as simulate
+from phase_ppl.simulator.stage import Stage as Stage
+from phase_ppl.world import errors as errors
+from phase_ppl.world import files as files
+from phase_ppl.world import goals as goals
 from phase_ppl.world import worlds as worlds
 from phase_ppl.world.errors import PhasePPLError as PhasePPLError
 from phase_ppl.world.errors import QueryError as QueryError
@@ -112,6 +120,7 @@ from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
 from phase_ppl.world.hypothesis import Roles as Roles
 from phase_ppl.world.names import AGENTS as AGENTS
 from phase_ppl.world.predicates import Predicate as Predicate
+from phase_ppl.world.progress import counted as counted
 from phase_ppl.world.scene import Scene as Scene
 from phase_ppl.world.scene import World as World
 
