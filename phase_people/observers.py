@@ -57,7 +57,7 @@ __all__ = [
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 
-QUESTIONS: Final = ppl.Prediction("").questions
+QUESTIONS: Final = ppl.questions_of(ppl.worlds.PHASE)
 RELATIONS: Final = QUESTIONS["relation"]
 """What is asked about an event of PHASE -> the possible answers; those about the relation."""
 

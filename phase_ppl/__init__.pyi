@@ -65,6 +65,8 @@ from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
 from phase_ppl.evaluation.paper import Reproduction as Reproduction
 from phase_ppl.evaluation.prediction import Prediction as Prediction
+from phase_ppl.evaluation.prediction import pairs_of as pairs_of
+from phase_ppl.evaluation.prediction import questions_of as questions_of
 from phase_ppl.evaluation.prediction import reference_predictions as reference_predictions
 from phase_ppl.evaluation.ratings import Judgments as Judgments
 from phase_ppl.evaluation.registry import Answer as Answer
@@ -101,11 +103,14 @@ from phase_ppl.models.model import Model as Model
 from phase_ppl.models.priors import register_prior as register_prior
 from phase_ppl.models.program import EventProgram as EventProgram
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
+from phase_ppl.physics.actions import Action as Action
 from phase_ppl.render.explain import explain as explain
 from phase_ppl.simulator.joint import JointSimulator as JointSimulator
 from phase_ppl.simulator.joint import simulate as simulate
+from phase_ppl.simulator.stage import Stage as Stage
 from phase_ppl.world import errors as errors
 from phase_ppl.world import files as files
+from phase_ppl.world import goals as goals
 from phase_ppl.world import worlds as worlds
 from phase_ppl.world.errors import PhasePPLError as PhasePPLError
 from phase_ppl.world.errors import QueryError as QueryError

@@ -8,21 +8,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from phase_ppl import render
-from phase_ppl.physics.actions import Action
-from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.event import Observation
-from phase_ppl.world.scene import PHASE, Scene, World
+import phase_ppl as ppl
 
-_WAIT, _GO, _BACK = Action.NO_FORCE, Action.UP, Action.DOWN
-_LEFT, _RIGHT, _STOP = Action.TURN_LEFT, Action.TURN_RIGHT, Action.STOP
+_WAIT, _GO, _BACK = ppl.Action.NO_FORCE, ppl.Action.UP, ppl.Action.DOWN
+_LEFT, _RIGHT, _STOP = ppl.Action.TURN_LEFT, ppl.Action.TURN_RIGHT, ppl.Action.STOP
 _WALL: Final = [[[16.0, 12.0], [16.0, 22.0]]]
 _FAR: Final = ((9.0, 4.5, 0.0), (23.0, 4.5, 0.0))
 """Where items are that have no part in a clip."""
 
-Track = Sequence[tuple[Action, int]]
+Track = Sequence[tuple[ppl.Action, int]]
 """Of an agent: what it does, and for how many planner steps."""
 
 
@@ -38,19 +34,19 @@ class Clip:
     walls: Sequence[Sequence[Sequence[float]]] = ()
     sight: bool = False
 
-    def scene(self, world: World = PHASE) -> Scene:
+    def scene(self, world: ppl.World = ppl.worlds.PHASE) -> ppl.Scene:
         """Return where it is shown: in another world than PHASE, a random scene."""
-        if world != PHASE:
+        if world != ppl.worlds.PHASE:
             return world.random_scene(0)
-        return Scene(np.array(self.start), np.array(self.radius), np.array(self.walls))
+        return ppl.Scene(np.array(self.start), np.array(self.radius), np.array(self.walls))
 
-    def trajectory(self, scene: Scene) -> FloatArray:
+    def trajectory(self, scene: ppl.Scene) -> NDArray[np.float64]:
         """Return (time, entity, coord) of what comes of the agents' actions."""
         n_agents = len(scene.world.agents)
         tracks = ((self.red, self.green)[agent % 2] for agent in range(n_agents))
         actions = ([action for action, n in track for _ in range(n)] for track in tracks)
-        world = PymunkWorld(scene, [self.strength] * n_agents)
-        return np.array([scene.start, *map(world.step, zip(*actions, strict=True))])
+        stage = ppl.Stage(scene, [self.strength] * n_agents)
+        return np.array([scene.start, *map(stage.step, zip(*actions, strict=True))])
 
 
 _SIDEWAYS: Final = -np.pi / 2  # angle of an agent that looks to the right
@@ -70,7 +66,7 @@ CLIPS: Final[Mapping[str, Clip]] = {
     ),
     "carrying": Clip(
         [(11.0, 12.0, _SIDEWAYS), (22.0, 18.0, np.pi), (15.0, 12.0, 0.0), _FAR[1]],
-        [(_GO, 3), (_WAIT, 2), (Action.ATTACH, 1), (_GO, 7), (_STOP, 2), (Action.DETACH, 1),
+        [(_GO, 3), (_WAIT, 2), (ppl.Action.ATTACH, 1), (_GO, 7), (_STOP, 2), (ppl.Action.DETACH, 1),
          (_BACK, 6), (_WAIT, 3)],
         [(_WAIT, 25)],
     ),
@@ -92,18 +88,18 @@ CLIPS: Final[Mapping[str, Clip]] = {
 """Name, as ``study.toml`` uses it -> film."""
 
 
-def clips_of(world: World) -> Mapping[str, Clip]:
+def clips_of(world: ppl.World) -> Mapping[str, Clip]:
     """Return the films that there are of a world: of others than PHASE, its agents about."""
     moving = CLIPS["moving"]
     about = {"moving": moving, "sight": dataclasses.replace(moving, strength=450.0, sight=True)}
-    return CLIPS if world == PHASE else about
+    return CLIPS if world == ppl.worlds.PHASE else about
 
 
-def make_clips(folder: Path, world: World = PHASE) -> None:
+def make_clips(folder: Path, world: ppl.World = ppl.worlds.PHASE) -> None:
     """Write the films into a folder, those that are not there."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, clip in clips_of(world).items():
         if not (path := folder / f"{name}.mp4").is_file():
             scene = clip.scene(world)
-            track = Observation(clip.trajectory(scene))
-            render.video(track, path, scene, fields_of_view=clip.sight)
+            track = ppl.Observation(clip.trajectory(scene))
+            ppl.render.video(track, path, scene, fields_of_view=clip.sight)

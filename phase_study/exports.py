@@ -16,15 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from phase_ppl import __version__
-from phase_ppl.dataset.load import save_events
-from phase_ppl.evaluation.prediction import pairs_of, questions_of
-from phase_ppl.physics.actions import ACTION_NAMES
-from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.world.errors import OutputError
-from phase_ppl.world.event import Event, Observation, Truth
-from phase_ppl.world.files import write_bytes
-from phase_ppl.world.scene import PHASE, World
+import phase_ppl as ppl
 from phase_study.plan import the
 from phase_study.settings import Settings
 from phase_study.store import COMPLETE, Store, trajectory_sha256
@@ -113,11 +105,11 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
 """Table -> column -> what is in it; of judgments :func:`_columns` has them."""
 
 
-def _columns(world: World) -> dict[str, Mapping[str, str]]:
+def _columns(world: ppl.World) -> dict[str, Mapping[str, str]]:
     """Return table -> column -> what is in it, of a study in a world."""
     said: dict[str, str] = {}
-    pairs = pairs_of(world)
-    for question, agent in zip(questions_of(world), world.agents, strict=False):
+    pairs = ppl.pairs_of(world)
+    for question, agent in zip(ppl.questions_of(world), world.agents, strict=False):
         which = ", likewise" if said else f": one of the {len(world.goals)} goals"
         said[question] = f"what {the(agent)} is after{which}"
     for question, pair in pairs.items():
@@ -194,11 +186,11 @@ def check_folder(out: Path) -> None:
     readme = out / README
     ours = readme.is_file() and readme.read_text("utf-8", "replace").startswith(_TITLE)
     if any(out.iterdir()) and not ours:
-        raise OutputError(f"{out} holds other files: an export gets a folder of its own")
+        raise ppl.errors.OutputError(f"{out} holds other files: an export gets a folder of its own")
 
 
 def write(
-    store: Store, settings: Settings, events: Mapping[str, Event], out: Path,
+    store: Store, settings: Settings, events: Mapping[str, ppl.Event], out: Path,
     include: Sequence[str], demographics: bool,
 ) -> None:  # fmt: skip
     """Write all files of an export; arguments as of :meth:`phase_study.Study.export`."""
@@ -224,18 +216,18 @@ def write(
     if demographics:
         tables["people.csv"] = asked
     files = dict.fromkeys(tables, "")
-    save_events(list(events.values()), out / "events.json")
+    ppl.save_events(list(events.values()), out / "events.json")
     files["events.json"] = "the events that were shown" + " or played" * is_play
     for config in store.rows("SELECT sha256, text FROM config ORDER BY first_used"):
         name = f"study-{config['sha256'][:12]}.toml"
-        write_bytes(out / name, (".toml",), config["text"].encode())
+        ppl.files.write_bytes(out / name, (".toml",), config["text"].encode())
         files[name] = "settings and texts that participants saw; participants.csv says who"
     if is_play:
         found, counts = played(store, events, "unfinished" in include, "excluded" in include)
         tables |= {"sessions.csv": [_row(*one) for one in found],
                    "steps.csv": [row for one in found for row in _steps(*one)]}  # fmt: skip
         if found:
-            save_events([event for _, event in found], out / "sessions.json")
+            ppl.save_events([event for _, event in found], out / "sessions.json")
             files["sessions.json"] = "the sessions as events with their truth, for load_events"
         said = ", ".join(f"{name} {n}" for name, n in counts.items())
         files |= {
@@ -245,9 +237,9 @@ def write(
     for name, rows in tables.items():
         columns = list(_columns(settings.world)[name])
         cells = ([row[column] for column in columns] for row in rows)
-        write_bytes(out / name, (".csv",), _csv_bytes(columns, cells))
+        ppl.files.write_bytes(out / name, (".csv",), _csv_bytes(columns, cells))
     readme = _readme(store, settings, len(included), include, files, _totals(asked))
-    write_bytes(out / README, (".md",), readme.encode())
+    ppl.files.write_bytes(out / README, (".md",), readme.encode())
 
 
 # --- what was said --------------------------------------------------------------------------------
@@ -334,25 +326,27 @@ def _totals(people: Sequence[Mapping[str, Any]]) -> str:
 # --- what was played ------------------------------------------------------------------------------
 
 
-def replayed(session: Mapping[str, Any], event: Event) -> Event:
+def replayed(session: Mapping[str, Any], event: ppl.Event) -> ppl.Event:
     """Return the event of a session, by doing its actions once more."""
     settings = session["settings"]
     scene = dataclasses.replace(
         event.scene, turning=settings["turning"], resets_velocity=settings["resets_velocity"]
     )
     strengths = session["strength_red"], session["strength_green"]
-    world = PymunkWorld(scene, strengths)
-    frames = [scene.start, *(world.step((one["red"], one["green"])) for one in session["steps"])]
+    stage = ppl.Stage(scene, strengths)
+    frames = [scene.start, *(stage.step((one["red"], one["green"])) for one in session["steps"])]
     told = event.truth
-    truth = Truth(
+    truth = ppl.Truth(
         session["goal_red"], session["goal_green"], told.relation, told.scenario, *strengths
     )
-    return Event(scene, Observation(np.array(frames)), id=f"session-{session['id']}", truth=truth)
+    return ppl.Event(
+        scene, ppl.Observation(np.array(frames)), id=f"session-{session['id']}", truth=truth
+    )
 
 
 def played(
-    store: Store, events: Mapping[str, Event], broken_off: bool = False, excluded: bool = False
-) -> tuple[list[tuple[dict[str, Any], Event]], dict[str, int]]:
+    store: Store, events: Mapping[str, ppl.Event], broken_off: bool = False, excluded: bool = False
+) -> tuple[list[tuple[dict[str, Any], ppl.Event]], dict[str, int]]:
     """Return the sessions of a study, as recorded and as events, and counts.
 
     A session whose actions do not give its trajectory again, to the last bit, is left out.
@@ -379,7 +373,7 @@ def played(
     return found, counts
 
 
-def _row(session: Mapping[str, Any], event: Event) -> dict[str, Any]:
+def _row(session: Mapping[str, Any], event: ppl.Event) -> dict[str, Any]:
     settings, slip = session["settings"], session["slip_ms"] or 0.0
     people = dict(zip(("red", "green"), session["players"], strict=True))
     return {
@@ -402,9 +396,13 @@ def _row(session: Mapping[str, Any], event: Event) -> dict[str, Any]:
     }
 
 
-def _steps(session: Mapping[str, Any], event: Event) -> Iterable[dict[str, Any]]:
+_ACTIONS: Final = [action.name.lower().replace("_", "") for action in ppl.Action]
+"""What recorded data call them: "turnleft", ..., "detach"."""
+
+
+def _steps(session: Mapping[str, Any], event: ppl.Event) -> Iterable[dict[str, Any]]:
     for step in session["steps"]:
-        done = {name: ACTION_NAMES[step[name]] for name in ("red", "green")}
+        done = {name: _ACTIONS[step[name]] for name in ("red", "green")}
         red, green = (" ".join(held) for held in json.loads(step["keys"]))
         yield {"session": event.id, "step": step["number"], **done, "keys_red": red,
                "keys_green": green, "lag_ms": round(step["lag_ms"], 1)}  # fmt: skip
@@ -420,8 +418,8 @@ def _readme(
     kind, columns = settings.kind, _columns(settings.world)
     lines = [
         f"{_TITLE} of {kind}: {settings.title}", "",
-        f"Made {time.strftime('%Y-%m-%d')} by phase_ppl {__version__}; the study was begun with "
-        f"{store.fact('version')}, id {store.fact('id')}.", "",
+        f"Made {time.strftime('%Y-%m-%d')} by phase_ppl {ppl.__version__}; the study was begun "
+        f"with {store.fact('version')}, id {store.fact('id')}.", "",
         "## People", "", "| | |", "|---|---|",
         *(f"| {name} | {count} |" for name, count in status(store, settings).counts.items()),
         f"| **in the tables** | {n} |", "",
@@ -435,7 +433,7 @@ def _readme(
         if name in columns:
             lines += ["| column | content |", "|---|---|"]
             lines += [f"| `{column}` | {text} |" for column, text in columns[name].items()] + [""]
-    of = "" if settings.world == PHASE else ', ppl.load_events("events.json")'
+    of = "" if settings.world == ppl.worlds.PHASE else ', ppl.load_events("events.json")'
     reads = {
         "judgment": f'ppl.load_judgments("judgments.csv"{of})',
         "tagging": 'ppl.load_tags("tags.csv")',

@@ -11,14 +11,7 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from phase_ppl.evaluation.experiments import LABELS
-from phase_ppl.evaluation.prediction import pairs_of
-from phase_ppl.world.errors import number_or_nan
-from phase_ppl.world.goals import goal_literal, possible_goals
-from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.names import Literal, Predicate
-from phase_ppl.world.picture import Colour
-from phase_ppl.world.scene import PHASE, World
+import phase_ppl as ppl
 from phase_study.settings import Settings
 from phase_study.store import Participant
 
@@ -27,6 +20,9 @@ LIKENESS: Final = ("1: very unlikely", "2", "3", "4", "5: very likely")
 """The scale of the paper, from 1 to 5."""
 
 Page = dict[str, Any]
+_Colour = tuple[int, int, int]
+_Literal = tuple[str, int, int, bool]
+"""Name of a predicate, subject, target, and whether it is to be true."""
 
 
 def outcome(settings: Settings, who: Participant) -> str | None:
@@ -146,12 +142,13 @@ def questions(settings: Settings, page: str) -> list[Page]:
     if kind != "trial":
         return []
     if settings.kind == "tagging":
-        return [_one("labels", "What happens? Choose all that fit.", LABELS, kind="many")]
-    world, pairs = settings.world, pairs_of(settings.world)
+        return [_one("labels", "What happens? Choose all that fit.", ppl.Tags.LABELS, kind="many")]
+    world, pairs = settings.world, ppl.pairs_of(settings.world)
+    options = ppl.questions_of(world)
     found = [_goals(world, agent, settings.self_goals) for agent in range(len(world.agents))]
     for name, pair in pairs.items():
         who = "they" if len(pairs) == 1 else " and ".join(map(the, pair))
-        found.append(_one(name, f"How do {who} stand to each other?", RELATIONS))
+        found.append(_one(name, f"How do {who} stand to each other?", options[name]))
     if settings.kind == "likeness":
         legend = " ".join(settings.texts["likeness"].split())
         found.append(_one("likeness", legend, list(enumerate(LIKENESS, 1))))
@@ -159,7 +156,7 @@ def questions(settings: Settings, page: str) -> list[Page]:
 
 
 @functools.lru_cache(maxsize=64)
-def _goals(world: World, agent: int, self_goals: bool) -> Page:
+def _goals(world: ppl.World, agent: int, self_goals: bool) -> Page:
     """Return the question about an agent's goal: tables of bodies and where they are to be.
 
     Goals that stand in no table are shown in a row below.
@@ -169,17 +166,17 @@ def _goals(world: World, agent: int, self_goals: bool) -> Page:
     bodies = [*range(len(world.agents), len(world.entities)), agent, *others]
     words: dict[str, str] = {}  # goal -> the same in words, in the order of the page
 
-    def cells(predicate: Predicate, body: int, places: Mapping[int, str]) -> list[str | None]:
+    def cells(predicate: str, body: int, places: Mapping[int, str]) -> list[str | None]:
         found = []
         for way, positive in (("to", True), ("away from", False)):
             for place, called in places.items():
-                found.append(goal := goals.get(Literal(predicate, body, place, positive)))
+                found.append(goal := goals.get((predicate, body, place, positive)))
                 if goal is not None:
-                    mover = f"{who[body]} " * (predicate is Predicate.ON or body != agent)
+                    mover = f"{who[body]} " * (predicate == "ON" or body != agent)
                     words[goal] = f"get {mover}{way} {called}"
         return found
 
-    def table(of: str, heads: Sequence[tuple[str, Colour]], rows: Mapping[int, Any]) -> Page:
+    def table(of: str, heads: Sequence[tuple[str, _Colour]], rows: Mapping[int, Any]) -> Page:
         return {
             "heads": [f"\u2026 to{of}", f"\u2026 away from{of}"],
             "columns": [[name, _css(world, colour)] for name, colour in heads],
@@ -193,23 +190,23 @@ def _goals(world: World, agent: int, self_goals: bool) -> Page:
     places = {n: the(one.name.replace(" lm", " landmark")) for n, one in enumerate(world.landmarks)}
     heads = [(one.name.removesuffix(" lm"), one.colour) for one in world.landmarks]
     tables = [
-        table(" the landmark", heads, {b: cells(Predicate.ON, b, places) for b in bodies}),
+        table(" the landmark", heads, {b: cells("ON", b, places) for b in bodies}),
     ]
     touched = {
         body: who[body]
         for body in (*bodies[: len(world.items)], *others, *[agent] * self_goals)
         if world.entities[body] in (world.touchable or ())
     }
-    rows = {body: cells(Predicate.TOUCH, body, touched) for body in bodies}
+    rows = {body: cells("TOUCH", body, touched) for body in bodies}
     rows = {body: row for body, row in rows.items() if any(row)}
     if set(rows) - {agent}:
         heads = [(world.entities[body], world.entity_colours[body]) for body in touched]
         tables.append(table("", heads, rows))
     else:  # beside each other: to and away from the same
-        both = (goals.get(Literal(Predicate.TOUCH, agent, body, way))
+        both = (goals.get(("TOUCH", agent, body, way))
                 for body in touched for way in (True, False))  # fmt: skip
         words |= {goal: words.pop(goal) for goal in both if goal is not None}
-    words |= {goal: goal for literal, goal in goals.items() if literal.predicate is Predicate.OWN}
+    words |= {goal: goal for (predicate, *_), goal in goals.items() if predicate == "OWN"}
     return {
         "name": f"goal_{world.keys[agent]}",
         "kind": "goals",
@@ -225,21 +222,22 @@ def the(name: str) -> str:
     return name if name[0].isupper() or name.startswith("the ") else f"the {name}"
 
 
-def _css(world: World, colour: Colour) -> str | None:
+def _css(world: ppl.World, colour: _Colour) -> str | None:
     """Return the colour that stands beside a name; in PHASE names say it."""
-    return None if world == PHASE else "rgb({}, {}, {})".format(*colour)
+    return None if world == ppl.worlds.PHASE else "rgb({}, {}, {})".format(*colour)
 
 
-def allowed_goals(agent: int, self_goals: bool, world: World = PHASE) -> list[str]:
+def allowed_goals(agent: int, self_goals: bool, world: ppl.World = ppl.worlds.PHASE) -> list[str]:
     """Return the goals that people can choose for an agent of a world, in its order."""
     return list(_by_literal(world, agent, self_goals).values())
 
 
-def _by_literal(world: World, agent: int, self_goals: bool) -> dict[Literal, str]:
+def _by_literal(world: ppl.World, agent: int, self_goals: bool) -> dict[_Literal, str]:
     """Return what an agent's goals make true -> the goals, of two that are the same the first."""
-    found: dict[Literal, str] = {}
-    for goal in range(len(world.goals)) if self_goals else possible_goals(agent, world):
-        found.setdefault(goal_literal(goal, agent, world), world.goals[goal])
+    found: dict[_Literal, str] = {}
+    for goal in range(len(world.goals)) if self_goals else ppl.goals.possible_goals(agent, world):
+        literal = ppl.goals.goal_literal(goal, agent, world)
+        found.setdefault((literal.predicate.name, *literal[1:]), world.goals[goal])
     return found
 
 
@@ -275,7 +273,7 @@ def checked(
     if kind == "tutorial":
         views = answers["views"]
         fits = isinstance(views, list) and len(views) <= 500
-        if not (fits and all(0 <= number_or_nan(view) < 1e9 for view in views)):
+        if not (fits and all(is_number(view, 1e9) for view in views)):
             raise Unfit("views: expected milliseconds")
         return dict(answers), None
     found = {question["name"]: _fitting(question, answers[question["name"]]) for question in asked}
@@ -283,6 +281,11 @@ def checked(
         return found, None
     right = [answer for _, _, answer in settings.quiz]
     return found, list(found.values()) == right
+
+
+def is_number(value: object, most: float) -> bool:
+    """Whether a value of JSON is a number from 0 to below another."""
+    return type(value) in (int, float) and 0 <= value < most  # type: ignore[operator]
 
 
 def _fitting(question: Page, answer: Any) -> Any:

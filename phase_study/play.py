@@ -27,10 +27,9 @@ from starlette.exceptions import HTTPException
 from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from phase_ppl.world.names import BLUE_ITEM, NOTHING
-from phase_ppl.world.scene import Scene
+import phase_ppl as ppl
 from phase_study import plan
-from phase_study.room import KEYS, Controls, Message, Outbox, Room, Seat
+from phase_study.room import KEYS, NOTHING, Controls, Message, Outbox, Room, Seat
 from phase_study.server import MOST_MESSAGE, Site, same_origin
 from phase_study.store import COMPLETE, Participant
 
@@ -53,7 +52,9 @@ def routes(site: Site) -> list[BaseRoute]:
 
 # --- practice -------------------------------------------------------------------------------------
 
-PRACTICE: Final = Scene(
+_BLUE_ITEM: Final = 2
+
+PRACTICE: Final = ppl.Scene(
     start=np.array([[13.0, 7.0, 0.0], [23.0, 19.0, 2.5], [13.0, 14.0, 0.0], [20.0, 7.0, 0.0]]),
     radius=np.array([0.8, 0.8, 0.8, 1.2]),
     walls=np.array([[[16.0, 12.0], [16.0, 22.0]]]),
@@ -68,8 +69,8 @@ def _moved(room: Room) -> float:
 
 
 def _carried(room: Room) -> bool:
-    way = np.abs(room.frames[-1][BLUE_ITEM, :2] - room.frames[0][BLUE_ITEM, :2]).sum()
-    return bool(room.picture.held[0] == BLUE_ITEM and way > 2)
+    way = np.abs(room.frames[-1][_BLUE_ITEM, :2] - room.frames[0][_BLUE_ITEM, :2]).sum()
+    return bool(room.picture.held[0] == _BLUE_ITEM and way > 2)
 
 
 TASKS: Final[dict[str, Callable[[Room], bool]]] = {
@@ -77,11 +78,11 @@ TASKS: Final[dict[str, Callable[[Room], bool]]] = {
     "Turn: Q and E, or the arrows left and right": lambda room: (
         abs(room.frames[-1][0, 2] - room.frames[0][0, 2]) > 0.5
     ),
-    "Touch the blue circle and grab it: space": lambda room: room.picture.held[0] == BLUE_ITEM,
+    "Touch the blue circle and grab it: space": lambda room: room.picture.held[0] == _BLUE_ITEM,
     "Take it with you": _carried,
     "Let go of it: space": lambda room: (
         room.picture.held[0] == NOTHING
-        and bool(np.ptp([frame[BLUE_ITEM, :2] for frame in room.frames], axis=0).sum() > 2)
+        and bool(np.ptp([frame[_BLUE_ITEM, :2] for frame in room.frames], axis=0).sum() > 2)
     ),
 }
 """What is to be done in practice, in this order -> whether it is done."""

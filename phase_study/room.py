@@ -15,35 +15,26 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from phase_ppl.agents import vision
-from phase_ppl.agents.agent import Agent
-from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.world_model import WorldModel
-from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import NO_ACTION, Action
-from phase_ppl.physics.constants import SUBSTEPS
-from phase_ppl.physics.pymunk_world import PymunkWorld
-from phase_ppl.render.frames import field_of_view
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.event import Event, State
-from phase_ppl.world.goals import goal_index, goal_literal, is_true
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, Predicate
-from phase_ppl.world.scene import Scene
+import phase_ppl as ppl
 from phase_study.settings import PlaySettings
 from phase_study.store import trajectory_sha256
 
-MOVES: Final[Mapping[str, Action]] = {
-    "forward": Action.UP,
-    "backward": Action.DOWN,
-    "left": Action.LEFT,
-    "right": Action.RIGHT,
-    "turn left": Action.TURN_LEFT,
-    "turn right": Action.TURN_RIGHT,
+MOVES: Final[Mapping[str, ppl.Action]] = {
+    "forward": ppl.Action.UP,
+    "backward": ppl.Action.DOWN,
+    "left": ppl.Action.LEFT,
+    "right": ppl.Action.RIGHT,
+    "turn left": ppl.Action.TURN_LEFT,
+    "turn right": ppl.Action.TURN_RIGHT,
 }
 GRAB: Final = "grab"
 KEYS: Final = (*MOVES, GRAB)
 """What a player can press (paper, Appendix A.2)."""
+
+NOTHING: Final = -1
+"""What an agent holds that holds nothing."""
 
 Message = dict[str, Any]
 
@@ -81,7 +72,7 @@ class Controls:
         held = (key for key in self._held if key != GRAB)
         return [*self._taps, *held, *[GRAB] * self._grabs]
 
-    def action(self, holds: bool) -> Action:
+    def action(self, holds: bool) -> ppl.Action:
         """Return the action of the coming step.
 
         The latest of the keys that are held wins. A key that went down and up between two steps
@@ -89,12 +80,12 @@ class Controls:
         """
         if self._grabs:
             self._grabs = False
-            return Action.DETACH if holds else Action.ATTACH
+            return ppl.Action.DETACH if holds else ppl.Action.ATTACH
         if self._taps:
             return MOVES[self._taps.pop(0)]
         held = [key for key in self._held if key != GRAB]
         self._unheeded -= set(held[-1:])
-        return MOVES[held[-1]] if held else Action.NO_FORCE
+        return MOVES[held[-1]] if held else ppl.Action.NO_FORCE
 
 
 class Outbox:
@@ -168,7 +159,7 @@ class Step(NamedTuple):
 class Picture(NamedTuple):
     """A moment of the world, and what each agent sees of it."""
 
-    poses: FloatArray  # (4, 3) x, y [units], angle [rad]
+    poses: NDArray[np.float64]  # (4, 3) x, y [units], angle [rad]
     seen: Sequence[Sequence[bool]]  # per agent, whether it observes each entity
     # per agent the corners of its field of view; None where all is shown
     sights: Sequence[list[list[float]] | None]
@@ -190,7 +181,7 @@ class Room:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: ppl.Scene,
         goals: tuple[str, str],
         strengths: tuple[float, float],
         settings: PlaySettings,
@@ -202,55 +193,44 @@ class Room:
         self.scene, self.goals, self.strengths = scene, goals, strengths
         self.settings, self.seats = settings, seats
         self.limit = settings.limit if limit is None else limit
-        self.world = PymunkWorld(scene, strengths)
-        self.frames: list[FloatArray] = [scene.start.copy()]
+        self.stage = ppl.Stage(scene, strengths)
+        self.frames: list[NDArray[np.float64]] = [scene.start.copy()]
         self.steps: list[Step] = []
         self.slip = 0.0
-        planner = PlannerConfig.named("fast")
-        self._model = WorldModel.of(scene, strengths, planner)
-        self._literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
+        self._literals = [ppl.goals.goal_literal(goal, agent) for agent, goal in enumerate(goals)]
         self._true_for = 0
-        codes = goal_index(goals[0]), goal_index(goals[1])
         self._computers = {
-            agent: Agent(agent, codes, self._model, planner, computer.spawn(1)[0])
+            agent: self.stage.planned(agent, goals, computer.spawn(1)[0])
             for agent, seat in enumerate(seats)
             if computer is not None and seat.who is None
         }
-        layout = self._model.layout
-        self._visible = np.zeros(layout.rows * layout.columns, bool)
-        self._cells = np.zeros(vision.MAX_OUTLINE_CELLS, np.int64)
-        self._observed = np.zeros(len(ENTITIES), bool)
         self.picture = self._picture()
 
     # --- the world --------------------------------------------------------------------------------
 
     def _picture(self) -> Picture:
-        state = self.world.state
-        bodies, held, _ = compiled.from_state(state, self.scene.radius)
-        shows_all, model = self.settings.view == "all", self._model
-        seen, sights = [], []
-        for agent in range(len(AGENTS)):
-            vision.observe(
-                *(bodies, held, agent, shows_all, model.params, model.layout),
-                *(self._visible, self._cells, self._observed),
-            )
-            seen.append(self._observed.tolist())
-            sights.append(None if shows_all else outline(self.scene, state.pose, agent))
-        return Picture(state.pose, seen, sights, state.held.tolist())
+        state, n = self.stage.state, len(self.seats)
+        held = state.held.tolist()
+        if self.settings.view == "all":
+            return Picture(state.pose, [[True] * len(state.pose)] * n, [None] * n, held)
+        seen = [self.stage.sees(agent).tolist() for agent in range(n)]
+        sights = [outline(self.scene, state.pose, agent) for agent in range(n)]
+        return Picture(state.pose, seen, sights, held)
 
-    async def _planned(self) -> dict[int, Action]:
+    async def _planned(self) -> dict[int, ppl.Action]:
         """Return what each computer does next, from what its agent sees now."""
-        arrays = compiled.from_state(self.world.state, self.scene.radius)
         return {
-            agent: (await asyncio.to_thread(computer.decide, *arrays)).action
+            agent: await asyncio.to_thread(computer.decide)
             for agent, computer in self._computers.items()
         }
 
-    def _advance(self, actions: tuple[Action, Action]) -> list[Picture]:
+    def _advance(self, actions: tuple[ppl.Action, ppl.Action]) -> list[Picture]:
         """Do one step; return its moments."""
-        pictures = [self._picture() for _ in self.world.substeps(actions)]
+        pictures = [self._picture() for _ in self.stage.substeps(actions)]
         self.frames.append(np.mean([picture.poses for picture in pictures], axis=0))
-        reached = [is_true(literal, self.frames[-1], self.scene) for literal in self._literals]
+        reached = [
+            ppl.goals.is_true(literal, self.frames[-1], self.scene) for literal in self._literals
+        ]
         self._true_for = self._true_for + 1 if all(reached) else 0
         return pictures
 
@@ -281,14 +261,14 @@ class Room:
     async def run(self, done: Callable[[Room], str | None] | None = None) -> str:
         """Play until it ends, or ``done``, asked after each step, says that it does; return how."""
         loop = asyncio.get_running_loop()
-        interval = 1 / (self.settings.steps_per_second * SUBSTEPS)
+        interval = 1 / (self.settings.steps_per_second * ppl.Stage.SUBSTEPS)
         due = loop.time()
         planning = asyncio.ensure_future(self._planned())
         try:
             while (outcome := self.outcome() or (done(self) if done else None)) is None:
                 planned = await planning
                 keys = [seat.controls.pressed() for seat in self.seats]
-                held = self.world.state.held.tolist()
+                held = self.stage.state.held.tolist()
                 red, green = (
                     planned.get(agent, seat.controls.action(held[agent] != NOTHING))
                     for agent, seat in enumerate(self.seats)
@@ -319,7 +299,7 @@ class Room:
         """Return the present moment as an agent sees it; of what it does not see, nothing."""
         poses, seen, sights, held = self.picture
         steps = len(self.steps)
-        left = self.limit - steps - number / SUBSTEPS
+        left = self.limit - steps - number / ppl.Stage.SUBSTEPS
         return {
             "t": "frame",
             "poses": [
@@ -344,7 +324,7 @@ class Room:
             "arena": list(scene.arena),
             "landmarks": scene.landmark_centres.tolist(),
             "half_width": scene.landmark_half_width,
-            "interval": 1 / (self.settings.steps_per_second * SUBSTEPS),
+            "interval": 1 / (self.settings.steps_per_second * ppl.Stage.SUBSTEPS),
             "ends_by_goals": self.ends_by_goals,
             "partner": "computer" if self._computers else "person",
         }
@@ -353,9 +333,9 @@ class Room:
 _BEND: Final = 0.01  # sine of the least turn of an outline at which there is a corner
 
 
-def outline(scene: Scene, poses: FloatArray, agent: int) -> list[list[float]]:
+def outline(scene: ppl.Scene, poses: NDArray[np.float64], agent: int) -> list[list[float]]:
     """Return the corners of what an agent has in view within the arena."""
-    points = field_of_view(scene, poses, agent)
+    points = ppl.render.field_of_view(scene, poses, agent)
     eye, rays = points[0], points[1:] - points[0]
     x0, x1, y0, y1 = scene.arena
     border = np.where(rays > 0, [x1, y1], [x0, y0])
@@ -375,23 +355,23 @@ def outline(scene: Scene, poses: FloatArray, agent: int) -> list[list[float]]:
 # --- what is to be expected of a scene ------------------------------------------------------------
 
 
-def warnings(events: Iterable[Event], settings: PlaySettings) -> list[str]:
+def warnings(events: Iterable[ppl.Event], settings: PlaySettings) -> list[str]:
     """Return which agents cannot do in the time what they are to do, in words."""
     found = []
     for event in events:
         truth, scene = event.truth, settings.scene(event.scene)
         goals = truth.goal_red, truth.goal_green
-        literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
-        if all(one.positive and is_true(one, scene.start, scene) for one in literals):
+        literals = [ppl.goals.goal_literal(goal, agent) for agent, goal in enumerate(goals)]
+        if all(one.positive and ppl.goals.is_true(one, scene.start, scene) for one in literals):
             found.append(f"{event.id}: both goals are reached before anybody moves")
         for agent, strength in enumerate((truth.strength_red, truth.strength_green)):
-            name, size = ENTITIES[agent], float(scene.radius[agent])
+            name, size = scene.world.entities[agent], float(scene.radius[agent])
             who = f"{event.id}: the {name} (size {size:g}, {strength:g} N)"
             needed = _needed(literals[agent], agent, scene, strength) * settings.step
             width = scene.arena[1] - scene.arena[0]
             crossing = driving(size, strength, width, settings.resets_velocity) * settings.step
             if needed == np.inf:
-                item = ENTITIES[literals[agent].subject]
+                item = scene.world.entities[literals[agent].subject]
                 found.append(f"{who} cannot move the {item} alone, which its goal is about")
             elif needed > settings.seconds:
                 found.append(f"{who} needs {_said(needed)} for its goal, {_of(settings)}")
@@ -408,13 +388,13 @@ def _of(settings: PlaySettings) -> str:
     return f"of the {settings.seconds:g} s that a session takes (limit in [play])"
 
 
-def _needed(literal: Literal, agent: int, scene: Scene, strength: float) -> float:
+def _needed(literal: ppl.goals.Literal, agent: int, scene: ppl.Scene, strength: float) -> float:
     """Return the planner steps that an agent needs for its goal, alone and straight; inf: never."""
     places, distance, resets = scene.start[:, :2], scene.rooms.path_distance, scene.resets_velocity
     size, subject = float(scene.radius[agent]), literal.subject
     if not literal.positive or subject == 1 - agent:
         return 0.0
-    if literal.predicate is Predicate.TOUCH:
+    if literal.predicate.name == "TOUCH":
         return driving(size, strength, distance(places[agent], places[literal.target]), resets)
     goal = scene.landmark_centres[literal.target]
     carried = max(0.0, float(distance(places[subject], goal)) - scene.landmark_half_width)
@@ -426,6 +406,7 @@ def _needed(literal: Literal, agent: int, scene: Scene, strength: float) -> floa
 
 
 _STEADY: Final = 24  # steps after which the speed of an agent that is reset is taken as it stays
+_MOST_STEPS: Final = 5000  # of a session
 _CREEPS: Final = 2e-3  # units per step that are no motion
 
 
@@ -444,26 +425,24 @@ def driving(
     if item is not None:
         start[2] = start[0] + [0.0, size + item]
     corners = np.array([[0.1, 0.9], [0.9, 0.9], [0.9, 0.1], [0.1, 0.1]]) * room
-    scene = Scene(
+    scene = ppl.Scene(
         start=np.column_stack([start, np.zeros(4)]),
         radius=np.array([size, 0.8, item or 0.8, 0.8]),
         arena=(0.0, room, 0.0, room),
         landmark_centres=corners,
         resets_velocity=resets_velocity,
     )
-    params = compiled.make_params(scene, (strength, strength))
-    arrays = compiled.from_state(State.at_start(scene), scene.radius)
-    scratch = compiled.make_scratch()
+    stage, rest = ppl.Stage(scene, (strength, strength)), ppl.Action.NO_FORCE
     if item is not None:
-        compiled.step(*arrays, np.array([Action.ATTACH, NO_ACTION]), params, scratch)
-        if arrays[1][0] == NOTHING:
+        stage.step((ppl.Action.ATTACH, rest))
+        if stage.state.held[0] == NOTHING:
             return np.inf
     gone = before = 0.0
-    for step in range(1, 100_000):
-        compiled.step(*arrays, np.array([Action.UP, NO_ACTION]), params, scratch)
-        before, gone = gone, arrays[0][0, 1] - start[0, 1] + size / 6
+    for step in range(1, _MOST_STEPS + 1):
+        stage.step((ppl.Action.UP, rest))
+        before, gone = gone, float(stage.state.pose[0, 1]) - start[0, 1]
         if gone >= way:
             return float(step)
         if step >= _STEADY and (resets_velocity or gone <= _CREEPS):
-            return step + (way - gone) / (gone - before) if gone - before > _CREEPS else np.inf
-    return np.inf
+            break
+    return step + (way - gone) / (gone - before) if gone - before > _CREEPS else np.inf

@@ -25,8 +25,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from phase_ppl.world.errors import number_or_nan
-from phase_ppl.world.event import Event
+import phase_ppl as ppl
 from phase_study import plan
 from phase_study.clips import clips_of
 from phase_study.settings import Settings
@@ -64,7 +63,11 @@ class Site:
     """A study that is being served; ``secure``: by TLS, so that cookies are for TLS only."""
 
     def __init__(
-        self, folder: Path, settings: Settings, events: Mapping[str, Event], secure: bool = False
+        self,
+        folder: Path,
+        settings: Settings,
+        events: Mapping[str, ppl.Event],
+        secure: bool = False,
     ) -> None:
         self.folder, self.settings, self.events, self.secure = folder, settings, events, secure
         self._thread = ThreadPoolExecutor(1, "store")
@@ -322,7 +325,7 @@ class Pages:
             raise HTTPException(409, f"there is no page {page[:40]!r} to be answered")
         times = {name: given.get(name) for name in _TIMES}
         for name, value in times.items():
-            if value is not None and not 0 <= number_or_nan(value) < _MOST_TIME:
+            if value is not None and not plan.is_number(value, _MOST_TIME):
                 raise HTTPException(400, f"{name}: expected milliseconds, or how often")
         try:
             cleaned, correct = plan.checked(settings, page, answers)

@@ -14,10 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from phase_ppl.evaluation.prediction import checked_answer, pairs_of
-from phase_ppl.world.errors import InvalidSettingError, check_name, shown
-from phase_ppl.world.files import existing_file
-from phase_ppl.world.scene import PHASE, Scene, World
+import phase_ppl as ppl
 from phase_study.clips import clips_of
 
 if TYPE_CHECKING:
@@ -66,7 +63,7 @@ class PlaySettings:
         """That a session may take."""
         return self.limit * self.step
 
-    def scene(self, scene: Scene) -> Scene:
+    def scene(self, scene: ppl.Scene) -> ppl.Scene:
         """Return a scene as it is played: people turn both ways, and the rule is the study's."""
         return dataclasses.replace(scene, turning="both", resets_velocity=self.resets_velocity)
 
@@ -105,7 +102,7 @@ class Settings:
     play: PlaySettings = None  # type: ignore[assignment]
     self_goals: bool = False
     text: str = ""
-    world: World = PHASE
+    world: ppl.World = ppl.worlds.PHASE
 
     @functools.cached_property
     def sha256(self) -> str:
@@ -113,21 +110,21 @@ class Settings:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @classmethod
-    def read(cls, path: Path, world: World = PHASE) -> Settings:
+    def read(cls, path: Path, world: ppl.World = ppl.worlds.PHASE) -> Settings:
         """Read ``study.toml`` of a study of events of a world."""
-        source = existing_file(path)
+        source = ppl.files.existing_file(path)
         try:
             return cls.parse(source.read_text("utf-8"), world)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InvalidSettingError(f"{source}: {error}") from None
+            raise ppl.errors.InvalidSettingError(f"{source}: {error}") from None
         except ValueError as error:
             raise type(error)(f"{source}: {error}") from None
 
     @classmethod
-    def parse(cls, text: str, world: World = PHASE) -> Settings:
+    def parse(cls, text: str, world: ppl.World = ppl.worlds.PHASE) -> Settings:
         """Read the text of ``study.toml``; what is left out is as in the template."""
         given = tomllib.loads(text)
-        check_name("kind", given.get("kind"), KINDS)
+        ppl.errors.check_name("kind", given.get("kind"), KINDS)
         found = _table("", given, tomllib.loads(template(given["kind"], title="", world=world)))
         for name, check in (("tutorial", functools.partial(_step, world)), ("quiz", _question)):
             found[name] = [check(f"[[{name}]] number {n}", e) for n, e in enumerate(found[name], 1)]
@@ -144,7 +141,7 @@ _TYPES: Final = {str: "text", int: "a whole number", bool: "true or false", dict
 
 def template(
     kind: str, title: str, *, trials: int = 10, raters: int = 20, n_videos: int = 100,
-    world: World = PHASE,
+    world: ppl.World = ppl.worlds.PHASE,
 ) -> str:  # fmt: skip
     """Return the text of a new ``study.toml``, with codes of its own."""
 
@@ -161,9 +158,9 @@ def template(
         most_entries=max(100, 3 * people),
         codes={name: code() for name in names},
         world=world,
-        of_phase=world == PHASE,
+        of_phase=world == ppl.worlds.PHASE,
         alone=len(world.agents) == 1,
-        pair=next(iter(pairs_of(world)), None),
+        pair=next(iter(ppl.pairs_of(world)), None),
         minutes=12 + trials if kind == "play" else max(5, 5 + -(-trials * 3 // 4)),
     )
 
@@ -188,10 +185,12 @@ def _table(
 ) -> dict[str, Any]:
     """Return a table of the file, checked; what is left out, unless required, is the default."""
     if not isinstance(given, dict):
-        raise InvalidSettingError(f"{where} is {shown(given)}, expected a table")
+        raise ppl.errors.InvalidSettingError(
+            f"{where} is {ppl.errors.shown(given)}, expected a table"
+        )
     found, inside = {**default, **dict.fromkeys(required), **given}, f" in {where}" if where else ""
     for name, value in found.items():
-        check_name(f"setting{inside}", name, default)
+        ppl.errors.check_name(f"setting{inside}", name, default)
         expected = _TYPES[type(default[name])]
         fits = type(value) is type(default[name])
         if name in _RANGES:
@@ -199,17 +198,19 @@ def _table(
             expected += f" >= {least}" if most == math.inf else f" in [{least}, {most}]"
             fits = fits and least <= value <= most
         if not fits:
-            raise InvalidSettingError(f"{name}{inside} is {shown(value)}, expected {expected}")
+            raise ppl.errors.InvalidSettingError(
+                f"{name}{inside} is {ppl.errors.shown(value)}, expected {expected}"
+            )
         if name in _CHOICES:
-            check_name(f"{name}{inside}", value, _CHOICES[name])
+            ppl.errors.check_name(f"{name}{inside}", value, _CHOICES[name])
         if isinstance(value, dict) and name != "checks":  # whose names are those of videos
             found[name] = _table(f"[{name}]", value, default[name])
     return found
 
 
-def _step(world: World, where: str, given: Any) -> tuple[str, str]:
+def _step(world: ppl.World, where: str, given: Any) -> tuple[str, str]:
     entry = _table(where, given, {"text": "", "clip": ""}, ["text"])
-    check_name(f"clip in {where}", entry["clip"], ("", *clips_of(world)))
+    ppl.errors.check_name(f"clip in {where}", entry["clip"], ("", *clips_of(world)))
     return entry["text"], entry["clip"]
 
 
@@ -218,21 +219,31 @@ def _question(where: str, given: Any) -> tuple[str, tuple[str, ...], str]:
     entry = _table(where, given, kinds, list(kinds))
     options = tuple(map(str, entry["options"]))
     if len(options) < 2 or len(set(options)) < len(options):
-        raise InvalidSettingError(f"{where}: options are {shown(options)}, expected two or more")
-    check_name(f"answer in {where}", entry["answer"], options)
+        raise ppl.errors.InvalidSettingError(
+            f"{where}: options are {ppl.errors.shown(options)}, expected two or more"
+        )
+    ppl.errors.check_name(f"answer in {where}", entry["answer"], options)
     return entry["question"], options, entry["answer"]
 
 
-def _accepted(event: str, given: Any, world: World) -> dict[str, tuple[str, ...]]:
+def _accepted(event: str, given: Any, world: ppl.World) -> dict[str, tuple[str, ...]]:
     """Return question -> accepted answers; a list is of the relation where there is one pair."""
-    pairs = list(pairs_of(world))
+    pairs = list(ppl.pairs_of(world))
     if isinstance(given, list) and len(pairs) == 1:
         given = {pairs[0]: given}
     lists = given.values() if isinstance(given, dict) else ()
     if not lists or not all(isinstance(one, list) and one for one in lists):
         expected = "relations" if len(pairs) == 1 else "a table of questions with lists of answers"
-        raise InvalidSettingError(f"[checks] {event} is {shown(given)}, expected {expected}")
+        raise ppl.errors.InvalidSettingError(
+            f"[checks] {event} is {ppl.errors.shown(given)}, expected {expected}"
+        )
     return {
-        question: tuple(checked_answer(question, answer, world) for answer in answers)
+        question: tuple(_spelled(question, answer, world) for answer in answers)
         for question, answers in given.items()
     }
+
+
+def _spelled(question: str, answer: object, world: ppl.World) -> str:
+    """Return an answer as the labels of a question of the world spell it."""
+    said = ppl.Prediction("", answers={question: str(answer)}, world=world)
+    return said.answers[question]

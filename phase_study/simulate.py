@@ -22,32 +22,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 import numpy as np
 
-from phase_ppl.evaluation import evaluate as evaluation_module
-from phase_ppl.evaluation.evaluation import Evaluation
-from phase_ppl.evaluation.experiments import LABELS
-from phase_ppl.evaluation.prediction import Prediction, questions_of
-from phase_ppl.world.errors import (
-    InvalidSettingError,
-    SimulationError,
-    check_name,
-    nonnegative_number,
-    shown,
-    whole_number,
-)
-from phase_ppl.world.hypothesis import scenario
-from phase_ppl.world.progress import Bar
+import phase_ppl as ppl
 from phase_study import plan
 from phase_study.settings import Settings
 from phase_study.store import FILE, Store
 from phase_study.study import CLIPS_FOLDER, VIDEOS, Study
-
-if TYPE_CHECKING:
-    from phase_ppl.evaluation.judgments import Study as Judged
 
 AT_ONCE: Final = 20  # participants at the same time
 
@@ -79,7 +63,7 @@ def simulate(
     people: int = 200,
     *,
     model: str = "stepwise",
-    predictions: str | os.PathLike[str] | Mapping[str, Prediction] | None = None,
+    predictions: str | os.PathLike[str] | Mapping[str, ppl.Prediction] | None = None,
     options: Mapping[str, Any] | None = None,
     lapse: float = 0.1,
     drop_outs: float = 0.1,
@@ -107,30 +91,30 @@ def simulate(
         InvalidSettingError: a setting is out of range, or sessions are to be played.
         SimulationError: the server refused what a page of it would not.
     """
-    whole_number("people", people)
+    ppl.errors.whole_number("people", people)
     for name, value in (("lapse", lapse), ("drop_outs", drop_outs)):
-        if nonnegative_number(name, value) > 1:
-            raise InvalidSettingError(f"{name}={shown(value)}, expected a share")
+        if ppl.errors.nonnegative_number(name, value) > 1:
+            raise ppl.errors.InvalidSettingError(
+                f"{name}={ppl.errors.shown(value)}, expected a share"
+            )
     if study.settings.kind == "play":
-        raise InvalidSettingError(
+        raise ppl.errors.InvalidSettingError(
             "sessions are played by people; their partner can be the computer"
         )
     study.check()
     beliefs = _beliefs(study, model, predictions, dict(options or {}), progress)
     with copied(study) as copy, serving(copy) as address:
         events = copy.events_by_digest()
-        with (
-            ThreadPoolExecutor(AT_ONCE) as pool,
-            Bar(people, 0, progress, "person", "asking") as bar,
-        ):
+        with ThreadPoolExecutor(AT_ONCE) as pool:
             seeds = np.random.SeedSequence(seed).spawn(people)
 
             def one(number: int) -> None:
                 rng = np.random.default_rng(seeds[number])
                 Person(copy.settings, address, beliefs, events, rng, lapse, drop_outs).take_part()
-                bar.update()
 
-            list(pool.map(one, range(people)))
+            asked = pool.map(one, range(people))
+            for _ in ppl.counted(asked, progress, "person", "asking", people):
+                pass
         # nobody is at it any more
         copy.settings = dataclasses.replace(copy.settings, place_kept=0)
         copy.export(out)
@@ -142,15 +126,15 @@ def simulate(
 
 def _beliefs(
     study: Study, model: str, given: Any, options: dict[str, Any], progress: bool | None
-) -> Mapping[str, Prediction]:
+) -> Mapping[str, ppl.Prediction]:
     if given is None:
         events = list(study.events.values())
-        found = evaluation_module.evaluate(events, model, progress=progress, **options)
+        found = ppl.evaluate(events, model, progress=progress, **options)
         given = found.predictions
     elif isinstance(given, str | os.PathLike):
-        given = Evaluation.load(given).predictions
+        given = ppl.Evaluation.load(given).predictions
     for event in study.events:
-        check_name("event in the predictions", event, given)
+        ppl.errors.check_name("event in the predictions", event, given)
     return dict(given)
 
 
@@ -194,7 +178,7 @@ def serving(study: Study) -> Iterator[str]:
     thread.start()
     address = told.get()
     if not address:
-        raise SimulationError("the server did not start")
+        raise ppl.errors.SimulationError("the server did not start")
     try:
         yield address
     finally:
@@ -252,7 +236,7 @@ class Visitor:
             if status < 400:
                 return content
             if (status < 500 and status != 429) or time.monotonic() > until:
-                raise SimulationError(f"{method} {path.partition('?')[0]}: {reason}")
+                raise ppl.errors.SimulationError(f"{method} {path.partition('?')[0]}: {reason}")
             time.sleep(wait)
             wait = min(2 * wait, 2.0)
 
@@ -268,7 +252,7 @@ class Person:
         self,
         settings: Settings,
         address: str,
-        beliefs: Mapping[str, Prediction],
+        beliefs: Mapping[str, ppl.Prediction],
         events: Mapping[str, str],
         rng: np.random.Generator,
         lapse: float = 0.0,
@@ -295,7 +279,9 @@ class Person:
                     self._answer(state["participant"], page)
                 state = json.loads(self.visitor.get("/api/state"))
                 if state.get("status") == "new":
-                    raise SimulationError("the server does not know this person any more")
+                    raise ppl.errors.SimulationError(
+                        "the server does not know this person any more"
+                    )
             self.outcome = state["outcome"]
 
     def _answer(self, who: str, page: Mapping[str, Any]) -> None:
@@ -330,9 +316,9 @@ class Person:
         film = hashlib.sha256(self.visitor.get(page["video"])).hexdigest()
         return self._judged(self.beliefs[self.events[film]], page)
 
-    def _judged(self, belief: Prediction, page: Mapping[str, Any]) -> dict[str, Any]:
+    def _judged(self, belief: ppl.Prediction, page: Mapping[str, Any]) -> dict[str, Any]:
         world, self_goals = self.settings.world, self.settings.self_goals
-        allowed: dict[str, Sequence[str]] = {**questions_of(world)}
+        allowed: dict[str, Sequence[str]] = {**ppl.questions_of(world)}
         for agent, question in zip(range(len(world.agents)), allowed, strict=False):
             allowed[question] = plan.allowed_goals(agent, self_goals, world)
         drawn = {q: self._drawn(belief, q, options) for q, options in allowed.items()}
@@ -344,8 +330,8 @@ class Person:
             return {**drawn, "likeness": rating}
         return drawn
 
-    def _drawn(self, belief: Prediction, question: str, options: Sequence[str]) -> str:
-        labels = questions_of(self.settings.world)[question]
+    def _drawn(self, belief: ppl.Prediction, question: str, options: Sequence[str]) -> str:
+        labels = ppl.questions_of(self.settings.world)[question]
         if question in belief.probabilities:
             shares = np.array([belief.probabilities[question][labels.index(o)] for o in options])
         else:
@@ -356,34 +342,31 @@ class Person:
 
     def _labels(self, goals: Sequence[str]) -> list[str]:
         likely: dict[str, float] = {}
-        for one, other in itertools.combinations(range(len(goals)), 2):
-            pair = goals[one], goals[other]
-            likely |= _LIKELY[scenario(*pair, self.settings.world, (one, other))]
+        world, n = self.settings.world, len(goals)
+        wanted = ppl.Roles(world, tuple(map(world.goal_index, goals)), (None,) * n, (1.0,) * n)
+        for pair in itertools.combinations(world.agents, 2):
+            likely |= _LIKELY[wanted.scenario_between(*pair)]
         for goal in goals:
             for start, labels in _BY_GOAL.items():
                 if goal.startswith(start):
                     likely |= labels
-        wanted = {label: max(likely.get(label, 0.0), self.lapse / 10) for label in LABELS}
-        chosen = [label for label, p in wanted.items() if self.rng.random() < p]
-        return chosen or [max(wanted, key=lambda label: wanted[label])]
+        chances = {label: max(likely.get(label, 0.0), self.lapse / 10) for label in ppl.Tags.LABELS}
+        chosen = [label for label, p in chances.items() if self.rng.random() < p]
+        return chosen or [max(chances, key=lambda label: chances[label])]
 
 
 def _figures(kind: str, out: Path, copy: Study) -> list[str]:
     """Draw what can be drawn of an export; return what to say of it."""
-    from phase_ppl.evaluation import figures
-    from phase_ppl.evaluation.experiments import load_likeness
-    from phase_ppl.evaluation.judgments import load_judgments
-
     if kind == "tagging":
-        figures.tags(out / "tags.csv", out / "tags.png")
+        ppl.figures.tags(out / "tags.csv", out / "tags.png")
         return [f"\nFigure: {out / 'tags.png'}"]
     events = [event for event in copy.events.values() if event.truth is not None]
-    judged: Judged = load_judgments(out / "judgments.csv", list(copy.events.values()))
+    judged = ppl.load_judgments(out / "judgments.csv", list(copy.events.values()))
     lines = [f"\n{judged}"]
     if kind == "likeness":
-        figures.likeness(out / "likeness.csv", out / "likeness.png")
+        ppl.figures.likeness(out / "likeness.csv", out / "likeness.png")
         lines += [
-            f"{load_likeness(out / 'likeness.csv').summary()}",
+            f"{ppl.load_likeness(out / 'likeness.csv').summary()}",
             f"Figure: {out / 'likeness.png'}",
         ]
     if any(event.id in judged.judgments for event in events):

@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from phase_ppl import __version__
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, UnknownNameError, shown
+import phase_ppl as ppl
 from phase_study.settings import Settings
 
 FILE: Final = "study.db"
@@ -133,7 +132,9 @@ class Store:
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
-            raise InvalidEventError(f"{path.parent} holds no study: there is no {path.name}")
+            raise ppl.errors.InvalidEventError(
+                f"{path.parent} holds no study: there is no {path.name}"
+            )
         self.path = path
         self._db = sqlite3.connect(path, isolation_level=None, timeout=10)
         self._db.row_factory = sqlite3.Row
@@ -145,10 +146,12 @@ class Store:
             )
         except sqlite3.DatabaseError as error:
             self._db.close()
-            raise InvalidEventError(f"{path} is no study: {error}") from None
+            raise ppl.errors.InvalidEventError(f"{path} is no study: {error}") from None
         if version != _VERSION:
             self._db.close()
-            raise InvalidEventError(f"{path} is of version {version}, expected {_VERSION}")
+            raise ppl.errors.InvalidEventError(
+                f"{path} is of version {version}, expected {_VERSION}"
+            )
 
     @classmethod
     def create(cls, path: Path, kind: str, stimuli: Iterable[Stimulus]) -> Store:
@@ -160,7 +163,7 @@ class Store:
             db.executescript(f"BEGIN;{_SCHEMA}COMMIT;")  # waits for the disk once
             db.execute(f"PRAGMA user_version={_VERSION}")
         store = cls(path)
-        facts = {"id": secrets.token_hex(8), "kind": kind, "version": __version__,
+        facts = {"id": secrets.token_hex(8), "kind": kind, "version": ppl.__version__,
                  "created": str(time.time()), "secret": secrets.token_hex(32)}  # fmt: skip
         with store._writing() as run:
             for name, value in facts.items():
@@ -318,7 +321,7 @@ class Store:
         """Return a participant, by id."""
         found = self.rows("SELECT * FROM participant WHERE id=?", (who,))
         if not found:
-            raise UnknownNameError(f"there is no participant {shown(who)}")
+            raise ppl.errors.UnknownNameError(f"there is no participant {ppl.errors.shown(who)}")
         (row,) = found
         answers = self._db.execute(
             "SELECT page,attempt,correct FROM response WHERE participant=? ORDER BY received",
@@ -505,6 +508,6 @@ def hashed(token: str) -> str:
     return hashlib.sha256(token.encode(errors="replace")).hexdigest()
 
 
-def trajectory_sha256(trajectory: FloatArray) -> str:
+def trajectory_sha256(trajectory: NDArray[np.float64]) -> str:
     """Return a hash of a trajectory's numbers, to the last bit."""
     return hashlib.sha256(np.ascontiguousarray(trajectory, np.float64).tobytes()).hexdigest()

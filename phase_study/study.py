@@ -6,37 +6,21 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import importlib.util
 import os
 import secrets
 import socket
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 
 import numpy as np
 
-from phase_ppl import render
-from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
-from phase_ppl.dataset.load import load_events, save_events
-from phase_ppl.evaluation.arrays import world_of
-from phase_ppl.evaluation.judgments import all_events
-from phase_ppl.evaluation.registry import check_installed
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-    check_name,
-    whole_number,
-)
-from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, existing_file, locked, writable_folder, write_bytes
-from phase_ppl.world.goals import goal_index
-from phase_ppl.world.hypothesis import Hypothesis, Roles
-from phase_ppl.world.scene import check_is_phase
+import phase_ppl as ppl
 from phase_study import exports
 from phase_study import settings as settings_module
 from phase_study import store as store_module
@@ -58,7 +42,12 @@ PathLike = str | os.PathLike[str]
 
 def check_extra() -> None:
     """Raise InvalidSettingError where the extra ``study`` is not installed."""
-    check_installed("a study", _NEEDS, "study")
+    missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ppl.errors.InvalidSettingError(
+            f"a study needs {', '.join(missing)}, which is not installed: "
+            "pip install 'phase_ppl[study]'"
+        )
 
 
 class Study:
@@ -73,27 +62,27 @@ class Study:
     """
 
     def __init__(self, folder: PathLike) -> None:
-        self.folder = as_path(folder)
-        file = existing_file(self.folder / settings_module.FILE)
-        self.settings = Settings.read(file, world_of(list(self.events.values())))
+        self.folder = ppl.files.as_path(folder)
+        file = ppl.files.existing_file(self.folder / settings_module.FILE)
+        self.settings = Settings.read(file, _world_of(self.events.values()))
         with self.store() as store:
             kind = store.fact("kind")
             if self.settings.kind != kind:
-                raise InvalidSettingError(
+                raise ppl.errors.InvalidSettingError(
                     f"{self.folder}: kind = {self.settings.kind!r}, but the study is one of {kind}"
                 )
             known = [stimulus.event for stimulus in store.stimuli().values()]
         for event in self.settings.checks:
-            check_name("video in [checks]", event, known)
+            ppl.errors.check_name("video in [checks]", event, known)
 
     @classmethod
     def new(
         cls,
         folder: PathLike,
-        events: PathLike | Event | Sequence[Event],
+        events: PathLike | ppl.Event | Sequence[ppl.Event],
         kind: str = "judgment",
         *,
-        generated: PathLike | Event | Sequence[Event] | None = None,
+        generated: PathLike | ppl.Event | Sequence[ppl.Event] | None = None,
         title: str = "What are they doing?",
         trials: int | None = None,
         raters: int | None = None,
@@ -122,29 +111,33 @@ class Study:
             InvalidEventError: events have no truth where it is needed, or no counterpart.
             OutputError: the folder is not empty, or cannot be written.
         """
-        check_name("kind", kind, KINDS)
+        ppl.errors.check_name("kind", kind, KINDS)
         usual = (3, 5) if kind == "play" else (10, 20)
-        trials = usual[0] if trials is None else whole_number("trials", trials)
-        raters = usual[1] if raters is None else whole_number("raters", raters)
+        trials = usual[0] if trials is None else ppl.errors.whole_number("trials", trials)
+        raters = usual[1] if raters is None else ppl.errors.whole_number("raters", raters)
         if generated is not None and kind != "likeness":
-            raise InvalidSettingError(f"generated: only for a study of likeness, not of {kind}")
+            raise ppl.errors.InvalidSettingError(
+                f"generated: only for a study of likeness, not of {kind}"
+            )
         shown, stimuli = _stimuli(kind, events, generated)
-        target = writable_folder(folder)
+        target = ppl.files.writable_folder(folder)
         if any(target.iterdir()):
-            raise OutputError(f"{target} is not empty: a study gets a folder of its own")
-        with locked(target):
+            raise ppl.errors.OutputError(f"{target} is not empty: a study gets a folder of its own")
+        with ppl.files.locked(target):
             target.chmod(0o700)
             world = shown[0].scene.world
             make_clips(target / CLIPS_FOLDER, world)
             if kind != "play":
                 names = [secrets.token_hex(12) for _ in shown]
                 hidden = [dataclasses.replace(e, id=n) for e, n in zip(shown, names, strict=True)]
-                films = render.videos(hidden, target / VIDEOS, workers=workers, progress=progress)
+                films = ppl.render.videos(
+                    hidden, target / VIDEOS, workers=workers, progress=progress
+                )
                 stimuli = [
                     one._replace(file=film.name, sha256=_digest(film))
                     for one, film in zip(stimuli, films, strict=True)
                 ]
-            save_events(shown, target / EVENTS)
+            ppl.save_events(shown, target / EVENTS)
             Store.create(target / store_module.FILE, kind, stimuli).close()
             if kind != "play":  # a person sees one group, and of copies one
                 alike = {s.copies or s.event for s in stimuli if s.grp in (None, "played")}
@@ -152,7 +145,7 @@ class Study:
             text = template(
                 kind, title, trials=trials, raters=raters, n_videos=len(stimuli), world=world
             )
-            write_bytes(target / settings_module.FILE, (".toml",), text.encode())
+            ppl.files.write_bytes(target / settings_module.FILE, (".toml",), text.encode())
         return cls(target)
 
     def store(self) -> contextlib.closing[Store]:
@@ -160,9 +153,9 @@ class Study:
         return contextlib.closing(Store(self.folder / store_module.FILE))
 
     @functools.cached_property
-    def events(self) -> Mapping[str, Event]:
+    def events(self) -> Mapping[str, ppl.Event]:
         """Id -> event, of the videos or scenes."""
-        return {event.id: event for event in load_events(self.folder / EVENTS)}
+        return {event.id: event for event in ppl.load_events(self.folder / EVENTS)}
 
     def events_by_digest(self) -> dict[str, str]:
         """Return hash of a film -> id of its event."""
@@ -182,11 +175,13 @@ class Study:
                 film = self.folder / VIDEOS / (stimulus.file or "")
                 if stimulus.file and (not film.is_file() or _digest(film) != stimulus.sha256):
                     why = "has changed" if film.is_file() else "is missing"
-                    raise InvalidEventError(f"{film}, of event {stimulus.event!r}, {why}")
+                    raise ppl.errors.InvalidEventError(
+                        f"{film}, of event {stimulus.event!r}, {why}"
+                    )
         for name in clips_of(self.settings.world):
             clip = self.folder / CLIPS_FOLDER / f"{name}.mp4"
             if not clip.is_file():
-                raise InvalidEventError(f"{clip} is missing")
+                raise ppl.errors.InvalidEventError(f"{clip} is missing")
         warnings = []
         if _PLACEHOLDER in self.settings.texts["consent"]:
             warnings.append("the text of consent in study.toml does not yet say who is responsible")
@@ -210,7 +205,7 @@ class Study:
         if url and (
             parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/")
         ):
-            raise InvalidSettingError(
+            raise ppl.errors.InvalidSettingError(
                 f"url {url!r}: expected one such as https://study.example.org"
             )
         names = [name for name in (parts.hostname, host) if name and name not in _ANY]
@@ -246,7 +241,9 @@ class Study:
         """
         check_extra()
         if host in _ANY and not url:
-            raise InvalidSettingError(f"host {host} needs url, the address by which people come")
+            raise ppl.errors.InvalidSettingError(
+                f"host {host} needs url, the address by which people come"
+            )
         warnings = self.check()
         app = self.app(url, host)
         import uvicorn
@@ -257,7 +254,7 @@ class Study:
             warnings.append(f"{host} can be reached by others without TLS; put a proxy before it")
         for warning in warnings:
             print(f"phase-ppl: note: {warning}", file=sys.stderr)
-        with locked(self.folder), _listening(host, port) as listener:
+        with ppl.files.locked(self.folder), _listening(host, port) as listener:
             config = uvicorn.Config(
                 app, access_log=False, log_level="warning", server_header=False,
                 proxy_headers=False, ws_max_size=MOST_MESSAGE, ws_ping_interval=2,
@@ -274,7 +271,7 @@ class Study:
             keep(server)
             server.run(sockets=[listener])
             if not server.started:
-                raise OutputError("the server did not start")
+                raise ppl.errors.OutputError("the server did not start")
 
     # --- what came of it --------------------------------------------------------------------------
 
@@ -302,10 +299,10 @@ class Study:
             OutputError: the folder cannot be written, or holds other files.
         """
         for name in include:
-            check_name("people to include", name, exports.INCLUDE)
-        target = writable_folder(out)
+            ppl.errors.check_name("people to include", name, exports.INCLUDE)
+        target = ppl.files.writable_folder(out)
         exports.check_folder(target)
-        with locked(target), tempfile.TemporaryDirectory(dir=self.folder) as folder:
+        with ppl.files.locked(target), tempfile.TemporaryDirectory(dir=self.folder) as folder:
             with self.store() as live:
                 snapshot = live.snapshot(Path(folder) / store_module.FILE)
             with contextlib.closing(snapshot) as store:
@@ -336,7 +333,7 @@ def _listening(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family, backlog=2048)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"cannot listen at {host}, port {port}: {reason}") from None
+        raise ppl.errors.OutputError(f"cannot listen at {host}, port {port}: {reason}") from None
 
 
 def _digest(path: Path) -> str:
@@ -346,26 +343,29 @@ def _digest(path: Path) -> str:
 # --- which videos ---------------------------------------------------------------------------------
 
 
-def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[Stimulus]]:
+def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[ppl.Event], list[Stimulus]]:
     """Return the events of a study in its order, and what is to be kept of each."""
     is_path = isinstance(events, str | os.PathLike)
-    source = load_events(events) if is_path and (as_path(events) / MANIFEST).is_file() else events
-    found = all_events(source)
-    world = world_of(found)
-    if kind == "play":
-        check_is_phase(world, "a study of play")
+    is_generated = is_path and (ppl.files.as_path(events) / "manifest.json").is_file()
+    source = ppl.load_events(events) if is_generated else events
+    found = ppl.all_events(source)
+    world = _world_of(found)
+    if kind == "play" and world != ppl.worlds.PHASE:
+        raise ppl.errors.InvalidSettingError(
+            f"a study of play knows the world PHASE only, not {world.name!r}"
+        )
     if kind in ("likeness", "play"):
         for event in found:
             _check_truth(event, kind)
     if kind == "likeness":
-        partners = counterparts(found, None if generated is None else all_events(generated))
+        partners = counterparts(found, None if generated is None else ppl.all_events(generated))
         return [*found, *partners], [
             Stimulus(event.id, group, pair)
             for group, part in (("played", found), ("generated", partners))
             for pair, event in enumerate(part)
         ]
     groups: dict[str, str] = {}
-    if isinstance(source, GeneratedEvents):
+    if isinstance(source, ppl.GeneratedEvents):
         groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}
     several = [groups.get(event.id, event.id) for event in found]
     size = Counter(several)
@@ -375,11 +375,23 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
     ]
 
 
-def _check_truth(event: Event, kind: str) -> None:
+def _world_of(events: Iterable[ppl.Event]) -> ppl.World:
+    worlds = list(dict.fromkeys(event.scene.world for event in events)) or [ppl.worlds.PHASE]
+    if len(worlds) > 1:
+        names = [world.name for world in worlds]
+        differing = "" if len({*names}) == len(names) else " (alike in name only)"
+        raise ppl.errors.InvalidSettingError(
+            f"the events are of the worlds {', '.join(map(repr, names))}{differing}, expected "
+            "those of one world"
+        )
+    return worlds[0]
+
+
+def _check_truth(event: ppl.Event, kind: str) -> None:
     truth = event.truth
     strengths = (getattr(truth, f"strength_{name}", None) for name in ("red", "green"))
-    if not isinstance(truth, Roles) and None in strengths:
-        raise InvalidEventError(
+    if not isinstance(truth, ppl.Roles) and None in strengths:
+        raise ppl.errors.InvalidEventError(
             f"event {event.id!r} does not say its goals and strengths; a study of {kind} needs them"
         )
 
@@ -387,7 +399,9 @@ def _check_truth(event: Event, kind: str) -> None:
 # --- what people played beside what was generated: the pairs of a study of likeness ---------------
 
 
-def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> list[Event]:
+def counterparts(
+    played: Sequence[ppl.Event], generated: Sequence[ppl.Event] | None
+) -> list[ppl.Event]:
     """Return for each played event the generated one of the same scene, goals and strengths.
 
     Where none are given they are simulated, by the agents' planner, as long as the played ones, in
@@ -402,46 +416,45 @@ def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> 
     ]
 
 
-def _counterpart(event: Event, left: list[Event]) -> Event:
+def _counterpart(event: ppl.Event, left: list[ppl.Event]) -> ppl.Event:
     """Take the counterpart of an event out of those that are left."""
     for place, other in enumerate(left):
         if other.truth is not None and _are_alike(event, other):
             return left.pop(place)
-    raise InvalidEventError(
+    raise ppl.errors.InvalidEventError(
         f"event {event.id!r} has no counterpart (any more) of the same scene, goals and strengths"
     )
 
 
-def _are_alike(one: Event, other: Event) -> bool:
+def _are_alike(one: ppl.Event, other: ppl.Event) -> bool:
     return one.scene.world == other.scene.world and all(
         np.shape(first) == np.shape(second) and np.allclose(first, second)
         for first, second in zip(_setting(one), _setting(other), strict=True)
     )
 
 
-def _setting(event: Event) -> list[Any]:
+def _setting(event: ppl.Event) -> list[Any]:
     """Return scene, goals and strengths of an event, in numbers."""
     scene, truth = event.scene, event.truth
-    if isinstance(truth, Roles):
+    if isinstance(truth, ppl.Roles):
         goals, strengths = truth.effective_goals, np.array(truth.strengths)
     else:
-        goals = goal_index(truth.goal_red), goal_index(truth.goal_green)
+        goals = tuple(map(scene.world.goal_index, (truth.goal_red, truth.goal_green)))
         strengths = np.array([truth.strength_red, truth.strength_green], float)
     return [scene.start, scene.radius, scene.walls, scene.landmark_centres, scene.arena, goals,
             strengths]  # fmt: skip
 
 
-def _simulated(event: Event, seed: int) -> Event:
-    from phase_ppl.simulator.joint import simulate  # planner and physics
+def _simulated(event: ppl.Event, seed: int) -> ppl.Event:
 
     hypothesis = truth = event.truth
-    if not isinstance(truth, Roles):
+    if not isinstance(truth, ppl.Roles):
         strengths = truth.strength_red, truth.strength_green
         try:
-            hypothesis = Hypothesis(truth.goal_red, truth.goal_green, (0, 0), *strengths)
-        except InvalidSettingError as error:
-            raise InvalidEventError(f"event {event.id!r}: {error}") from None
-    return simulate(
+            hypothesis = ppl.Hypothesis(truth.goal_red, truth.goal_green, (0, 0), *strengths)
+        except ppl.errors.InvalidSettingError as error:
+            raise ppl.errors.InvalidEventError(f"event {event.id!r}: {error}") from None
+    return ppl.simulate(
         dataclasses.replace(event.scene, resets_velocity=False),
         hypothesis,
         frames=event.observation.n_frames,

@@ -11,6 +11,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import phase_ppl as ppl
+
 if TYPE_CHECKING:
     from phase_study import Study
 
@@ -116,15 +118,12 @@ def _study(options: argparse.Namespace) -> Study:
 
 
 def _new(cli: Any, options: argparse.Namespace) -> int:
-    from phase_ppl.evaluation.judgments import all_events
     from phase_study import Study
     from phase_study.study import check_extra
 
     check_extra()
-    several = len(options.events) > 1
-    events = (
-        [e for name in options.events for e in all_events(name)] if several else options.events[0]
-    )
+    first, *more = options.events
+    events = [e for name in options.events for e in ppl.all_events(name)] if more else first
     study = Study.new(**cli.arguments(Study.new, options, events=events))
     print(f"{study}\nIts texts are in {study.folder / 'study.toml'}; say there who is responsible.")
     if options.kind == "play":
@@ -149,7 +148,6 @@ def _serve(study: Study, options: argparse.Namespace) -> None:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    import phase_ppl
     from phase_study import Study
     from phase_study.study import check_extra
 
@@ -158,8 +156,8 @@ def _demo(options: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with tempfile.TemporaryDirectory(prefix="phase-ppl-study-") as folder:
         print("Making the films, about half a minute ...", flush=True)
-        names = phase_ppl.bundled_events()[:3]
-        events = [phase_ppl.load_event(name) for name in names]
+        names = ppl.bundled_events()[:3]
+        events = [ppl.load_event(name) for name in names]
         study = Study.new(Path(folder) / "demo", events, options.kind, trials=3)
         _serve(study, options)
     return 0

@@ -260,16 +260,15 @@ EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from
 def all_events(
     events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
 ) -> list[Event]:
-    """Return the events of a file or folder, or those given; or a split of a generated data set.
+    """Return the events of a file or folder, or those given, as whatever takes events does.
 
     Args:
-        events: an event file, a folder of event files or of a generated data set, the name of a
-            bundled event, or events.
-        split: only those of that split of a generated data set, such as "test".
+        events: a file, a folder of files or a generated data set; an event, or several.
+        split: of a generated data set, only the events of that part.
 
     Raises:
-        InvalidEventError: there are none, they cannot be read, or two have the same id.
-        InvalidSettingError: something else is given.
+        InvalidEventError: a file cannot be read, two events have one id, or there are no splits.
+        InvalidSettingError: ``events`` are none of these.
     """
     if split is not None:
         path = events if isinstance(events, str | os.PathLike) else None

@@ -39,7 +39,7 @@ def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
 
 @functools.lru_cache(16)
 def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
-    """Return the question about a relation -> the two agents."""
+    """Return the questions of a world about relations -> the two agents of each."""
     named = list(zip(world.keys, world.agents, strict=True))
     return {
         "relation" if world == PHASE else f"relation_{one}_{other}": (agent, whom)

@@ -12,7 +12,11 @@ from phase_ppl.world.scene import Turning
 
 
 class Action(enum.IntEnum):
-    """What an agent does during one planner step. Directions are those of its own body."""
+    """What an agent does during one planner step. Directions are those of its own body.
+
+    ``UP`` is ahead. ``STOP`` ends its motion, ``NO_FORCE`` lets it coast. ``ATTACH`` grabs an item
+    that it touches, ``DETACH`` lets go of it.
+    """
 
     TURN_LEFT = 0
     TURN_RIGHT = 1

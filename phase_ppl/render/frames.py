@@ -38,7 +38,7 @@ _ASIDE: Final = 1e-7  # how far beside an edge its two rays pass, rad
 def field_of_view(scene: Scene, poses: FloatArray, agent: int) -> FloatArray:
     """Return (n, 2) corners of the area that ``agent`` has in view, beyond the arena too.
 
-    Poses are (entity, coord) with coord = x, y [units], angle [rad].
+    Poses are (entity, coord) with coord = x, y [units], angle [rad]. The first corner is the eye.
     """
     from phase_ppl.agents.vision import HALF_ANGLE  # with numba: only where it is needed
 

@@ -1,8 +1,8 @@
 """Every exception that the package raises on purpose, and the checks of settings that raise them.
 
 All derive from :class:`PhasePPLError`; those about a value also derive from
-``ValueError``, so that code that knows nothing of this package still catches them. Packages built
-on this one raise and check alike: ``ppl.errors.whole_number("raters", n)``.
+``ValueError``, so that code that knows nothing of this package still catches them. The terminal
+says each in one line. With the checks an application refuses settings in the same words.
 """
 
 from __future__ import annotations
@@ -99,7 +99,10 @@ class SimulationError(PhasePPLError, RuntimeError):
 
 
 def check_name(what: str, name: object, allowed: Collection[str]) -> None:
-    """Raise UnknownNameError unless ``name`` is one of the allowed ones."""
+    """Raise UnknownNameError unless ``name`` is one of the allowed ones.
+
+    The message calls it ``what``, and names close matches.
+    """
     if name not in allowed:
         raise unknown_name(what, name, allowed)
 
@@ -154,7 +157,11 @@ def number_or_nan(value: object) -> float:
 
 
 def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST) -> int:
-    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits."""
+    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits.
+
+    Raises:
+        InvalidSettingError: it is not; the message calls it ``name``.
+    """
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     number = int(value) if whole else minimum - 1  # type: ignore[call-overload]
     if number < minimum:
@@ -214,7 +221,7 @@ def check_fields(
 
 
 def positive_number(name: str, value: object) -> float:
-    """Return ``value`` as a float."""
+    """Return ``value`` as a float (InvalidSettingError: it is no finite number above 0)."""
     number = number_or_nan(value)
     if not 0 < number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
@@ -222,7 +229,7 @@ def positive_number(name: str, value: object) -> float:
 
 
 def nonnegative_number(name: str, value: object) -> float:
-    """Return ``value`` as a float."""
+    """Return ``value`` as a float (InvalidSettingError: it is no finite number of at least 0)."""
     number = number_or_nan(value)
     if not 0 <= number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")

@@ -61,11 +61,11 @@ def counted(
     """Yield the items, and count them with a progress bar on stderr.
 
     Args:
-        items: whatever comes one after the other.
+        items: such as events, or answers as they come.
         shown: whether to show the bar; None: where stderr is a terminal, and in notebooks.
-        unit: what an item is, such as "event".
-        what: is done, written before the bar.
-        total: number of items, where they have no length.
+        unit: what an item is, in a word.
+        what: is done with them, before the bar.
+        total: how many there are, where ``len`` does not say it.
     """
     yield from Bar(total, 0, shown, unit, what, items)
 

@@ -105,7 +105,7 @@ def _made(kind: str, world: ppl.World, filmed: bool) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("phase_study.study.make_clips", empty_clips)
         if not filmed:
-            patch.setattr("phase_study.study.render.videos", unseen_films)
+            patch.setattr("phase_ppl.render.videos", unseen_films)
         given: Any = {"generated": generated, "workers": 1, "progress": False}
         Study.new(folder / "study", events, kind, **given)
     return folder / "study"

@@ -56,7 +56,7 @@ def test_films_of_other_worlds_show_their_agents_move(
         track = observed.trajectory[:, : len(world.agents), :2]
         assert (np.linalg.norm(np.diff(track, axis=0), axis=-1).sum(axis=0) > 1).all()
 
-    monkeypatch.setattr("phase_study.clips.render.video", film)
+    monkeypatch.setattr("phase_ppl.render.video", film)
     make_clips(tmp_path, world)
     assert shown == {
         "moving.mp4": {"fields_of_view": False}, "sight.mp4": {"fields_of_view": True}

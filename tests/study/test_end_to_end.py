@@ -84,7 +84,7 @@ def test_from_play_to_people_beside_models(
     sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("phase_study.study.make_clips", empty_clips)
-    monkeypatch.setattr("phase_study.study.render.videos", unseen_films)
+    monkeypatch.setattr("phase_ppl.render.videos", unseen_films)
     events = ppl.load_events(sessions)
     judging = Study.new(tmp_path / "judging", events, "judgment", raters=6, workers=1)
     believed = ppl.evaluate(events, "last_frame")

@@ -154,7 +154,7 @@ def test_a_computer_sees_no_more_than_its_agent() -> None:
     goals = "get to green agent", "Get pink item to red lm"
     one = room(near_goals(start=start), goals, computer=np.random.default_rng(0), limit=3)
     asyncio.run(one._planned())
-    seen = one._computers[1].beliefs.observed
+    seen = one._computers[1]._agent.beliefs.observed
     assert not seen[3]
     np.testing.assert_array_equal(seen, one._picture().seen[1])
 
