@@ -153,13 +153,23 @@ class FittedObserver:
         return cls.from_dict(ppl.read_json(path), observer)
 
     @classmethod
-    def named(cls, name: str | os.PathLike[str], model: str) -> FittedObserver:
+    def named(
+        cls, name: str | os.PathLike[str], model: str, world: ppl.World | None = None
+    ) -> FittedObserver:
         """Return "people", the observer that comes with the package for a model, or a file's.
 
+        Args:
+            name: "people", or the file.
+            model: by which "people" is chosen.
+            world: of the events that it is for, by default PHASE.
+
         Raises:
-            InvalidSettingError: "people" of a model for which there are none.
+            InvalidSettingError: another world than PHASE, or "people" of a model for which there
+                are none.
             InvalidEventError, UnknownNameError: as of :meth:`from_dict`.
         """
+        if world is not None:
+            check_is_phase(world)
         if name != PEOPLE:
             return cls.load(name)
         known = json.loads(_FILE.read_text(encoding="utf-8"))

@@ -258,7 +258,7 @@ def seen_through(
 ) -> ReadyModel:
     """Return a model seen through an observer; a fitted one may be given by name or as a file."""
     if isinstance(observer, str | os.PathLike):
-        observer = phase_ppl.FittedObserver.named(observer, model.name)
+        observer = phase_ppl.FittedObserver.named(observer, model.name, world)
     record = {**model.record, **observer.record}
     return dataclasses.replace(model, predict=observer.seeing(model.predict, world), record=record)
 

@@ -343,18 +343,13 @@ def panel(frame: Image.Image) -> Image.Image:
     return frame.crop((beside, 0, frame.width - beside, frame.height))
 
 
-def side_by_side(
-    panels: list[Image.Image], below: int = 0, columns: int | None = None
-) -> Image.Image:
-    """Return ``panels`` from left to right, each over so many blank pixels; None: all in a row."""
+def side_by_side(panels: list[Image.Image], below: int = 0) -> Image.Image:
+    """Return ``panels`` from left to right, each over so many blank pixels."""
     width, height = (max(sizes) for sizes in zip(*(part.size for part in panels), strict=True))
-    columns = min(columns or len(panels), len(panels))
-    rows = -(-len(panels) // columns)
-    picture = Image.new("RGB", (width * columns, (height + below) * rows), BACKGROUND)
+    picture = Image.new("RGB", (width * len(panels), height + below), BACKGROUND)
     for index, part in enumerate(panels):
-        row, column = divmod(index, columns)
-        x, y = column * width, row * (height + below)
-        picture.paste(part, (x + (width - part.width) // 2, y + (height - part.height) // 2))
+        x = index * width + (width - part.width) // 2
+        picture.paste(part, (x, (height - part.height) // 2))
     return picture
 
 
