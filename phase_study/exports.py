@@ -396,13 +396,9 @@ def _row(session: Mapping[str, Any], event: ppl.Event) -> dict[str, Any]:
     }
 
 
-_ACTIONS: Final = [action.name.lower().replace("_", "") for action in ppl.Action]
-"""What recorded data call them: "turnleft", ..., "detach"."""
-
-
 def _steps(session: Mapping[str, Any], event: ppl.Event) -> Iterable[dict[str, Any]]:
     for step in session["steps"]:
-        done = {name: _ACTIONS[step[name]] for name in ("red", "green")}
+        done = {name: ppl.Action(step[name]).recorded for name in ("red", "green")}
         red, green = (" ".join(held) for held in json.loads(step["keys"]))
         yield {"session": event.id, "step": step["number"], **done, "keys_red": red,
                "keys_green": green, "lag_ms": round(step["lag_ms"], 1)}  # fmt: skip

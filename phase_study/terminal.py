@@ -9,6 +9,7 @@ import signal
 import sys
 import tempfile
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl as ppl
@@ -20,7 +21,7 @@ _KINDS: Final = ("judgment", "tagging", "likeness", "play")
 _INCLUDE: Final = ("unfinished", "excluded")
 
 
-def add_to(commands: Any, cli: Any) -> None:
+def add_to(commands: Any, cli: ModuleType) -> None:
     """Add the command, with the help of what the core's own commands are made of."""
     does = "put events before people, in the browser"
     parser = cli.command(commands, "study", None, "phase-ppl study demo", does)
@@ -57,20 +58,20 @@ def add_to(commands: Any, cli: Any) -> None:
 
 
 def _command(
-    cli: Any, parts: Any, name: str, run: Any, example: str, says: str
+    cli: ModuleType, parts: Any, name: str, run: Any, example: str, says: str
 ) -> argparse.ArgumentParser:
     parser = cli.command(parts, name, run, f"phase-ppl study {example}", says)
     cli.add(parser, "folder DIR", "folder of the study", Path)
     return parser
 
 
-def _add_server(cli: Any, parser: argparse.ArgumentParser) -> None:
+def _add_server(cli: ModuleType, parser: argparse.ArgumentParser) -> None:
     cli.add(parser, "--port N", "default 8000; 0: any", cli.whole(0), 8000)
     cli.add(parser, "--host", "default 127.0.0.1: this machine only", default="127.0.0.1")
     cli.add(parser, "--url", "by which people come, such as https://study.example.org", default="")
 
 
-def _add_new(cli: Any, parts: Any) -> None:
+def _add_new(cli: ModuleType, parts: Any) -> None:
     parser = _command(
         cli,
         parts,
@@ -90,7 +91,7 @@ def _add_new(cli: Any, parts: Any) -> None:
     cli.share(parser, "workers", "progress")
 
 
-def _add_simulate(cli: Any, parts: Any) -> None:
+def _add_simulate(cli: ModuleType, parts: Any) -> None:
     parser = _command(
         cli,
         parts,
@@ -117,7 +118,7 @@ def _study(options: argparse.Namespace) -> Study:
     return Study(options.folder)
 
 
-def _new(cli: Any, options: argparse.Namespace) -> int:
+def _new(cli: ModuleType, options: argparse.Namespace) -> int:
     from phase_study import Study
     from phase_study.study import check_extra
 
@@ -191,7 +192,7 @@ def _exclude(options: argparse.Namespace) -> int:
     return 0
 
 
-def _simulate(cli: Any, options: argparse.Namespace) -> int:
+def _simulate(cli: ModuleType, options: argparse.Namespace) -> int:
     from phase_study.simulate import simulate
     from phase_study.study import check_extra
 

@@ -102,18 +102,18 @@ def _add_commands(commands: Any, name: str) -> None:
         importlib.import_module(f"phase_ppl.cli.{COMMANDS[name][0]}").add_to(commands)
         return
     offered = importlib.metadata.entry_points(group=APPLICATIONS)
-    if name not in offered.names:
+    asked = offered.select(name=name)
+    if not asked:
         for ours, (_, does) in COMMANDS.items():
             commands.add_parser(ours, help=does)
-    for entry in offered:
-        if name not in offered.names or name == entry.name:
-            try:
-                entry.load()(commands, sys.modules[__name__])
-            except Exception as error:  # it must not break the others
-                problem = f"command {entry.name!r} cannot be loaded: {one_line(error)}"
-                if name == entry.name:
-                    raise InvalidSettingError(problem) from error
-                print(f"phase-ppl: note: {problem}", file=sys.stderr)
+    for entry in asked or offered:
+        try:
+            entry.load()(commands, sys.modules[__name__])
+        except Exception as error:  # it must not break the others
+            problem = f"command {entry.name!r} cannot be loaded: {one_line(error)}"
+            if asked:
+                raise InvalidSettingError(problem) from error
+            print(f"phase-ppl: note: {problem}", file=sys.stderr)
 
 
 def one_line(error: BaseException) -> str:

@@ -33,9 +33,14 @@ class Action(enum.IntEnum):
     ATTACH = 12
     DETACH = 13
 
+    @property
+    def recorded(self) -> str:
+        """What recorded data call it: "turnleft", ..., "detach"."""
+        return self.name.lower().replace("_", "")
 
-ACTION_NAMES: Final = tuple(action.name.lower().replace("_", "") for action in Action)
-"""Names used in recorded data, in the order of :class:`Action`: "turnleft", ..., "detach"."""
+
+ACTION_NAMES: Final = tuple(action.recorded for action in Action)
+"""Names used in recorded data, in the order of :class:`Action`."""
 
 N_ACTIONS: Final = len(Action)
 NO_ACTION: Final = -1  # stands for an agent that does nothing; its body coasts as with ``NO_FORCE``
