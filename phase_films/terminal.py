@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +15,7 @@ import phase_ppl as ppl
 _EVENTS: Final = (".json", ".nc")  # endings of the files of events
 
 
-def add_to(commands: Any, cli: Any) -> None:
+def add_to(commands: Any, cli: ModuleType) -> None:
     """Add the command, with the help of what the core's own commands are made of."""
     parser = cli.command(
         commands,
@@ -42,7 +43,7 @@ def add_to(commands: Any, cli: Any) -> None:
     cli.share(parser, "progress")
 
 
-def _read_video(cli: Any, options: argparse.Namespace) -> int:
+def _read_video(cli: ModuleType, options: argparse.Namespace) -> int:
     cli.check_suffix(options.out, _EVENTS)
     ppl.files.writable_folder(options.out.parent)
     if options.picture is not None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import functools
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import phase_ppl as ppl
 
 
-def add_to(commands: Any, cli: Any) -> None:
+def add_to(commands: Any, cli: ModuleType) -> None:
     """Add the command, with the help of what the core's own commands are made of."""
     parser = cli.command(
         commands,
@@ -36,7 +37,7 @@ def add_to(commands: Any, cli: Any) -> None:
     cli.share(parser, "workers", "seed", "progress")
 
 
-def _fit_people(cli: Any, options: argparse.Namespace) -> int:
+def _fit_people(cli: ModuleType, options: argparse.Namespace) -> int:
     cli.check_suffix(options.out, (".json",))
     events, study = ppl.all_events(options.events), None
     if options.judgments is not None:
