@@ -30,9 +30,9 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.study import Study
-from phase_ppl.study.clips import CLIPS
-from phase_ppl.study.simulate import Person, Visitor
+from phase_study import Study
+from phase_study.clips import CLIPS
+from phase_study.simulate import Person, Visitor
 
 PATIENCE = 120.0
 """Seconds for which people wait for a server that is gone."""
@@ -54,7 +54,7 @@ def make_study(folder: Path, n_videos: int, raters: int, trials: int) -> Study:
         for name in CLIPS:
             (folder / f"{name}.mp4").touch()
 
-    with patch("phase_ppl.study.study.make_clips", no_clips):
+    with patch("phase_study.study.make_clips", no_clips):
         Study.new(folder, events, trials=trials, raters=raters, progress=False)
     # the places of those who leave are free again after a minute
     return changed(folder, place_kept=1, entries_per_minute=10**6, most_entries=10**6)
@@ -82,7 +82,7 @@ class Server:
 
     def start(self) -> None:
         code = (
-            "from phase_ppl.study import Study\n"
+            "from phase_study import Study\n"
             f"Study({str(self.folder)!r}).run({self.port}, "
             "ready=lambda where: print(where, flush=True))"
         )

@@ -23,8 +23,8 @@ import numpy as np
 from study_people import Server, changed
 
 import phase_ppl as ppl
-from phase_ppl.study import Study
-from phase_ppl.study.simulate import Visitor
+from phase_study import Study
+from phase_study.simulate import Visitor
 
 RATE = 4
 """Planner steps a second."""

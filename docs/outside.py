@@ -28,12 +28,13 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
 
 
 def reference() -> str:
-    """Return the page of all public names, by the folder that they come from."""
+    """Return the page of all public names, by the folder or application that they come from."""
     lines = ["# Reference", "Every public name of `phase_ppl`; `ppl.NAME` is how to call it."]
     folder = ""
-    for name in sorted({".".join(place) for place in phase_ppl._PLACES.values()}):
-        if name.split(".")[1] != folder:
-            folder = name.split(".")[1]
+    for name in sorted({".".join(filter(None, place)) for place in phase_ppl._PLACES.values()}):
+        source = name.removeprefix("phase_ppl.").split(".")[0]
+        if source != folder:
+            folder = source
             lines.append(f"## {folder}")
         lines.append(f"::: {name}")
     return "\n\n".join(lines)

@@ -15,12 +15,17 @@ __version__ = "0.1.0"
 
 
 def _places() -> dict[str, tuple[str, str]]:
-    """Return public name -> (module, its name there, which may be that of a module)."""
+    """Return public name -> (module, its name there, which may be that of a module).
+
+    The name is empty where the module itself is meant: an application.
+    """
     found: dict[str, tuple[str, str]] = {}
     for statement in ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8")).body:
         match statement:
             case ast.ImportFrom(module=str(module), names=names):
                 found |= {entry.asname or entry.name: (module, entry.name) for entry in names}
+            case ast.Import(names=[ast.alias(name=module, asname=str(name))]):  # an application
+                found[name] = (module, "")
             case ast.Assign(targets=[ast.Name(id=name)], value=ast.Name(id=other)):
                 found[name] = found.pop(other)
     return found
@@ -47,8 +52,10 @@ def __getattr__(name: str) -> Any:
         raise ImportError(problem)
     module, original = _PLACES[name]
     source = importlib.import_module(module)
-    if module != __name__ and hasattr(source, original):
-        value: Any = getattr(source, original)
+    if not original:
+        value: Any = source
+    elif module != __name__ and hasattr(source, original):
+        value = getattr(source, original)
     else:
         value = importlib.import_module(f"{module}.{original}")
     globals()[name] = value

@@ -8,6 +8,7 @@ import re
 import runpy
 import shlex
 import signal
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from PIL import Image
 import phase_ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
-from phase_ppl.cli.commands import COMMANDS
+from phase_ppl.cli.commands import APPLICATIONS, COMMANDS
 from phase_ppl.cli.infer import _reference
 from phase_ppl.inference.entries import entries
 from phase_ppl.world.files import locked
@@ -227,14 +228,40 @@ def test_render_draws_a_strip_or_a_frame_with_or_without_fields_of_view(
 
 
 def test_help_gives_an_example(capsys: Capture) -> None:
-    for command in ([], *([name] for name in COMMANDS)):
+    names = {*COMMANDS, "fit-people", "read-video", "study"}
+    for command in ([], *([name] for name in sorted(names))):
         with pytest.raises(SystemExit) as stop:
             main([*command, "--help"])
         assert stop.value.code == 0
         said = capsys.readouterr().out
         assert "example: phase-ppl" in said, command
         listed = {line.split()[0] for line in said.splitlines() if line.strip()}
-        assert command or set(COMMANDS) <= listed
+        assert command or names <= listed
+
+
+def test_a_command_of_an_application_that_cannot_be_loaded_leaves_the_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    def entry(name: str, place: str) -> EntryPoint:
+        return EntryPoint(name, place, APPLICATIONS)
+
+    points = EntryPoints(
+        [entry("broken", "no.such:add_to"), entry("study", "phase_study.terminal:add_to")]
+    )
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points.select(group=group))
+    assert main(["broken"]) == 2
+    said = capsys.readouterr().err
+    assert said == "phase-ppl: error: command 'broken' cannot be loaded: No module named 'no'\n"
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    told = capsys.readouterr()
+    assert stop.value.code == 0
+    assert "put events before people" in told.out
+    assert told.err == said.replace("error", "note")
+    assert main(["goals"]) == 0
+    with pytest.raises(SystemExit):
+        main(["study", "--help"])
+    assert not capsys.readouterr().err
 
 
 BAD_INPUT = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -11,25 +12,44 @@ import pytest
 import phase_ppl as ppl
 
 ROOT = Path(__file__).parent.parent
+NAMESPACES = (
+    "plot", "render", "figures", "priors", "sites", "worlds", "observers",
+    "errors", "files", "goals",
+)  # fmt: skip
+APPLICATIONS = ("phase_films", "phase_people", "phase_study")
 
 
 def test_every_public_name_is_there_and_is_what_it_is_called() -> None:
     for name in ppl.__all__:
         found = getattr(ppl, name)
         called = getattr(found, "__name__", name).split(".")[-1]
-        assert called == {"plot": "figures"}.get(name, name)
+        assert called == {"plot": "figures", "study": "phase_study"}.get(name, name)
     assert {"infer", "Posterior", "render", "plot", "GOALS", "__version__"} <= set(dir(ppl))
     with pytest.raises(AttributeError, match="'phase_ppl' has no attribute 'infers'"):
         _ = ppl.infers  # type: ignore[attr-defined]
 
 
 def test_completion_in_a_module_shows_what_is_meant_for_users() -> None:
-    for name in ("plot", "render", "study", "figures", "priors", "sites", "worlds", "observers"):
+    for name in (*NAMESPACES, "study"):
         module = getattr(ppl, name)
         shown = dir(module)
         assert shown == sorted(module.__all__)
         assert not {"np", "os", "Any", "jax", "annotations"} & set(shown)
         assert None not in [getattr(module, one) for one in shown]
+
+
+@pytest.mark.parametrize("application", APPLICATIONS)
+def test_an_application_uses_public_names_only(application: str) -> None:
+    used: set[str] = set()
+    for file in (ROOT / application).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Attribute):
+                used.add(ast.unparse(node))
+    names = {name.split("(")[0] for name in used if name.startswith("ppl.")}
+    assert names
+    for _, name, *inner in (found.split(".") for found in names):
+        assert name in ppl.__all__, name
+        assert not inner or name not in NAMESPACES or inner[0] in getattr(ppl, name).__all__, inner
 
 
 @pytest.mark.slow

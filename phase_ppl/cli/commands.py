@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import importlib.metadata
 import inspect
 import json
 import shlex
@@ -38,7 +39,6 @@ COMMANDS: Final = {
     "goals": ("events", "list the goals that an agent can have, 36 in PHASE"),
     "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
-    "read-video": ("events", "read an event back from a film of it"),
     "compare": ("infer", "compare kernels on an event: same budget, several seeds, against a "
                 "reference"),
     "query": ("results", "ask a saved posterior, as in 'P(relation=friendly | goal_red=get to "
@@ -46,7 +46,6 @@ COMMANDS: Final = {
     "evaluate": ("evaluate", "ask a model about many events, and score what it answers"),
     "compare-models": ("evaluate", "compare evaluations of several models, and people, on the same "
                        "events"),
-    "fit-people": ("evaluate", "fit an observer to people's judgments"),
     "reproduce": ("evaluate", "the paper's tables and figures, cell by cell"),
     "report": ("results", "make one self-contained HTML page of a run, an evaluation or a "
                "comparison"),
@@ -57,10 +56,14 @@ COMMANDS: Final = {
     "describe": ("events", "print and draw the statistics of a set of events beside those of "
                  "PHASE"),
     "train": ("generate", "train a model of social perception on a generated data set"),
-    "study": ("study", "put events before people, in the browser"),
     "export": ("events", "write events in another format"),
 }  # fmt: skip
 """Command -> the module that adds it, which is imported where it is asked for; what it does."""
+
+APPLICATIONS: Final = "phase_ppl.commands"
+"""Group of entry points with the commands of applications, which are loaded where one of them, or
+the list of all, is asked for. Each is a function ``add_to(commands, cli)`` that adds the command of
+its name to argparse's ``commands``, with the help of ``cli``, this module."""
 
 FAILED: Final = 1
 BAD_INPUT: Final = 2
@@ -82,19 +85,35 @@ def run(arguments: Sequence[str] | None) -> int:
     )
     parser.add_argument("--version", action="version", version=phase_ppl.__version__)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    if given and given[0] in COMMANDS:
-        importlib.import_module(f"phase_ppl.cli.{COMMANDS[given[0]][0]}").add_to(commands)
-    else:
-        for name, (_, does) in COMMANDS.items():
-            commands.add_parser(name, help=does)
-    options: argparse.Namespace = parser.parse_args(given)
     try:
+        _add_commands(commands, given[0] if given else "")
+        options: argparse.Namespace = parser.parse_args(given)
         with _executor(getattr(options, "dask", None)) as options.executor:
             code: int = options.run(options)
         return code
     except PhasePPLError as error:
         print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
         return BAD_INPUT
+
+
+def _add_commands(commands: Any, name: str) -> None:
+    """Add the command of that name; all, as far as their list says of them, where there is none."""
+    if name in COMMANDS:
+        importlib.import_module(f"phase_ppl.cli.{COMMANDS[name][0]}").add_to(commands)
+        return
+    offered = importlib.metadata.entry_points(group=APPLICATIONS)
+    asked = offered.select(name=name)
+    if not asked:
+        for ours, (_, does) in COMMANDS.items():
+            commands.add_parser(ours, help=does)
+    for entry in asked or offered:
+        try:
+            entry.load()(commands, sys.modules[__name__])
+        except Exception as error:  # it must not break the others
+            problem = f"command {entry.name!r} cannot be loaded: {one_line(error)}"
+            if asked:
+                raise InvalidSettingError(problem) from error
+            print(f"phase-ppl: note: {problem}", file=sys.stderr)
 
 
 def one_line(error: BaseException) -> str:

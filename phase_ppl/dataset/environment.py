@@ -9,13 +9,9 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents import vision
-from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.world_model import WorldModel
-from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import N_ACTIONS, executed
-from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.render.frames import Painter
+from phase_ppl.simulator.stage import Stage
 from phase_ppl.world import worlds
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
@@ -85,7 +81,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
     """A world as a ``ParallelEnv``; made by :func:`env`.
 
     Agents are called as in the world. All act at once, each by one of the fourteen actions of
-    :class:`phase_ppl.physics.actions.Action`, which last one step, in the physics that the joint
+    :class:`phase_ppl.Action`, which last one step, in the physics that the joint
     simulator steps. An observation is a dictionary:
 
     * ``bodies``: (entity, 7) float32 of :data:`FEATURES`; zeros for those that are not observed.
@@ -186,8 +182,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         self.roles = Roles.of(world, goals, given["relation"], self._strength)
         self.scene: Scene = scene
         self._goals = self.roles.effective_goals
-        self._model = WorldModel.of(scene, self.roles.strengths, PlannerConfig.named("fast"))
-        self._physics = PymunkWorld(scene, self.roles.strengths)
+        self._stage = Stage(scene, self.roles.strengths)
         self._frames = [scene.start.copy()]
         self._painter: Painter | None = None
 
@@ -214,9 +209,9 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         for name in self.agents:
             if name not in actions:
                 raise InvalidSettingError(f"the {name} has no action")
-            number = whole_number(f"action of the {name}", actions[name], 0, N_ACTIONS - 1)
-            doing.append(executed(number, self.scene.turning))
-        self._frames.append(self._physics.step(doing))
+            what = f"action of the {name}"
+            doing.append(whole_number(what, actions[name], 0, N_ACTIONS - 1))
+        self._frames.append(self._stage.step(doing))
         infos, over = self._infos(), len(self._frames) > self._steps
         rewards = {name: float(infos[name]["reached"]) for name in self.agents}
         ended, cut = (dict.fromkeys(self.agents, flag) for flag in (False, over))
@@ -225,9 +220,8 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         return self._observations(), rewards, ended, cut, infos
 
     def _observations(self) -> dict[str, Observed]:
-        state, model = self._physics.state, self._model
-        bodies, held, _ = compiled.from_state(state, self.scene.radius)
-        n, n_agents = len(bodies), len(held)
+        state = self._stage.state
+        n, n_agents = len(state.pose), len(state.held)
         angle = state.pose[:, 2]
         features = np.column_stack(
             [state.pose[:, :2], np.cos(angle), np.sin(angle), state.velocity, state.spin]
@@ -237,12 +231,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         holds[holding, state.held[holding] - n_agents] = 1
         found = {}
         for agent, name in enumerate(self.possible_agents):
-            visible = np.zeros(model.layout.rows * model.layout.columns, np.bool_)
-            cells, seen = np.empty(vision.MAX_OUTLINE_CELLS, np.int64), np.zeros(n, np.bool_)
-            vision.observe(
-                *(bodies, held, agent, self._full_view, model.params, model.layout),
-                *(visible, cells, seen),
-            )
+            seen = np.ones(n, np.bool_) if self._full_view else self._stage.sees(agent)
             found[name] = {
                 "bodies": np.where(seen[:, None], features, 0.0).astype(np.float32),
                 "observed": seen.astype(np.int8),

@@ -27,7 +27,7 @@ import functools
 import os
 import warnings
 from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 import pandas as pd
@@ -61,7 +61,10 @@ class Tags:
     Attributes:
         table: a row per label chosen, with ``participant``, ``video`` and ``label``; of a viewing
             without labels one row, whose label is None.
+        LABELS: the paper's labels.
     """
+
+    LABELS: ClassVar = LABELS
 
     table: pd.DataFrame
 

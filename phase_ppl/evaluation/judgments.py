@@ -39,7 +39,7 @@ from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
 from phase_ppl.evaluation.raters import is_raters, read_raters
-from phase_ppl.evaluation.ratings import Judgments, event_judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.errors import (
     InvalidEventError,
     UnknownNameError,
@@ -260,7 +260,16 @@ EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from
 def all_events(
     events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
 ) -> list[Event]:
-    """Return the events of a file or folder, or those given; or a split of a generated data set."""
+    """Return the events of a file or folder, or those given, as whatever takes events does.
+
+    Args:
+        events: a file, a folder of files or a generated data set; an event, or several.
+        split: of a generated data set, only the events of that part.
+
+    Raises:
+        InvalidEventError: a file cannot be read, two events have one id, or there are no splits.
+        InvalidSettingError: ``events`` are none of these.
+    """
     if split is not None:
         path = events if isinstance(events, str | os.PathLike) else None
         generated = events if path is None else load_events(path)
@@ -312,5 +321,5 @@ def judged(
         events = with_judgments(events, study)
     reference_predictions(events)
     for event in events:
-        event_judgments(event)
+        Judgments.of(event)
     return events

@@ -12,7 +12,11 @@ from phase_ppl.world.scene import Turning
 
 
 class Action(enum.IntEnum):
-    """What an agent does during one planner step. Directions are those of its own body."""
+    """What an agent does during one planner step. Directions are those of its own body.
+
+    ``UP`` is ahead. ``STOP`` ends its motion, ``NO_FORCE`` lets it coast. ``ATTACH`` grabs an item
+    that it touches, ``DETACH`` lets go of it.
+    """
 
     TURN_LEFT = 0
     TURN_RIGHT = 1
@@ -29,9 +33,14 @@ class Action(enum.IntEnum):
     ATTACH = 12
     DETACH = 13
 
+    @property
+    def recorded(self) -> str:
+        """What recorded data call it: "turnleft", ..., "detach"."""
+        return self.name.lower().replace("_", "")
 
-ACTION_NAMES: Final = tuple(action.name.lower().replace("_", "") for action in Action)
-"""Names used in recorded data, in the order of :class:`Action`: "turnleft", ..., "detach"."""
+
+ACTION_NAMES: Final = tuple(action.recorded for action in Action)
+"""Names used in recorded data, in the order of :class:`Action`."""
 
 N_ACTIONS: Final = len(Action)
 NO_ACTION: Final = -1  # stands for an agent that does nothing; its body coasts as with ``NO_FORCE``

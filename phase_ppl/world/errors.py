@@ -1,7 +1,8 @@
 """Every exception that the package raises on purpose, and the checks of settings that raise them.
 
 All derive from :class:`PhasePPLError`; those about a value also derive from
-``ValueError``, so that code that knows nothing of this package still catches them.
+``ValueError``, so that code that knows nothing of this package still catches them. The terminal
+says each in one line. With the checks an application refuses settings in the same words.
 """
 
 from __future__ import annotations
@@ -14,6 +15,26 @@ import numbers
 import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, Final
+
+__all__ = [
+    "AnswerError",
+    "InvalidEventError",
+    "InvalidSettingError",
+    "OutputError",
+    "PhasePPLError",
+    "QueryError",
+    "SimulationError",
+    "UnknownNameError",
+    "check_name",
+    "instance_of",
+    "nonnegative_number",
+    "number_or_nan",
+    "positive_number",
+    "shown",
+    "shown_path",
+    "unknown_name",
+    "whole_number",
+]
 
 _SHOWN_CHARACTERS = 80
 _PATH_CHARACTERS = 400
@@ -78,7 +99,10 @@ class SimulationError(PhasePPLError, RuntimeError):
 
 
 def check_name(what: str, name: object, allowed: Collection[str]) -> None:
-    """Raise UnknownNameError unless ``name`` is one of the allowed ones."""
+    """Raise UnknownNameError unless ``name`` is one of the allowed ones.
+
+    The message calls it ``what``, and names close matches.
+    """
     if name not in allowed:
         raise unknown_name(what, name, allowed)
 
@@ -133,7 +157,11 @@ def number_or_nan(value: object) -> float:
 
 
 def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST) -> int:
-    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits."""
+    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits.
+
+    Raises:
+        InvalidSettingError: it is not; the message calls it ``name``.
+    """
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     number = int(value) if whole else minimum - 1  # type: ignore[call-overload]
     if number < minimum:
@@ -193,7 +221,7 @@ def check_fields(
 
 
 def positive_number(name: str, value: object) -> float:
-    """Return ``value`` as a float."""
+    """Return ``value`` as a float (InvalidSettingError: it is no finite number above 0)."""
     number = number_or_nan(value)
     if not 0 < number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
@@ -201,8 +229,12 @@ def positive_number(name: str, value: object) -> float:
 
 
 def nonnegative_number(name: str, value: object) -> float:
-    """Return ``value`` as a float."""
+    """Return ``value`` as a float (InvalidSettingError: it is no finite number of at least 0)."""
     number = number_or_nan(value)
     if not 0 <= number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
     return number
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -21,6 +21,17 @@ from phase_ppl.world.errors import (
     shown_path,
 )
 
+__all__ = [
+    "as_path",
+    "atomic_output",
+    "check_output",
+    "existing_file",
+    "locked",
+    "writable_folder",
+    "write_bytes",
+    "write_json",
+]
+
 _NAME_BYTES: Final = 255
 _PATH_BYTES: Final = 4095
 """Of names and paths, the longest that common file systems have."""
@@ -33,6 +44,10 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     If the block raises, ``path`` stays as it was and what was written is deleted. Whether the
     folder can be written, and the name has one of the ``suffixes``, is found out before the block
     begins. What was written is on the disk before it takes the place of what was there.
+
+    Raises:
+        OutputError: it cannot be written, or nothing was.
+        InvalidSettingError: it is no path.
     """
     with _part_of(target := as_path(path), suffixes) as part:
         yield part
@@ -44,19 +59,19 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
 
 
 def write_bytes(path: str | os.PathLike[str], suffixes: Sequence[str], content: bytes) -> None:
-    """Write a file, whole or not at all."""
+    """Write a file, whole or not at all; otherwise as :func:`atomic_output`."""
     with atomic_output(path, suffixes) as part:
         part.write_bytes(content)
 
 
 def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
-    """Write a JSON object, whole or not at all."""
+    """Write a JSON object, whole or not at all; otherwise as :func:`atomic_output`."""
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (".json",), f"{text}\n".encode())
 
 
 def as_path(path: object) -> Path:
-    """Return ``path`` as one that a file system can be asked for."""
+    """Return ``path`` as one that there can be (InvalidSettingError: there cannot)."""
     if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
         raise InvalidSettingError(f"{shown(path)} is no path of a file or folder")
     found = Path(path)
@@ -67,7 +82,7 @@ def as_path(path: object) -> Path:
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:
-    """Return ``path``."""
+    """Return ``path`` (InvalidEventError: there is no such file)."""
     source = as_path(path)
     if not source.is_file():
         raise InvalidEventError(f"{shown_path(source)}: no such file")
@@ -81,7 +96,7 @@ def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 
 
 def writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder, where there is none, and check that it can be written."""
+    """Create a folder, where there is none; return it (OutputError: it cannot be written)."""
     folder = as_path(path)
     with refusing(f"into folder {shown_path(folder)}"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,6 +111,9 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
 
     None: there is nothing to keep. The lock goes with the process, however that ends. Where a file
     system has no locks, there is none.
+
+    Raises:
+        OutputError: another process has it.
     """
     if path is None:
         yield
@@ -152,3 +170,7 @@ def _part_of(target: Path, suffixes: Sequence[str]) -> Iterator[Path]:
         finally:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -3,6 +3,9 @@
 A goal is a string of the paper or its index in :data:`GOALS`. An *effective* goal is what
 the agent acts on: its own goal, the other's (helping, alpha > 0) or the negation of the
 other's (hindering, alpha < 0).
+
+What a goal makes true is a literal: ``is_true(goal_literal(goal, agent, world), poses, scene)``
+says whether it is reached.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.geometry import is_on, touches
 from phase_ppl.world.names import RED, Literal, Predicate
 from phase_ppl.world.scene import PHASE, Scene, World
+
+__all__ = ["GOALS", "Literal", "goal_literal", "is_true", "possible_goals"]
 
 GOALS: Final = PHASE.goals
 """The goal space of the paper, in the order of its data: 32 about landmarks, 4 about agents."""
@@ -31,6 +36,14 @@ def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
     """Return the literal that makes ``goal`` true for the agent ``holder``.
 
     A goal that names its own holder ("get to red agent" held by red) has subject = target.
+
+    Args:
+        goal: of the world, or its index.
+        holder: number of an agent.
+        world: whose goals.
+
+    Raises:
+        UnknownNameError: the world has no such goal.
     """
     index = world.goal_index(goal)
     words, own = world.goals[index], index - (len(world.goals) - 2 * len(world.predicates))
@@ -216,3 +229,7 @@ def effective_goal(
         return stated[agent]
     other, sign = towards
     return (shared_goal if sign > 0 else opposed_goal)(stated[other], other, agent, world)
+
+
+def __dir__() -> list[str]:
+    return __all__

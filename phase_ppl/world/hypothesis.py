@@ -410,9 +410,13 @@ class Roles:
 
     def relation_between(self, one: str, other: str) -> str:
         """Return "friendly", "neutral" or "adversarial", of the effective goals of two agents."""
+        return RELATION_OF_SCENARIO[self.scenario_between(one, other)]
+
+    def scenario_between(self, one: str, other: str) -> str:
+        """Return "collaborative", "independent", "competing" or "opposing", likewise."""
         pair = self.world.agent(one), self.world.agent(other)
         goal, other_goal = (self.effective_goals[agent] for agent in pair)
-        return RELATION_OF_SCENARIO[scenario(goal, other_goal, self.world, pair)]
+        return scenario(goal, other_goal, self.world, pair)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain form, which :meth:`from_dict` reads."""

@@ -45,7 +45,7 @@ class Literal(NamedTuple):
     """A predicate or its negation over the entity ``subject``; ``World.words`` has it in names.
 
     ``target`` is the number of an entity, a landmark, a place or a predicate of the world's own, as
-    the predicate says.
+    the predicate says; of goals ``predicate.name`` is "ON", "TOUCH" or "OWN".
     """
 
     predicate: Predicate

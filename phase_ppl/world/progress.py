@@ -58,7 +58,15 @@ class Bar(tqdm):
 def counted(
     items: Iterable[Item], shown: bool | None, unit: str, what: str, total: int | None = None
 ) -> Iterator[Item]:
-    """Yield the items, and count them with a :class:`Bar`."""
+    """Yield the items, and count them with a progress bar on stderr.
+
+    Args:
+        items: such as events, or answers as they come.
+        shown: whether to show the bar; None: where stderr is a terminal, and in notebooks.
+        unit: what an item is, in a word.
+        what: is done with them, before the bar.
+        total: how many there are, where ``len`` does not say it.
+    """
     yield from Bar(total, 0, shown, unit, what, items)
 
 

@@ -12,7 +12,7 @@ import pytest
 def in_a_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     """However long it takes, it is one moment for the limits of rates."""
     pytest.importorskip("starlette", reason="the extra 'study' is not installed")
-    from phase_ppl.study import server
+    from phase_study import server
 
     now = time.monotonic()
     stopped = SimpleNamespace(monotonic=lambda: now, time=time.time)

@@ -15,7 +15,7 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
-from phase_ppl.study.study import Study
+from phase_study.study import Study
 from tests.study.studies import HOST, Person
 
 Message = dict[str, Any]
@@ -37,7 +37,7 @@ def near_goals(name: str = "near", **changes: Any) -> ppl.Event:
 def make_study(folder: Path, events: Sequence[ppl.Event], trials: int = 1, **play: Any) -> Study:
     """A study of play without films, quiz and demographics, of short sessions by a fast clock."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phase_ppl.study.study.make_clips", lambda folder, world: None)
+        patch.setattr("phase_study.study.make_clips", lambda folder, world: None)
         study = Study.new(folder, events, "play", raters=1000)
     short = {"steps_per_second": 60, "limit": 18, "hold": 2, "wait_at_most": 60}
     study.settings = dataclasses.replace(

@@ -22,9 +22,9 @@ import phase_ppl as ppl
 from phase_ppl.evaluation.arrays import true_answers
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.physics.actions import Action
-from phase_ppl.study.clips import CLIPS, Clip, clips_of
-from phase_ppl.study.study import Study
 from phase_ppl.world.hypothesis import Roles
+from phase_study.clips import CLIPS, Clip, clips_of
+from phase_study.study import Study
 
 HOST = "http://localhost"
 EVENTS = ("collaborate", "compete", "independent")
@@ -103,9 +103,9 @@ def _made(kind: str, world: ppl.World, filmed: bool) -> Path:
     events = short_events() if world is PHASE else still_events(world)
     generated = events[::-1] if kind == "likeness" and world is PHASE else None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phase_ppl.study.study.make_clips", empty_clips)
+        patch.setattr("phase_study.study.make_clips", empty_clips)
         if not filmed:
-            patch.setattr("phase_ppl.study.study.render.videos", unseen_films)
+            patch.setattr("phase_ppl.render.videos", unseen_films)
         given: Any = {"generated": generated, "workers": 1, "progress": False}
         Study.new(folder / "study", events, kind, **given)
     return folder / "study"

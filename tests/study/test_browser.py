@@ -18,10 +18,10 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 import phase_ppl as ppl
 from phase_ppl.evaluation.prediction import questions_of
 from phase_ppl.physics.actions import Action
-from phase_ppl.study import plan, play
-from phase_ppl.study.clips import CLIPS, make_clips
-from phase_ppl.study.simulate import serving
-from phase_ppl.study.study import Study
+from phase_study import plan, play
+from phase_study.clips import CLIPS, make_clips
+from phase_study.simulate import serving
+from phase_study.study import Study
 from tests.browser import needs_browser, running_browser
 from tests.simulator.toys import wait_until
 from tests.study import players
@@ -59,7 +59,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
         moves = [(Action.UP, 8)]
         short = dict.fromkeys(CLIPS, STILL)
         short["moving"] = dataclasses.replace(CLIPS["moving"], red=moves, green=moves)
-        patch.setattr("phase_ppl.study.clips.CLIPS", short)
+        patch.setattr("phase_study.clips.CLIPS", short)
         make_clips(folder)
     return folder
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.study.clips import CLIPS, make_clips
 from phase_ppl.world.scene import check_inside
+from phase_study.clips import CLIPS, make_clips
 from tests.study.studies import EMPTY, NURSERY, STILL
 
 RED, GREEN, BLUE, PINK = range(4)
@@ -39,7 +39,7 @@ def test_films_show_what_their_pages_say() -> None:
 
 
 def test_films_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.study.clips.CLIPS", {"moving": STILL})
+    monkeypatch.setattr("phase_study.clips.CLIPS", {"moving": STILL})
     make_clips(tmp_path / "clips")
     assert (tmp_path / "clips" / "moving.mp4").stat().st_size > 500
 
@@ -56,7 +56,7 @@ def test_films_of_other_worlds_show_their_agents_move(
         track = observed.trajectory[:, : len(world.agents), :2]
         assert (np.linalg.norm(np.diff(track, axis=0), axis=-1).sum(axis=0) > 1).all()
 
-    monkeypatch.setattr("phase_ppl.study.clips.render.video", film)
+    monkeypatch.setattr("phase_ppl.render.video", film)
     make_clips(tmp_path, world)
     assert shown == {
         "moving.mp4": {"fields_of_view": False}, "sight.mp4": {"fields_of_view": True}

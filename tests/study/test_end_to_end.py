@@ -13,9 +13,9 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
-from phase_ppl.study import play, simulate
-from phase_ppl.study.room import Room
-from phase_ppl.study.study import Study
+from phase_study import play, simulate
+from phase_study.room import Room
+from phase_study.study import Study
 from tests.study.players import both_play, drives, make_study, near_goals
 from tests.study.studies import empty_clips, serving, unseen_films
 
@@ -83,8 +83,8 @@ def test_a_session_is_simulated_by_its_own_rule(sessions: Path, kernel: str) -> 
 def test_from_play_to_people_beside_models(
     sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phase_ppl.study.study.make_clips", empty_clips)
-    monkeypatch.setattr("phase_ppl.study.study.render.videos", unseen_films)
+    monkeypatch.setattr("phase_study.study.make_clips", empty_clips)
+    monkeypatch.setattr("phase_ppl.render.videos", unseen_films)
     events = ppl.load_events(sessions)
     judging = Study.new(tmp_path / "judging", events, "judgment", raters=6, workers=1)
     believed = ppl.evaluate(events, "last_frame")

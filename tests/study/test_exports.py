@@ -12,17 +12,17 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.experiments import LABELS
-from phase_ppl.study import plan
-from phase_ppl.study.settings import Settings
-from phase_ppl.study.study import Study
 from phase_ppl.world.errors import OutputError, UnknownNameError
+from phase_study import plan
+from phase_study.settings import Settings
+from phase_study.study import Study
 from tests.study.studies import EVENTS, JUDGED, Person, edit, make_study, serving, table
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _no_hurry() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
+        patch.setattr("phase_study.server.Site.allow", lambda *args: True)
         yield
 
 

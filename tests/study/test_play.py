@@ -19,11 +19,11 @@ from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
 from phase_ppl.physics.actions import ACTION_NAMES
-from phase_ppl.study import play
-from phase_ppl.study.exports import played, replayed
-from phase_ppl.study.room import KEYS, Room
-from phase_ppl.study.store import trajectory_sha256
-from phase_ppl.study.study import Study
+from phase_study import play
+from phase_study.exports import played, replayed
+from phase_study.room import KEYS, Room
+from phase_study.store import trajectory_sha256
+from phase_study.study import Study
 from tests.study.players import (
     Message,
     Player,

@@ -15,9 +15,9 @@ import phase_ppl as ppl
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.render.frames import field_of_view
-from phase_ppl.study.exports import SLIPPED
-from phase_ppl.study.room import Controls, Outbox, Room, Seat, driving, outline, warnings
-from phase_ppl.study.settings import PlaySettings, Settings, template
+from phase_study.exports import SLIPPED
+from phase_study.room import Controls, Outbox, Room, Seat, driving, outline, warnings
+from phase_study.settings import PlaySettings, Settings, template
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
 from tests.render.test_frames import inside
 from tests.study.players import near_goals
@@ -154,7 +154,7 @@ def test_a_computer_sees_no_more_than_its_agent() -> None:
     goals = "get to green agent", "Get pink item to red lm"
     one = room(near_goals(start=start), goals, computer=np.random.default_rng(0), limit=3)
     asyncio.run(one._planned())
-    seen = one._computers[1].beliefs.observed
+    seen = one._computers[1]._agent.beliefs.observed
     assert not seen[3]
     np.testing.assert_array_equal(seen, one._picture().seen[1])
 

@@ -13,9 +13,9 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 from starlette.testclient import TestClient
 
-from phase_ppl.study import server, store
-from phase_ppl.study.server import MOST_BODY
-from phase_ppl.study.study import Study
+from phase_study import server, store
+from phase_study.server import MOST_BODY
+from phase_study.study import Study
 from tests.study.studies import HOST, JUDGED, Person, make_study, quiz, rows, serving
 
 
@@ -53,7 +53,7 @@ def prepared(study: Study, person: Person) -> Person:
 
 @pytest.fixture(autouse=True)
 def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
+    monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
 
 
 def pages(person: Person) -> list[tuple[str, int]]:
@@ -146,7 +146,7 @@ def test_who_comes_back_too_late_is_told_so(
 def test_what_a_crash_left_undone_is_done_later(
     study: Study, person: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phase_ppl.study.plan.outcome", lambda *args: None)
+    monkeypatch.setattr("phase_study.plan.outcome", lambda *args: None)
     person.finish(study)
     assert person.state()["status"] == "open"
     monkeypatch.undo()

@@ -10,12 +10,12 @@ from typing import ClassVar
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.study.settings import KINDS, Settings, template
-from phase_ppl.study.study import Study
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
+from phase_study.settings import KINDS, Settings, template
+from phase_study.study import Study
 from tests.study.studies import PHASE, edit, make_study, short_events, unseen_films
 
-FOLDER = Path(__file__).resolve().parents[2] / "phase_ppl" / "study"
+FOLDER = Path(__file__).resolve().parents[2] / "phase_study"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -110,9 +110,9 @@ def test_copies_in_a_generated_set_are_known(
         entries: ClassVar = [{"id": "collaborate", "group": "a"}, {"id": "compete", "group": "b"},
                              {"id": "independent", "group": "a"}]  # fmt: skip
 
-    monkeypatch.setattr("phase_ppl.study.study.GeneratedEvents", Generated)
-    monkeypatch.setattr("phase_ppl.study.study.make_clips", lambda folder, world: None)
-    monkeypatch.setattr("phase_ppl.study.study.render.videos", unseen_films)
+    monkeypatch.setattr(ppl, "GeneratedEvents", Generated)
+    monkeypatch.setattr("phase_study.study.make_clips", lambda folder, world: None)
+    monkeypatch.setattr("phase_ppl.render.videos", unseen_films)
     study = Study.new(tmp_path / "study", Generated(short_events()), workers=1, progress=False)
     with study.store() as store:
         assert [s.copies for s in store.stimuli().values()] == ["a", None, "a"]

@@ -20,15 +20,15 @@ pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.study import study as study_module
-from phase_ppl.study.simulate import serving, simulate
-from phase_ppl.study.study import Study, counterparts
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
     UnknownNameError,
 )
+from phase_study import study as study_module
+from phase_study.simulate import serving, simulate
+from phase_study.study import Study, counterparts
 from tests.study.studies import make_study, short_events, still_events, sure_of
 
 
@@ -40,7 +40,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
 def test_some_lapse_and_some_leave(
     study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
+    monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
     out = tmp_path / "out"
     simulate(
         study, out, 12, predictions=sure_of(study), lapse=0.4, drop_outs=0.5, seed=1, progress=False

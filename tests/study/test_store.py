@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.study import store as store_module
-from phase_ppl.study.settings import Settings
-from phase_ppl.study.store import Refused, Stimulus, Store
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
+from phase_study import store as store_module
+from phase_study.settings import Settings
+from phase_study.store import Refused, Stimulus, Store
 
 
 class Clock:

@@ -14,13 +14,13 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 import phase_ppl as ppl
 from phase_ppl.evaluation.arrays import true_answers
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
-from phase_ppl.study import plan
-from phase_ppl.study.clips import clips_of
-from phase_ppl.study.settings import Settings, template
-from phase_ppl.study.simulate import simulate
-from phase_ppl.study.study import Study, counterparts
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.goals import goal_literal, possible_goals
+from phase_study import plan
+from phase_study.clips import clips_of
+from phase_study.settings import Settings, template
+from phase_study.simulate import simulate
+from phase_study.study import Study, counterparts
 from tests.study.studies import (
     EMPTY,
     NURSERY,
@@ -44,7 +44,7 @@ other_worlds = pytest.mark.parametrize("world", [SOLO, TRIO, NURSERY], ids=lambd
 
 @pytest.fixture(autouse=True)
 def _no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phase_ppl.study.server.Site.allow", lambda *args: True)
+    monkeypatch.setattr("phase_study.server.Site.allow", lambda *args: True)
 
 
 # --- what is asked --------------------------------------------------------------------------------

@@ -1,0 +1,428 @@
+"""An observer fitted to people: its parameters, what it predicts, and how well out of sample."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import json
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import Array
+from numpyro import handlers
+from numpyro.infer import MCMC, NUTS
+
+import phase_ppl as ppl
+from phase_people.answers import Answers, check_is_phase, evidence_of, expected, people
+from phase_people.observers import (
+    OBSERVERS,
+    Evidence,
+    FloatArray,
+    Perception,
+    Program,
+    observer_named,
+)
+
+SCHEMA: Final = "phase-ppl-observer-1"
+KEPT: Final = 200  # draws of the parameters that a file keeps: a mean over them is off by little
+UNRELIABLE: Final = 0.7  # Pareto k from which on what is left out is left out by fitting again
+_NOT_PARAMETERS: Final = ("log_likelihood", "rater", "own_pace")
+_AT_A_TIME: Final = 50
+
+PEOPLE: Final = "people"
+"""Name of the observers that come with the package, fitted to people's judgments of relations in
+50 of PHASE's test videos; parameters only, no judgments."""
+
+_FILE: Final = resources.files("phase_people") / "people.json"
+_REMEMBERED: Final = 4  # samplers, so that observers fitted side by side are compiled once each
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FittedObserver:
+    """An observer with draws of its parameters, which answers as people are expected to.
+
+    Attributes:
+        observer: the program.
+        name: of a ready-made observer; "" of another one.
+        draws: parameter -> (draw,).
+        questions: to whose answers it was fitted.
+        perception: how it sees videos; None: as they are.
+    """
+
+    observer: Program
+    name: str
+    draws: Mapping[str, FloatArray]
+    questions: tuple[str, ...]
+    perception: Perception | None
+
+    @ppl.tracing()
+    def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
+        """Return question -> (draw, event, answer) shares of people that are expected."""
+
+        def of_all(draws: dict[str, Array], numbers: Any) -> dict[str, Array]:
+            def of_one(draw: dict[str, Array]) -> dict[str, Array]:
+                program = handlers.substitute(self.observer, draw)
+                with handlers.block(), handlers.seed(rng_seed=0), handlers.trace() as sites:
+                    said = program(evidence.of_numbers(*numbers))
+                # an observer of answers without names may call a parameter of its own so
+                diversity = None if "diversity" in sites else draw.get("diversity")
+                return expected(said, draw["spread"], diversity)
+
+            return jax.lax.map(of_one, draws, batch_size=_AT_A_TIME)
+
+        draws = {name: jnp.asarray(values) for name, values in self.draws.items()}
+        found = jax.jit(of_all)(draws, evidence.numbers)
+        return {question: np.asarray(values, np.float64) for question, values in found.items()}
+
+    def predict(self, evidence: Evidence) -> dict[str, ppl.Prediction]:
+        """Return event id -> what people are expected to say, as a mean over the draws."""
+        return _predictions(evidence, {q: p.mean(axis=0) for q, p in self.shares(evidence).items()})
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the parameters, :data:`KEPT` draws of each, as JSON.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        ppl.files.write_json(path, self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return name and draws as plain data; :meth:`from_dict` gives them back."""
+        n = len(self.draws["spread"])
+        kept = np.linspace(0, n - 1, min(n, KEPT)).round().astype(int)
+        draws = {
+            name: [float(f"{value:.5g}") for value in values[kept]]
+            for name, values in self.draws.items()
+        }
+        return {
+            "schema": SCHEMA,
+            "observer": self.name,
+            "questions": list(self.questions),
+            "perception": None if self.perception is None else dataclasses.asdict(self.perception),
+            "draws": draws,
+        }
+
+    @classmethod
+    def from_dict(
+        cls, record: Mapping[str, Any], observer: Program | None = None
+    ) -> FittedObserver:
+        """Read what :meth:`to_dict` gave.
+
+        Args:
+            record: of an observer.
+            observer: the program, where it is not a ready-made one.
+
+        Raises:
+            InvalidEventError: it is no such record, or lacks the program.
+            UnknownNameError: there is no such ready-made observer.
+        """
+        if record.get("schema") != SCHEMA:
+            raise ppl.errors.InvalidEventError(
+                "this is no fitted observer: its schema is "
+                f"{ppl.errors.shown(record.get('schema'))}, not {SCHEMA!r}"
+            )
+        name = str(record.get("observer", ""))
+        if observer is None and not name:
+            raise ppl.errors.InvalidSettingError(
+                "the observer is one of somebody's own: hand in its program"
+            )
+        try:
+            draws = {k: np.array(values, np.float64) for k, values in record["draws"].items()}
+            seen, questions = record["perception"], tuple(map(str, record["questions"]))
+            perception = None if seen is None else Perception(**seen)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ppl.errors.InvalidEventError(f"a fitted observer is damaged: {error}") from None
+        if "spread" not in draws or {d.shape for d in draws.values()} != {draws["spread"].shape}:
+            raise ppl.errors.InvalidEventError(
+                "a fitted observer is damaged: draws of unequal numbers"
+            )
+        return FittedObserver(observer or observer_named(name), name, draws, questions, perception)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], observer: Program | None = None) -> FittedObserver:
+        """Read a file of :meth:`save`; arguments and errors as of :meth:`from_dict`."""
+        return cls.from_dict(ppl.read_json(path), observer)
+
+    @classmethod
+    def named(
+        cls, name: str | os.PathLike[str], model: str, world: ppl.World | None = None
+    ) -> FittedObserver:
+        """Return "people", the observer that comes with the package for a model, or a file's.
+
+        Args:
+            name: "people", or the file.
+            model: by which "people" is chosen.
+            world: of the events that it is for, by default PHASE.
+
+        Raises:
+            InvalidSettingError: another world than PHASE, or "people" of a model for which there
+                are none.
+            InvalidEventError, UnknownNameError: as of :meth:`from_dict`.
+        """
+        if world is not None:
+            check_is_phase(world)
+        if name != PEOPLE:
+            return cls.load(name)
+        known = json.loads(_FILE.read_text(encoding="utf-8"))
+        if model not in known:
+            raise ppl.errors.InvalidSettingError(
+                f"observer 'people' comes for the models {', '.join(known)}, not for "
+                f"{ppl.errors.shown(model)}: phase_ppl.fit_people makes one"
+            )
+        return cls.from_dict(known[model])
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What determines how a model is seen through it, as plain data."""
+        digest = hashlib.sha256(json.dumps(self.to_dict()).encode()).hexdigest()
+        return {"observer": self.name, "observer_digest": digest}
+
+    def seeing(self, model: Callable[..., Any], world: ppl.World) -> Observed:
+        """Return a model seen through it; InvalidSettingError: in another world than PHASE."""
+        check_is_phase(world)
+        return Observed(model, self)
+
+
+def _arviz() -> Any:
+    """Return ArviZ, which is slow to import."""
+    with warnings.catch_warnings():
+        # announces ArviZ 1, with which this works too
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+
+        return arviz
+
+
+@functools.cache
+def _is_new() -> bool:
+    return int(importlib.metadata.version("arviz").split(".")[0]) >= 1
+
+
+def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
+    if _is_new():
+        from arviz_stats.base import array_stats
+
+        logs, k = array_stats.psislw(log_ratios, axis=-1)
+    else:
+        logs, k = _arviz().psislw(log_ratios)
+    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
+    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
+
+
+def _predictions(evidence: Evidence, shares: Mapping[str, FloatArray]) -> dict[str, ppl.Prediction]:
+    return {
+        event: ppl.Prediction(event, {q: p[i] / p[i].sum() for q, p in shares.items()})
+        for i, event in enumerate(evidence.events)
+    }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PeopleFit(FittedObserver):
+    """An observer fitted to people's answers by NUTS.
+
+    Attributes:
+        evidence, answers: to which it was fitted.
+        chains: of the draws, which follow each other.
+        log_likelihood: (draw, event) of all answers about a video.
+        seed, warmup: of the fit.
+    """
+
+    evidence: Evidence
+    answers: Answers
+    chains: int
+    log_likelihood: FloatArray
+    seed: int
+    warmup: int
+
+    @functools.cached_property
+    def arviz(self) -> Any:
+        """The draws for ArviZ: ``az.summary``, ``az.loo``, and ``az.compare`` of several fits."""
+        shape = (self.chains, -1)
+        dims = ("chain", "draw")
+        posterior = {n: (dims, v.reshape(shape)) for n, v in self.draws.items()}
+        judged = np.flatnonzero(self.answers.judged)
+        logs = self.log_likelihood[:, judged].reshape(*shape, len(judged))
+        events = {"event": [self.evidence.events[i] for i in judged]}
+        groups = {
+            "posterior": xr.Dataset(posterior),
+            "log_likelihood": xr.Dataset({"answers": ((*dims, "event"), logs)}, events),
+        }
+        return xr.DataTree.from_dict(groups) if _is_new() else _arviz().InferenceData(**groups)
+
+    @functools.cached_property
+    def _left_out_weights(self) -> tuple[FloatArray, FloatArray]:
+        """Weights (event, draw) of the draws without each event, and Pareto's k."""
+        return pareto_smoothed(-self.log_likelihood.T)
+
+    @property
+    def pareto_k(self) -> FloatArray:
+        """(event,) how far each video's answers move the draws; above 0.7 it is fitted without."""
+        return self._left_out_weights[1]
+
+    @functools.cached_property
+    def _refits(self) -> dict[int, PeopleFit]:
+        doubtful = np.flatnonzero((self.pareto_k > UNRELIABLE) & (self.answers.judged > 0))
+        return {int(i): self.without([int(i)]) for i in doubtful}
+
+    def without(self, places: Sequence[int]) -> PeopleFit:
+        """Return the fit to all but the events at some places."""
+        left_out = np.zeros(len(self.evidence.events))
+        left_out[list(places)] = 1
+        return sampled(
+            self.observer, self.name, self.evidence, self.answers, left_out=left_out,
+            draws=len(self.draws["spread"]) // self.chains, warmup=self.warmup,
+            chains=self.chains, seed=self.seed,
+        )  # fmt: skip
+
+    @functools.cached_property
+    def elpd(self) -> FloatArray:
+        """(event,) log predictive density of a video's answers, fitted without them, in nats."""
+        weights = self._left_out_weights[0]
+        found = np.logaddexp.reduce(np.log(weights) + self.log_likelihood.T, axis=1)
+        for i, fit in self._refits.items():
+            logs = fit.log_likelihood[:, i]
+            found[i] = np.logaddexp.reduce(logs) - np.log(len(logs))
+        return np.asarray(found)
+
+    @functools.cached_property
+    def left_out(self) -> dict[str, ppl.Prediction]:
+        """Event id -> what is predicted of a video by the fit to all others.
+
+        Draws are weighted by Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry 2017,
+        Statistics and Computing 27), and where that is unreliable the observer is fitted again.
+        """
+        weights = self._left_out_weights[0]
+        shares = {
+            question: np.einsum("es,sek->ek", weights, values)
+            for question, values in self.shares(self.evidence).items()
+        }
+        for i, fit in self._refits.items():
+            for question, values in fit.shares(self.evidence.at([i])).items():
+                shares[question][i] = values[:, 0].mean(axis=0)
+        return _predictions(self.evidence, shares)
+
+    def __repr__(self) -> str:
+        return (
+            f"<PeopleFit of {self.name or self.observer!r}: {int(self.answers.judged.sum())} "
+            f"videos, ELPD {self.elpd.sum():.1f}>"
+        )
+
+
+@ppl.tracing()
+def sampled(
+    observer: Program,
+    name: str,
+    evidence: Evidence,
+    answers: Answers,
+    *,
+    left_out: FloatArray | None = None,
+    draws: int = 500,
+    warmup: int = 500,
+    chains: int = 2,
+    seed: int = 0,
+) -> PeopleFit:
+    """Draw the parameters of an observer from their posterior given people's answers."""
+    counted = answers.judged if left_out is None else answers.judged * (1 - left_out)
+    questions = tuple(q for q in evidence.answers if q in answers.counts)
+    given = _given(evidence, questions)
+    mcmc = _sampler(observer, given, answers, draws, warmup, chains)
+    mcmc.run(jax.random.key(seed), jnp.asarray(counted), given.numbers)
+    found = {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
+    parameters = {k: v for k, v in found.items() if k not in _NOT_PARAMETERS and v.ndim == 1}
+    logs = found["log_likelihood"]
+    return PeopleFit(
+        observer, name, parameters, questions, None, evidence, answers, chains, logs, seed, warmup
+    )
+
+
+@functools.lru_cache(maxsize=_REMEMBERED)
+def _given(evidence: Evidence, questions: tuple[str, ...]) -> Evidence:
+    return evidence.condensed() if questions == ("relation",) else evidence
+
+
+@functools.lru_cache(maxsize=_REMEMBERED)
+def _sampler(
+    observer: Program, given: Evidence, answers: Answers, draws: int, warmup: int, chains: int
+) -> MCMC:
+    """Return a sampler, the same for the same data, so that fits without a video compile once."""
+
+    def program(counted: Array, numbers: Any) -> None:
+        people(observer, given.of_numbers(*numbers), answers, counted)
+
+    return MCMC(
+        NUTS(program, target_accept_prob=0.9, max_tree_depth=7), num_warmup=warmup,
+        num_samples=draws, num_chains=chains, chain_method="sequential", progress_bar=False,
+        jit_model_args=True,
+    )  # fmt: skip
+
+
+def as_observer(given: str | Program) -> tuple[Program, str]:
+    """Return an observer given by name or as a program, and its name, "" of one's own."""
+    if isinstance(given, str):
+        return observer_named(given), given
+    if not callable(given):
+        raise ppl.errors.InvalidSettingError(
+            f"observer={ppl.errors.shown(given)} is no name and no program of evidence"
+        )
+    named = (name for name, one in OBSERVERS.items() if one == given)
+    return given, next(named, "")
+
+
+# --- models seen through an observer --------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Observed:
+    """A model whose answers an observer gives; what it was not fitted to stays the model's."""
+
+    model: Callable[[ppl.Scene, ppl.Observation, int], Any]
+    observer: FittedObserver
+
+    def __call__(self, scene: ppl.Scene, observation: ppl.Observation, seed: int) -> ppl.Answer:
+        """Return the answers that people are expected to give."""
+        perception = self.observer.perception
+        readings = [observation]
+        if perception is not None:
+            readings = perception.readings(scene, observation, seed)
+        given = [self.model(scene, one, seed) for one in readings]
+        answers = [one if isinstance(one, ppl.Answer) else ppl.Answer(one) for one in given]
+        told = [ppl.Prediction.of(answer.given) for answer in answers]
+        made: list[Any] = [a.posterior or one for a, one in zip(answers, told, strict=True)]
+        event = ppl.Event(scene, observation)
+        evidence = evidence_of([event], {event.id: made})
+        (expected,) = self.observer.predict(evidence).values()
+        own = told[0]
+        fitted = {q: p for q, p in expected.probabilities.items() if q in self.observer.questions}
+        kept = {q: a for q, a in own.answers.items() if q not in fitted}
+        prediction = ppl.Prediction(
+            "",
+            {**{q: own.probabilities[q] for q in kept if q in own.probabilities}, **fitted},
+            kept,
+            _summed([one.cost for one in told]),
+            {q: e for q, e in own.errors.items() if q in kept},
+        )
+        return ppl.Answer(prediction, answers[0].artefacts)
+
+    def warm_up(self) -> None:
+        """Prepare what all processes share."""
+        getattr(self.model, "warm_up", lambda: None)()
+
+
+def _summed(costs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what all readings of a video cost; what is no number is that of the first."""
+    return {
+        name: value
+        if isinstance(value, bool) or not isinstance(value, int | float)
+        else sum(cost.get(name, 0) for cost in costs)
+        for name, value in costs[0].items()
+    }

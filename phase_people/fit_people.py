@@ -1,0 +1,135 @@
+"""One call that fits an observer to people's judgments."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import phase_ppl as ppl
+from phase_people.answers import Answers, Made, check_is_phase, evidence_of
+from phase_people.fit import PeopleFit, as_observer, sampled
+from phase_people.observers import Evidence, Perception, Program
+
+Source: TypeAlias = (
+    "str | os.PathLike[str] | ppl.Model | ppl.Evaluation | Evidence | Mapping[str, Any] | None"
+)
+
+
+def fit_people(
+    events: str | os.PathLike[str] | Sequence[ppl.Event],
+    judgments: str | os.PathLike[str] | ppl.Study | None = None,
+    observer: str | Program = "company",
+    *,
+    source: Source = "stepwise",
+    perception: Perception | None = None,
+    draws: int = 500,
+    warmup: int = 500,
+    chains: int = 2,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: bool | None = None,
+    **options: Any,
+) -> PeopleFit:
+    """Fit an observer to people's answers by NUTS.
+
+    Where it is known who gave which answer, raters are modelled as such; response times of a study
+    are part of the likelihood (:func:`~phase_people.answers.people`).
+
+    Args:
+        events: a file or folder of events, or events.
+        judgments: a file of :func:`phase_ppl.load_judgments` or a study; by default those that the
+            events carry.
+        observer: name of a ready-made one (:data:`~phase_people.observers.OBSERVERS`),
+            or a program of evidence (:mod:`phase_people.observers`).
+        source: of the evidence: a model by name or a :class:`phase_ppl.Model`, which is asked
+            about every event; an evaluation or its folder, whose posteriors are read, so that
+            nothing is computed twice; event id -> posterior or prediction; evidence; or None,
+            surface cues alone.
+        perception: noisy readings of the videos, of each of which a model is asked.
+        draws, warmup, chains: of NUTS, per chain.
+        seed: of NUTS, of the readings and of the model.
+        workers, progress, **options: for :func:`phase_ppl.evaluate`, where a model is asked.
+
+    Raises:
+        InvalidEventError: nobody judged any event; or something cannot be read.
+        InvalidSettingError, UnknownNameError: a setting that cannot be used, or events of another
+            world than PHASE.
+    """
+    for name, number in (("draws", draws), ("warmup", warmup), ("chains", chains)):
+        ppl.errors.whole_number(name, number)
+    program, name = as_observer(observer)
+    everything = ppl.all_events(events)
+    check_is_phase(everything[0].scene.world, "fit_people")
+    study = judgments
+    if study is not None and not isinstance(study, ppl.Study):
+        study = ppl.load_judgments(study, everything)
+    chosen = everything if study is None else ppl.with_judgments(everything, study)
+    answers = Answers.of(chosen, study)
+    asking = {"workers": workers, "progress": progress, "seed": seed, **options}
+    evidence = evidence_from(chosen, source, perception, **asking)
+    found = sampled(
+        program, name, evidence, answers, draws=draws, warmup=warmup, chains=chains, seed=seed
+    )
+    return dataclasses.replace(found, perception=perception)
+
+
+def evidence_from(
+    events: Sequence[ppl.Event],
+    source: Source = "stepwise",
+    perception: Perception | None = None,
+    **options: Any,
+) -> Evidence:
+    """Return what observers have to go by; arguments and errors as of :func:`fit_people`."""
+    for judged_event in events:  # before a model is asked
+        check_is_phase(judged_event.scene.world)
+    if isinstance(source, Evidence):
+        return source
+    if source is None:
+        return evidence_of(events)
+    if perception is None or isinstance(source, ppl.Evaluation | Mapping) or _is_folder(source):
+        return evidence_of(events, asked_about(events, source, **options))
+    seed = options.get("seed", 0)
+    readings = [perception.readings(e.scene, e.observation, seed) for e in events]
+    made: dict[str, list[Made]] = {event.id: [] for event in events}
+    for percepts in zip(*readings, strict=True):
+        seen = [
+            dataclasses.replace(event, observation=one)
+            for event, one in zip(events, percepts, strict=True)
+        ]
+        for event, one in asked_about(seen, source, **options).items():
+            made[event].append(one)
+    return evidence_of(events, made)
+
+
+def _is_folder(source: object) -> bool:
+    return isinstance(source, os.PathLike) or (isinstance(source, str) and Path(source).is_dir())
+
+
+def asked_about(events: Sequence[ppl.Event], source: Any, **options: Any) -> Mapping[str, Made]:
+    """Return event id -> the posterior, or prediction, that a model makes of it.
+
+    Args:
+        events: about which a model is asked.
+        source: a model as :func:`phase_ppl.evaluate` takes it; an evaluation or its folder, whose
+            posteriors are read; or what is to be returned.
+        **options: for :func:`phase_ppl.evaluate`.
+    """
+    if isinstance(source, Mapping):
+        return source
+    if isinstance(source, ppl.Evaluation) or _is_folder(source):
+        return _made(source if isinstance(source, ppl.Evaluation) else ppl.Evaluation.load(source))
+    with tempfile.TemporaryDirectory() as folder:
+        return _made(ppl.evaluate(events, source, out=folder, **options))
+
+
+def _made(evaluation: ppl.Evaluation) -> dict[str, Made]:
+    """Return event id -> posterior, or prediction of a model that keeps none."""
+    if evaluation.failures:
+        event, why = next(iter(evaluation.failures.items()))
+        raise ppl.errors.InvalidEventError(f"the model failed at the event {event}: {why}")
+    given = evaluation.predictions.items()
+    return {event: evaluation.posterior(event) or prediction for event, prediction in given}

@@ -1,0 +1,451 @@
+"""Observers: what stands between what a model makes of a video and what a person answers.
+
+They are NumPyro programs over evidence, built of parts or written by hand.
+
+An observer is any callable ``observer(evidence)`` that samples its own parameters by
+``numpyro.sample`` and returns log probabilities of answers: question -> (event, answer). So::
+
+    def timid(evidence):
+        weight = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
+        fear = numpyro.sample("fear", dist.Normal(0.0, 1.0))
+        belief = weight * evidence.log_likelihood[0].mean(0) + evidence.log_prior
+        belief += fear * tilt(evidence, evidence.cues["contact"], adversarial=1)
+        return {"relation": log_shares(belief, evidence, "relation")}
+
+:class:`Observer` makes one of ready-made parts, each of which changes a :class:`Belief`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from jax import Array
+from numpy.typing import ArrayLike, NDArray
+
+import phase_ppl as ppl
+
+__all__ = [
+    "ANSWERS",
+    "HALF_LIVES",
+    "OBSERVERS",
+    "Belief",
+    "Evidence",
+    "Observer",
+    "cues",
+    "lapse",
+    "leak",
+    "log_shares",
+    "observer_named",
+    "prior",
+    "respond",
+    "samples",
+    "saturation",
+    "sharpness",
+    "tilt",
+    "weight",
+]
+
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+
+QUESTIONS: Final = ppl.questions_of(ppl.worlds.PHASE)
+RELATIONS: Final = QUESTIONS["relation"]
+"""What is asked about an event of PHASE -> the possible answers; those about the relation."""
+
+HALF_LIVES: Final = (math.inf, 40.0, 10.0)
+"""Frames after which what was seen counts half, for each table of ``log_likelihood``."""
+
+_LEAST: Final = 1e-30  # keeps logarithms of shares finite in single precision
+
+ANSWERS: Final = {name: len(QUESTIONS[name]) for name in ("relation", "goal_red", "goal_green")}
+"""Question -> number of its answers."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Evidence:
+    """What observers of some videos have to go by."""
+
+    events: tuple[str, ...]  # ids of the videos
+    # (half-life, percept, event, hypothesis) log p(video | hypothesis), in nats as the model counts
+    # them, up to a constant per event. Half-lives are ``HALF_LIVES``; percepts are readings of the
+    # video, one where nothing was noisy
+    log_likelihood: FloatArray
+    log_prior: FloatArray  # (event, hypothesis) log prior masses
+    # question -> (hypothesis,) index of the answer that a hypothesis stands for
+    answers: Mapping[str, IntArray]
+    cues: Mapping[str, FloatArray]  # name -> (event,) surface cues (``cues``)
+
+    def at(self, places: ArrayLike) -> Evidence:
+        """Return the evidence on the events at some places only."""
+        which = np.asarray(places, np.int64)
+        return Evidence(
+            tuple(self.events[i] for i in which),
+            self.log_likelihood[:, :, which],
+            self.log_prior[which],
+            self.answers,
+            {name: values[which] for name, values in self.cues.items()},
+        )
+
+    @property
+    def numbers(self) -> tuple[Any, Any, dict[str, Any]]:
+        """All that differs from one set of as many videos to another, to be handed to XLA."""
+        return self.log_likelihood, self.log_prior, dict(self.cues)
+
+    def of_numbers(self, logs: Any, prior: Any, cues: Any) -> Evidence:
+        """Return it with other :attr:`numbers`."""
+        return dataclasses.replace(self, log_likelihood=logs, log_prior=prior, cues=cues)
+
+    def condensed(self, single: int = 8, groups: int = 16) -> Evidence:
+        """Return evidence on relations alone, with few hypotheses of each.
+
+        Of each relation and event the most probable hypotheses stay, ``single`` of them; the others
+        come in ``groups`` of equal size and similar likelihood, each with the sum of their priors
+        and the mean of their likelihoods. It takes a twentieth of the time to fit.
+        """
+        relations = self.answers["relation"]
+        if relations.size <= len(RELATIONS) * (single + groups):
+            return self
+        likelihoods, priors = [], []
+        for relation in range(len(RELATIONS)):
+            of = np.flatnonzero(relations == relation)
+            joint = self.log_likelihood[0].mean(axis=0)[:, of] + self.log_prior[:, of]
+            order = of[np.argsort(-joint, axis=1)]  # event, hypothesis
+            parts = [order[:, i : i + 1] for i in range(single)]
+            for part in (*parts, *np.array_split(order[:, single:], groups, axis=1)):
+                prior = np.take_along_axis(self.log_prior, part, axis=1)
+                logs = np.take_along_axis(self.log_likelihood, part[None, None], axis=-1)
+                mass = np.logaddexp.reduce(prior, axis=-1)
+                priors.append(mass)
+                likelihoods.append(np.logaddexp.reduce(logs + prior, axis=-1) - mass)
+        codes = np.repeat(np.arange(len(RELATIONS)), single + groups)
+        return dataclasses.replace(
+            self,
+            log_likelihood=np.stack(likelihoods, axis=-1),
+            log_prior=np.stack(priors, axis=-1),
+            answers={"relation": codes},
+        )
+
+
+class Belief(NamedTuple):
+    """What an observer believes, and how it answers."""
+
+    likelihood: Array  # (percept, event, hypothesis) log, unnormalised
+    prior: Array  # (event, hypothesis) log, unnormalised
+    sharpness: Array | float = 1.0  # exponent of the probabilities of answers
+    # hypotheses drawn from the belief before answering, each answer counted once more than it was
+    # drawn; infinitely many give the belief itself
+    samples: Array | float = math.inf
+    lapse: Array | float = 0.0  # probability of an answer at random
+
+
+Responses: TypeAlias = dict[str, Array]  # question -> (event, answer) log probabilities
+Program: TypeAlias = Callable[[Evidence], Responses]
+Part: TypeAlias = Callable[[Belief, Evidence], Belief]
+
+
+def log_shares(log_mass: Array, evidence: Evidence, question: str) -> Array:
+    """Return (..., event, answer) log probabilities of the answers to a question.
+
+    From unnormalised log masses (..., event, hypothesis).
+    """
+    stands_for = jax.nn.one_hot(evidence.answers[question], ANSWERS[question])
+    return jnp.log(jax.nn.softmax(log_mass, axis=-1) @ stands_for + _LEAST)
+
+
+def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
+    """Return (event, hypothesis) nats for hypotheses by their relation.
+
+    ``toward`` has nats per unit of ``values``, (event,) or a number; other relations get 0.
+    """
+    for relation in toward:
+        ppl.errors.check_name("relation", relation, RELATIONS)
+    nats = jnp.array([toward.get(relation, 0.0) for relation in RELATIONS])
+    return jnp.asarray(values)[..., None] * nats[evidence.answers["relation"]]
+
+
+# --- what a person sees of a video: surface cues, without any inference about goals, and noise ----
+
+CUES: Final = ("distance", "contact", "working", "impact", "holding", "unsettled", "synchrony")
+"""Names of the cues, in order; :func:`surface_cues` says what each is."""
+
+REACH: Final = 1.5  # half the width of an agent's broad side, in its radii
+_NEAR: Final = 5.0  # units, half the width of a room: what distance and impact are measured in
+
+_SIDE: Final = 1.2
+"""Mean distance of an agent's outline from its centre, in its radii, a little generous."""
+
+_AT: Final = 0.4  # units within which of an item an agent is at it
+_MOVES: Final = 0.05  # units per frame from which on a body counts as moving
+_STIRS: Final = 0.02  # the same where the end of all motion is looked for
+_TAIL: Final = 5  # frames of rest that are none: recordings that were cut go on for 5 to 9
+
+
+def surface_cues(scene: ppl.Scene, observation: ppl.Observation) -> dict[str, float]:
+    """Return the cues of one video, each of a size of about 1.
+
+    ``distance``: log of the mean distance between the agents' centres over 5 units; ``contact``:
+    share of frames in which their broad sides could touch; ``working``: share of frames in which
+    an agent is at an item that moves, the geometric mean of both, of the item for which it is
+    larger; ``holding``: 1 where both hold the same
+    item at some time; ``unsettled``: 1 where something still moves at the end; ``impact``: by how
+    much they close in, within three frames, as contact begins, at most, over 5 units;
+    ``synchrony``: mean cosine between their motions, 0 in frames in which one rests.
+    """
+    trajectory, radius = observation.trajectory, np.asarray(scene.radius)
+    red, green = trajectory[:, 0, :2], trajectory[:, 1, :2]
+    apart = np.linalg.norm(red - green, axis=1)
+    touch = apart < REACH * (radius[0] + radius[1])
+    held = ppl.items_held(trajectory, radius)
+    steps = np.diff(trajectory[:, :2, :2], axis=0)
+    speeds = np.linalg.norm(steps, axis=2)
+    moving = (speeds > _MOVES).all(axis=1)
+    cosine = steps.prod(axis=1).sum(axis=1) / np.maximum(speeds.prod(axis=1), _MOVES**2)
+    items = trajectory[:, None, len(ppl.AGENTS) :, :2]
+    rims = _SIDE * radius[: len(ppl.AGENTS), None] + radius[len(ppl.AGENTS) :]
+    at = np.linalg.norm(trajectory[:, : len(ppl.AGENTS), None, :2] - items, axis=-1) < rims + _AT
+    shifted = np.linalg.norm(np.diff(items[:, 0], axis=0), axis=-1) > _MOVES
+    handled = (at[1:] & shifted[:, None]).mean(axis=0)  # agent, item
+    begins = np.flatnonzero(touch[1:] & ~touch[:-1])
+    return {
+        "distance": float(np.log(max(apart.mean(), 1e-3) / _NEAR)),
+        "contact": float(touch.mean()),
+        "working": float(np.sqrt(handled.prod(axis=0)).max()),
+        "impact": float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0))
+        / _NEAR,
+        "holding": float(((held[:, 0] != -1) & (held[:, 0] == held[:, 1])).any()),
+        "unsettled": float(_moves_to_the_end(trajectory)),
+        "synchrony": float(np.where(moving, cosine, 0.0).mean()),
+    }
+
+
+def _moves_to_the_end(trajectory: FloatArray) -> bool:
+    """Whether something still moves in the last frames, so that no rest was cut off."""
+    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
+    moving = np.flatnonzero(steps > _STIRS)
+    return moving.size > 0 and len(steps) - 1 - int(moving[-1]) < _TAIL
+
+
+@dataclasses.dataclass(frozen=True)
+class Perception:
+    """Several noisy readings of a video, over which an observer's answers are averaged.
+
+    Attributes:
+        noise: standard deviation of each position, units.
+        missed: probability that a frame is not seen; what was in between is filled in evenly.
+        percepts: number of readings.
+
+    Raises:
+        InvalidSettingError: a value that cannot be used.
+    """
+
+    noise: float = 0.1
+    missed: float = 0.0
+    percepts: int = 4
+
+    def __post_init__(self) -> None:
+        for name in ("noise", "missed"):
+            ppl.errors.nonnegative_number(name, getattr(self, name))
+        if self.missed >= 1:
+            raise ppl.errors.InvalidSettingError(
+                f"missed={self.missed!r}, expected a number in [0, 1)"
+            )
+        ppl.errors.whole_number("percepts", self.percepts)
+
+    def readings(
+        self, scene: ppl.Scene, observation: ppl.Observation, seed: int
+    ) -> list[ppl.Observation]:
+        """Return ``percepts`` readings; the same seed gives the same ones."""
+        rng = np.random.default_rng(seed)
+        return [self._reading(scene, observation.trajectory, rng) for _ in range(self.percepts)]
+
+    def _reading(
+        self, scene: ppl.Scene, trajectory: FloatArray, rng: np.random.Generator
+    ) -> ppl.Observation:
+        seen = rng.random(len(trajectory)) >= self.missed
+        seen[[0, -1]] = True
+        low, high = np.reshape(scene.arena, (2, 2)).T
+        flat = np.array(trajectory).reshape(len(trajectory), -1)
+        when = np.arange(len(flat))
+        filled = np.stack([np.interp(when, when[seen], column[seen]) for column in flat.T], axis=1)
+        found = filled.reshape(trajectory.shape)
+        noise = rng.normal(0.0, self.noise, found[1:, :, :2].shape) * seen[1:, None, None]
+        found[1:, :, :2] = np.clip(found[1:, :, :2] + noise, low, high)
+        return ppl.Observation(found)
+
+
+# --- parts ----------------------------------------------------------------------------------------
+
+
+def leak(belief: Belief, evidence: Evidence) -> Belief:
+    """What was seen fades: between tables of :data:`HALF_LIVES`, by ``leak`` from 0 to 2.
+
+    It takes the tables as they are, and so is the first part of an observer.
+    """
+    most = len(HALF_LIVES) - 1
+    place = numpyro.sample("leak", dist.Uniform(0, most))
+    shares = jnp.maximum(0.0, 1 - jnp.abs(place - jnp.arange(most + 1)))
+    return belief._replace(likelihood=jnp.tensordot(shares, evidence.log_likelihood, 1))
+
+
+def weight(belief: Belief, evidence: Evidence) -> Belief:
+    """Evidence counts ``weight`` times what it does for the model."""
+    times = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
+    return belief._replace(likelihood=times * belief.likelihood)
+
+
+def saturation(belief: Belief, evidence: Evidence) -> Belief:
+    """Evidence between relations saturates: none is more than ``most_evidence`` nats behind."""
+    most = numpyro.sample("most_evidence", dist.LogNormal(math.log(3.0), 0.7))
+    prior = log_shares(belief.prior, evidence, "relation")
+    found = log_shares(belief.likelihood + belief.prior, evidence, "relation") - prior
+    behind = found.max(axis=-1, keepdims=True) - found
+    less = behind - most * -jnp.expm1(-behind / most)
+    return belief._replace(
+        likelihood=belief.likelihood + less[..., jnp.asarray(evidence.answers["relation"])]
+    )
+
+
+def prior(belief: Belief, evidence: Evidence) -> Belief:
+    """A prior of people's own over relations, in nats beyond the model's."""
+    friendly = numpyro.sample("prior_friendly", dist.Normal(0.0, 1.0))
+    neutral = numpyro.sample("prior_neutral", dist.Normal(0.0, 1.0))
+    own = tilt(evidence, friendly, friendly=1.0) + tilt(evidence, neutral, neutral=1.0)
+    return belief._replace(prior=belief.prior + own)
+
+
+def cues(**toward: str) -> Part:
+    """Return a part by which cues speak for a relation, such as ``cues(distance="neutral")``.
+
+    A cue's likelihood is exponential in it: that agents who want nothing of each other do not
+    touch is ``cues(contact="neutral")`` with a negative ``cue_contact`` [nats per unit]. The cues'
+    common scale ``cue_scale`` is inferred, so that useless ones shrink together.
+    """
+    for name, relation in toward.items():
+        ppl.errors.check_name("cue", name, CUES)
+        ppl.errors.check_name("relation", relation, RELATIONS)
+
+    def part(belief: Belief, evidence: Evidence) -> Belief:
+        scale = numpyro.sample("cue_scale", dist.HalfNormal(2.0))
+        likelihood = belief.likelihood
+        for name, relation in toward.items():
+            raw = numpyro.sample(f"raw_{name}", dist.Normal(0.0, 1.0))
+            nats = numpyro.deterministic(f"cue_{name}", scale * raw)
+            likelihood += tilt(evidence, nats * evidence.cues[name], **{relation: 1.0})
+        return belief._replace(likelihood=likelihood)
+
+    part.__name__ = f"cues({', '.join(f'{name}={relation}' for name, relation in toward.items())})"
+    return part
+
+
+def sharpness(belief: Belief, evidence: Evidence) -> Belief:
+    """Answers by the belief to the power ``sharpness``: the inverse temperature of responses."""
+    return belief._replace(sharpness=numpyro.sample("sharpness", dist.LogNormal(0.0, 0.5)))
+
+
+def samples(belief: Belief, evidence: Evidence) -> Belief:
+    """Answers by a few samples of the belief, ``samples`` of them."""
+    return belief._replace(samples=numpyro.sample("samples", dist.LogNormal(math.log(10), 1.0)))
+
+
+def lapse(belief: Belief, evidence: Evidence) -> Belief:
+    """Answers at random with probability ``lapse``."""
+    return belief._replace(lapse=numpyro.sample("lapse", dist.Beta(1.0, 20.0)))
+
+
+# --- observers ------------------------------------------------------------------------------------
+
+
+def respond(belief: Belief, evidence: Evidence) -> Responses:
+    """Return the answers to all questions that hypotheses say something of."""
+    log_mass = belief.likelihood + belief.prior
+    found = {}
+    for question in evidence.answers:
+        logs = log_shares(log_mass, evidence, question)
+        of_one = jax.nn.softmax(belief.sharpness * logs, axis=-1)
+        shares, n = of_one.mean(axis=0), ANSWERS[question]
+        shares = (shares + 1 / belief.samples) / (1 + n / belief.samples)
+        found[question] = jnp.log((1 - belief.lapse) * shares + belief.lapse / n + _LEAST)
+    return found
+
+
+@dataclasses.dataclass(frozen=True, init=False)
+class Observer:
+    """An observer made of parts, in the order in which they are given.
+
+    ``Observer(weight, prior, cues(distance="neutral"), lapse)``. Without any it answers as the
+    model does. A part is a function ``(belief, evidence) -> belief`` that may sample parameters.
+
+    Raises:
+        InvalidSettingError: a part is no function, or ``leak`` is not the first.
+    """
+
+    parts: tuple[Part, ...]
+
+    def __init__(self, *parts: Part) -> None:
+        for part in parts:
+            if not callable(part):
+                raise ppl.errors.InvalidSettingError(
+                    f"part {ppl.errors.shown(part)} is no function (belief, evidence)"
+                )
+        if leak in parts[1:]:
+            raise ppl.errors.InvalidSettingError(
+                "leak comes first: it takes all evidence anew, whatever parts before it made of it"
+            )
+        object.__setattr__(self, "parts", parts)
+
+    def __call__(self, evidence: Evidence) -> Responses:
+        """Sample the parameters, and return the answers."""
+        belief = Belief(jnp.asarray(evidence.log_likelihood[0]), jnp.asarray(evidence.log_prior))
+        for part in self.parts:
+            belief = part(belief, evidence)
+        return respond(belief, evidence)
+
+    def __repr__(self) -> str:
+        return f"Observer({', '.join(part.__name__ for part in self.parts)})"
+
+
+_RESPONSE: Final = (weight, saturation, prior)
+
+OBSERVERS: Final[Mapping[str, Observer]] = {
+    "model": Observer(),
+    "lapsing": Observer(weight, prior, lapse),
+    "saturating": Observer(*_RESPONSE, lapse),
+    "leaky": Observer(leak, *_RESPONSE, lapse),
+    "sampling": Observer(*_RESPONSE, samples),
+    "contact": Observer(*_RESPONSE, cues(contact="neutral"), lapse),
+    "distance": Observer(*_RESPONSE, cues(distance="neutral"), lapse),
+    "company": Observer(*_RESPONSE, cues(distance="neutral", contact="neutral"), lapse),
+    "attentive": Observer(
+        *_RESPONSE,
+        cues(distance="neutral", contact="neutral", working="friendly", impact="adversarial"),
+        lapse,
+    ),
+    "vigilant": Observer(
+        *_RESPONSE,
+        cues(
+            distance="neutral", contact="neutral", synchrony="neutral", working="friendly",
+            holding="friendly", impact="adversarial", unsettled="adversarial",
+        ),
+        lapse,
+    ),
+}  # fmt: skip
+"""Name -> ready-made observer."""
+
+
+def observer_named(name: str) -> Observer:
+    """Return a ready-made observer."""
+    ppl.errors.check_name("observer", name, OBSERVERS)
+    return OBSERVERS[name]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,23 @@
+"""The paper's studies of people, in the browser: judgments, tags, played sessions, likeness.
+
+An application of phase_ppl, of which it uses public names only.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phase_study.study import Study
+
+__all__ = ["Study"]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "Study":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from phase_study.study import Study  # not before it is used: the list of commands needs none
+
+    return Study
+
+
+def __dir__() -> list[str]:
+    return __all__

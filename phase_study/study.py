@@ -1,0 +1,464 @@
+"""A study: a folder with its settings, its films and what people said."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import importlib.util
+import os
+import secrets
+import socket
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import numpy as np
+
+import phase_ppl as ppl
+from phase_study import exports
+from phase_study import settings as settings_module
+from phase_study import store as store_module
+from phase_study.clips import clips_of, make_clips
+from phase_study.exports import Status
+from phase_study.settings import KINDS, Settings, template
+from phase_study.store import Stimulus, Store
+
+EVENTS: Final = "events.json"
+VIDEOS: Final = "videos"
+CLIPS_FOLDER: Final = "clips"
+_ANY: Final = ("0.0.0.0", "::")
+_LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
+_NEEDS: Final = ("starlette", "uvicorn", "websockets", "markdown_it")
+_PLACEHOLDER: Final = "[who is responsible"
+
+PathLike = str | os.PathLike[str]
+
+
+def check_extra() -> None:
+    """Raise InvalidSettingError where the extra ``study`` is not installed."""
+    missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ppl.errors.InvalidSettingError(
+            f"a study needs {', '.join(missing)}, which is not installed: "
+            "pip install 'phase_ppl[study]'"
+        )
+
+
+class Study:
+    """A study in a folder.
+
+    Args:
+        folder: made by :meth:`new`.
+
+    Raises:
+        InvalidEventError: it holds no study.
+        InvalidSettingError, UnknownNameError: its ``study.toml`` cannot be used.
+    """
+
+    def __init__(self, folder: PathLike) -> None:
+        self.folder = ppl.files.as_path(folder)
+        file = ppl.files.existing_file(self.folder / settings_module.FILE)
+        self.settings = Settings.read(file, _world_of(self.events.values()))
+        with self.store() as store:
+            kind = store.fact("kind")
+            if self.settings.kind != kind:
+                raise ppl.errors.InvalidSettingError(
+                    f"{self.folder}: kind = {self.settings.kind!r}, but the study is one of {kind}"
+                )
+            known = [stimulus.event for stimulus in store.stimuli().values()]
+        for event in self.settings.checks:
+            ppl.errors.check_name("video in [checks]", event, known)
+
+    @classmethod
+    def new(
+        cls,
+        folder: PathLike,
+        events: PathLike | ppl.Event | Sequence[ppl.Event],
+        kind: str = "judgment",
+        *,
+        generated: PathLike | ppl.Event | Sequence[ppl.Event] | None = None,
+        title: str = "What are they doing?",
+        trials: int | None = None,
+        raters: int | None = None,
+        workers: int | None = None,
+        progress: bool | None = None,
+    ) -> Study:
+        """Make a study: ``study.toml``, the films under names that say nothing, and the database.
+
+        Args:
+            folder: empty, or yet to be made.
+            events: to be shown, all of one world; of a study of play, those whose scenes, goals and
+                strengths are to be played; of likeness, those that people played.
+            kind: "judgment", "tagging", "likeness" or "play".
+            generated: of likeness, the counterparts of ``events``: same scene, goals, strengths.
+                Default: they are simulated.
+            title: as the pages say.
+            trials, raters: videos per person, and people per video, 10 and 20 by default; of play,
+                sessions per pair, and sessions of each scene, 3 and 5 by default.
+            workers: processes that make films; default one per usable core.
+            progress: whether to show a bar; None: where stderr is a terminal.
+
+        Raises:
+            UnknownNameError: there is no such kind.
+            InvalidSettingError: events are of several worlds; or of another than PHASE, and it is
+                a study of play.
+            InvalidEventError: events have no truth where it is needed, or no counterpart.
+            OutputError: the folder is not empty, or cannot be written.
+        """
+        ppl.errors.check_name("kind", kind, KINDS)
+        usual = (3, 5) if kind == "play" else (10, 20)
+        trials = usual[0] if trials is None else ppl.errors.whole_number("trials", trials)
+        raters = usual[1] if raters is None else ppl.errors.whole_number("raters", raters)
+        if generated is not None and kind != "likeness":
+            raise ppl.errors.InvalidSettingError(
+                f"generated: only for a study of likeness, not of {kind}"
+            )
+        shown, stimuli = _stimuli(kind, events, generated)
+        target = ppl.files.writable_folder(folder)
+        if any(target.iterdir()):
+            raise ppl.errors.OutputError(f"{target} is not empty: a study gets a folder of its own")
+        with ppl.files.locked(target):
+            target.chmod(0o700)
+            world = shown[0].scene.world
+            make_clips(target / CLIPS_FOLDER, world)
+            if kind != "play":
+                names = [secrets.token_hex(12) for _ in shown]
+                hidden = [dataclasses.replace(e, id=n) for e, n in zip(shown, names, strict=True)]
+                films = ppl.render.videos(
+                    hidden, target / VIDEOS, workers=workers, progress=progress
+                )
+                stimuli = [
+                    one._replace(file=film.name, sha256=_digest(film))
+                    for one, film in zip(stimuli, films, strict=True)
+                ]
+            ppl.save_events(shown, target / EVENTS)
+            Store.create(target / store_module.FILE, kind, stimuli).close()
+            if kind != "play":  # a person sees one group, and of copies one
+                alike = {s.copies or s.event for s in stimuli if s.grp in (None, "played")}
+                trials = min(trials, len(alike))
+            text = template(
+                kind, title, trials=trials, raters=raters, n_videos=len(stimuli), world=world
+            )
+            ppl.files.write_bytes(target / settings_module.FILE, (".toml",), text.encode())
+        return cls(target)
+
+    def store(self) -> contextlib.closing[Store]:
+        """Open the database, for a ``with``; the server may be at work in it."""
+        return contextlib.closing(Store(self.folder / store_module.FILE))
+
+    @functools.cached_property
+    def events(self) -> Mapping[str, ppl.Event]:
+        """Id -> event, of the videos or scenes."""
+        return {event.id: event for event in ppl.load_events(self.folder / EVENTS)}
+
+    def events_by_digest(self) -> dict[str, str]:
+        """Return hash of a film -> id of its event."""
+        with self.store() as store:
+            return {s.sha256: s.event for s in store.stimuli().values() if s.sha256}
+
+    # --- serving ----------------------------------------------------------------------------------
+
+    def check(self) -> list[str]:
+        """Find out whether the study can be run; return what a researcher should still look at.
+
+        Raises:
+            InvalidEventError: a film is missing or is another than it was.
+        """
+        with self.store() as store:
+            for stimulus in store.stimuli().values():
+                film = self.folder / VIDEOS / (stimulus.file or "")
+                if stimulus.file and (not film.is_file() or _digest(film) != stimulus.sha256):
+                    why = "has changed" if film.is_file() else "is missing"
+                    raise ppl.errors.InvalidEventError(
+                        f"{film}, of event {stimulus.event!r}, {why}"
+                    )
+        for name in clips_of(self.settings.world):
+            clip = self.folder / CLIPS_FOLDER / f"{name}.mp4"
+            if not clip.is_file():
+                raise ppl.errors.InvalidEventError(f"{clip} is missing")
+        warnings = []
+        if _PLACEHOLDER in self.settings.texts["consent"]:
+            warnings.append("the text of consent in study.toml does not yet say who is responsible")
+        if self.settings.kind == "play":
+            from phase_study import room
+
+            warnings += room.warnings(self.events.values(), self.settings.play)
+        return warnings
+
+    def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
+        """Return the application, for a server of ASGI of one's own; it must be one process.
+
+        Args:
+            url: by which people reach it; ``https`` makes its cookies be for TLS only.
+            host: at which it listens.
+        """
+        check_extra()
+        from phase_study.server import Site, create_app
+
+        parts = urlsplit(url)
+        if url and (
+            parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/")
+        ):
+            raise ppl.errors.InvalidSettingError(
+                f"url {url!r}: expected one such as https://study.example.org"
+            )
+        names = [name for name in (parts.hostname, host) if name and name not in _ANY]
+        site = Site(self.folder, self.settings, self.events, secure=parts.scheme == "https")
+        if self.settings.kind == "play":
+            from phase_study.play import routes
+
+            return create_app(site, names, routes(site))
+        return create_app(site, names)
+
+    def run(
+        self,
+        port: int = 8000,
+        host: str = "127.0.0.1",
+        url: str = "",
+        *,
+        ready: Callable[[str], object] = print,
+        keep: Callable[[Any], object] = lambda server: None,
+    ) -> None:
+        """Serve the study until it is interrupted.
+
+        Args:
+            port: 0: one that is free.
+            host: address at which to listen. Others than this machine's need TLS before them.
+            url: by which people reach it, as in "https://study.example.org".
+            ready: is told the address once people can come.
+            keep: is given uvicorn's server before it runs, whose ``should_exit`` ends it.
+
+        Raises:
+            InvalidEventError: a film is missing or was changed.
+            InvalidSettingError: the extra ``study`` is missing, or the url cannot be one.
+            OutputError: another server is at work in the folder, or has the port.
+        """
+        check_extra()
+        if host in _ANY and not url:
+            raise ppl.errors.InvalidSettingError(
+                f"host {host} needs url, the address by which people come"
+            )
+        warnings = self.check()
+        app = self.app(url, host)
+        import uvicorn
+
+        from phase_study.server import MOST_MESSAGE
+
+        if host not in _LOOPBACK and not url.startswith("https:"):
+            warnings.append(f"{host} can be reached by others without TLS; put a proxy before it")
+        for warning in warnings:
+            print(f"phase-ppl: note: {warning}", file=sys.stderr)
+        with ppl.files.locked(self.folder), _listening(host, port) as listener:
+            config = uvicorn.Config(
+                app, access_log=False, log_level="warning", server_header=False,
+                proxy_headers=False, ws_max_size=MOST_MESSAGE, ws_ping_interval=2,
+                ws_ping_timeout=5, lifespan="on", timeout_graceful_shutdown=5,
+            )  # fmt: skip
+            shown = f"[{host}]" if ":" in host else host
+            address = url or f"http://{shown}:{listener.getsockname()[1]}/"
+
+            async def tell() -> None:
+                ready(address)  # who comes before the first request is answered waits
+
+            app.state.site.opening.append(tell)
+            server = uvicorn.Server(config)
+            keep(server)
+            server.run(sockets=[listener])
+            if not server.started:
+                raise ppl.errors.OutputError("the server did not start")
+
+    # --- what came of it --------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Return how many people came, how far they got, and how often each video was judged."""
+        with self.store() as store:
+            return exports.status(store, self.settings)
+
+    def export(
+        self, out: PathLike, *, include: Sequence[str] = ("flagged",), demographics: bool = False
+    ) -> Path:
+        """Write what people said, as of now, into a folder; the study may go on.
+
+        Args:
+            out: folder; what an export wrote there before is replaced.
+            include: who is exported beside those who finished: "unfinished", "excluded" and
+                "flagged" (by attention checks) people.
+            demographics: write age and gender of each participant, instead of totals only.
+
+        Returns:
+            The folder.
+
+        Raises:
+            UnknownNameError: ``include`` names others.
+            OutputError: the folder cannot be written, or holds other files.
+        """
+        for name in include:
+            ppl.errors.check_name("people to include", name, exports.INCLUDE)
+        target = ppl.files.writable_folder(out)
+        exports.check_folder(target)
+        with ppl.files.locked(target), tempfile.TemporaryDirectory(dir=self.folder) as folder:
+            with self.store() as live:
+                snapshot = live.snapshot(Path(folder) / store_module.FILE)
+            with contextlib.closing(snapshot) as store:
+                exports.write(store, self.settings, self.events, target, include, demographics)
+        return target
+
+    def withdraw(self, participant: str) -> None:
+        """Delete all that somebody gave (UnknownNameError: there is no such participant)."""
+        with self.store() as store:
+            store.withdraw(participant)
+
+    def exclude(self, participant: str, reason: str) -> None:
+        """Leave somebody out of exports, and give their videos to others.
+
+        Raises:
+            UnknownNameError: there is no such participant.
+        """
+        with self.store() as store:
+            store.exclude(participant, reason)
+
+    def __repr__(self) -> str:
+        return f"<Study of {self.settings.kind} in {self.folder}>"
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family, backlog=2048)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ppl.errors.OutputError(f"cannot listen at {host}, port {port}: {reason}") from None
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- which videos ---------------------------------------------------------------------------------
+
+
+def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[ppl.Event], list[Stimulus]]:
+    """Return the events of a study in its order, and what is to be kept of each."""
+    is_path = isinstance(events, str | os.PathLike)
+    is_generated = is_path and (ppl.files.as_path(events) / "manifest.json").is_file()
+    source = ppl.load_events(events) if is_generated else events
+    found = ppl.all_events(source)
+    world = _world_of(found)
+    if kind == "play" and world != ppl.worlds.PHASE:
+        raise ppl.errors.InvalidSettingError(
+            f"a study of play knows the world PHASE only, not {world.name!r}"
+        )
+    if kind in ("likeness", "play"):
+        for event in found:
+            _check_truth(event, kind)
+    if kind == "likeness":
+        partners = counterparts(found, None if generated is None else ppl.all_events(generated))
+        return [*found, *partners], [
+            Stimulus(event.id, group, pair)
+            for group, part in (("played", found), ("generated", partners))
+            for pair, event in enumerate(part)
+        ]
+    groups: dict[str, str] = {}
+    if isinstance(source, ppl.GeneratedEvents):
+        groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}
+    several = [groups.get(event.id, event.id) for event in found]
+    size = Counter(several)
+    return found, [
+        Stimulus(event.id, copies=group if size[group] > 1 else None)
+        for event, group in zip(found, several, strict=True)
+    ]
+
+
+def _world_of(events: Iterable[ppl.Event]) -> ppl.World:
+    worlds = list(dict.fromkeys(event.scene.world for event in events)) or [ppl.worlds.PHASE]
+    if len(worlds) > 1:
+        names = [world.name for world in worlds]
+        differing = "" if len({*names}) == len(names) else " (alike in name only)"
+        raise ppl.errors.InvalidSettingError(
+            f"the events are of the worlds {', '.join(map(repr, names))}{differing}, expected "
+            "those of one world"
+        )
+    return worlds[0]
+
+
+def _check_truth(event: ppl.Event, kind: str) -> None:
+    truth = event.truth
+    strengths = (getattr(truth, f"strength_{name}", None) for name in ("red", "green"))
+    if not isinstance(truth, ppl.Roles) and None in strengths:
+        raise ppl.errors.InvalidEventError(
+            f"event {event.id!r} does not say its goals and strengths; a study of {kind} needs them"
+        )
+
+
+# --- what people played beside what was generated: the pairs of a study of likeness ---------------
+
+
+def counterparts(
+    played: Sequence[ppl.Event], generated: Sequence[ppl.Event] | None
+) -> list[ppl.Event]:
+    """Return for each played event the generated one of the same scene, goals and strengths.
+
+    Where none are given they are simulated, by the agents' planner, as long as the played ones, in
+    a world whose agents keep their velocities.
+    """
+    if generated is None:
+        return [_simulated(event, seed) for seed, event in enumerate(played)]
+    left, ids = list(generated), {event.id for event in played}
+    return [
+        dataclasses.replace(event, id=f"{event.id}-generated") if event.id in ids else event
+        for event in (_counterpart(one, left) for one in played)
+    ]
+
+
+def _counterpart(event: ppl.Event, left: list[ppl.Event]) -> ppl.Event:
+    """Take the counterpart of an event out of those that are left."""
+    for place, other in enumerate(left):
+        if other.truth is not None and _are_alike(event, other):
+            return left.pop(place)
+    raise ppl.errors.InvalidEventError(
+        f"event {event.id!r} has no counterpart (any more) of the same scene, goals and strengths"
+    )
+
+
+def _are_alike(one: ppl.Event, other: ppl.Event) -> bool:
+    return one.scene.world == other.scene.world and all(
+        np.shape(first) == np.shape(second) and np.allclose(first, second)
+        for first, second in zip(_setting(one), _setting(other), strict=True)
+    )
+
+
+def _setting(event: ppl.Event) -> list[Any]:
+    """Return scene, goals and strengths of an event, in numbers."""
+    scene, truth = event.scene, event.truth
+    if isinstance(truth, ppl.Roles):
+        goals, strengths = truth.effective_goals, np.array(truth.strengths)
+    else:
+        goals = tuple(map(scene.world.goal_index, (truth.goal_red, truth.goal_green)))
+        strengths = np.array([truth.strength_red, truth.strength_green], float)
+    return [scene.start, scene.radius, scene.walls, scene.landmark_centres, scene.arena, goals,
+            strengths]  # fmt: skip
+
+
+def _simulated(event: ppl.Event, seed: int) -> ppl.Event:
+
+    hypothesis = truth = event.truth
+    if not isinstance(truth, ppl.Roles):
+        strengths = truth.strength_red, truth.strength_green
+        try:
+            hypothesis = ppl.Hypothesis(truth.goal_red, truth.goal_green, (0, 0), *strengths)
+        except ppl.errors.InvalidSettingError as error:
+            raise ppl.errors.InvalidEventError(f"event {event.id!r}: {error}") from None
+    return ppl.simulate(
+        dataclasses.replace(event.scene, resets_velocity=False),
+        hypothesis,
+        frames=event.observation.n_frames,
+        seed=seed,
+        id=f"{event.id}-generated",
+        overlapping=True,
+    )
