@@ -109,6 +109,10 @@ FEW_WHERE_TOLD, TOLD = 2.0, 2.0
 of so many standard errors on. In PHASE, which the suggestions know, answers on 2 to 10 effective
 draws are as right as others (``benchmarks/decided.py``), in worlds that they do not know, not."""
 
+LEARNT: Final = 1.3
+"""By how much errors grow where what was drawn decides what is drawn next, which groups of chains
+do not show: of ``amis`` on the first three events of ``benchmarks/toys.py``."""
+
 MISLED: Final = 0.5  # standard errors below which suggestions are no better than chance
 _FEWEST_DEGREES: Final = 2.0  # of freedom: with one, 6.5 spreads would be one error
 _CLEARLY: Final = 2.0  # standard errors by which halves of the draws are to differ
