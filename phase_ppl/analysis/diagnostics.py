@@ -25,7 +25,7 @@ from phase_ppl.analysis.tree import (
     space_of_tree,
     untried,
 )
-from phase_ppl.analysis.verdict import ALONE, verdict
+from phase_ppl.analysis.verdict import ALONE, of_draws
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
 from phase_ppl.world.arrays import FloatArray
@@ -90,7 +90,10 @@ def diagnostics(
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
     * ``overlapping_frames``: in which bodies lie on each other or in a wall.
-    * ``verdict``: a few sentences.
+    * ``trust``: "confident", "not certain" or "do not trust"; ``answer``: that and the leaders in a
+      line; ``checks``: what was looked at, each with ``name``, ``state`` ("ok", "doubt", "fail",
+      "unknown"), ``value``, ``limit``, what it ``says`` and an ``advice``; ``next``: the first
+      advice; ``verdict``: what the checks say, the worst first.
 
     R-hat and effective sizes are None where they do not exist: for fewer than four draws per
     chain, weighted draws, or what never changes (R-hat: within half a chain). Of goal codes they
@@ -166,7 +169,7 @@ def diagnostics(
         ),
     }
     result: dict[str, Any] = plain(record)
-    return {**result, "verdict": verdict(result)}
+    return {**result, **of_draws(result)}
 
 
 def _without_prior(

@@ -20,6 +20,7 @@ from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
 from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.tree import FRAME, kept_scene, scene_dataset
+from phase_ppl.analysis.verdict import as_html, verdict_lines
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import NO_LOO, arviz_groups, draws_of, resampled
 from phase_ppl.world.arrays import FloatArray
@@ -29,7 +30,7 @@ from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.picture import plain
+from phase_ppl.world.picture import plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
@@ -277,8 +278,30 @@ class EventPosterior(Hypotheses):
         return xr.Dataset(found, {"time": ("time", time, {"units": "s"}), **labels}, attrs)
 
     def diagnostics(self) -> dict[str, Any]:
-        """Return whether this can be trusted: numbers, and a ``verdict`` in words."""
+        """Return whether this can be trusted: numbers, and what they say.
+
+        Among them ``trust``, ``answer``, ``checks``, ``next`` and ``verdict``, as
+        :func:`phase_ppl.analysis.verdict.judged` makes them.
+        """
         raise NotImplementedError
+
+    def _head(self, found: Mapping[str, Any]) -> str:
+        """Return in a line what this is, given its diagnostics."""
+        raise NotImplementedError
+
+    def _body(self, found: Mapping[str, Any]) -> list[str]:
+        """Return the lines of a table about all answers, and what they cost."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        found = self.diagnostics()
+        head = wrapped("posterior", self._head(found))
+        return "\n".join([*head, *verdict_lines(found), "", *self._body(found)])
+
+    def _repr_html_(self) -> str:
+        found = self.diagnostics()
+        head = wrapped("posterior", self._head(found))
+        return as_html(found) + preformatted("\n".join([*head, "", *self._body(found)]))
 
     def summary(self) -> dict[str, Any]:
         """Return the posterior in JSON's types; numbers that do not exist are None.

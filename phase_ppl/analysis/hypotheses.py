@@ -221,6 +221,10 @@ class Hypotheses(Printed):
             error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
             error = with_unseen(table, error, of._size_of(rows), table.size)
             error = np.hypot(error, of._unseen * (table - 1 / table.size))
+            if of._luck is not None:
+                luck = np.zeros(shape)
+                luck.flat[occupied] = estimate.typical(codes, of._luck[rows])
+                error = np.hypot(error, luck * (1 - table))
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
             table, {**coords, "error": (names, error)}, dims=names, name="probability"
@@ -444,12 +448,18 @@ class Hypotheses(Printed):
         for agent, name in self.goals_of.items():
             lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
         for label, name in (*self.relations_of.items(), *self.scenarios_of.items()):
-            lines += bars(label, self.top(name, 4))
+            untried = self._untried(name)
+            entries = [(one, None if one in untried else p) for one, p in self.top(name, 4)]
+            lines += bars(label, entries)
         for place, (agent, name) in enumerate(self.strengths_of.items()):
             low, high = self.hdi(name).values
             text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
             lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
         return lines
+
+    def _untried(self, name: str) -> frozenset[str]:
+        """Return the labels of a quantity that nothing was simulated for, where anything was."""
+        return frozenset()
 
     # --- rows, conditions, and how far answers differ between chains ---------------------------
 
@@ -520,6 +530,11 @@ class Hypotheses(Printed):
         return 0.0
 
     @functools.cached_property
+    def _luck(self) -> FloatArray | None:
+        """(row,) the weight that each would have, had it been as lucky as those that decide."""
+        return None
+
+    @functools.cached_property
     def _effective_size(self) -> float:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
 
@@ -586,6 +601,9 @@ class Hypotheses(Printed):
         if statistic is estimate.share:
             error = with_unseen(number, error, self._size_of(rows))
             error = np.hypot(error, self._unseen * (number - 0.5))
+            if self._luck is not None and values.any():
+                (*_, luck) = estimate.typical(values.astype(np.int64), self._luck[rows])
+                error = np.hypot(error, luck * (1 - number))
         elif statistic is estimate.mean:
             # a few draws that agree by chance do not make it sure
             size = self._size_of(rows)

@@ -34,6 +34,7 @@ from phase_ppl.analysis.tree import (
     changed_text,
     check_overlap,
     check_tree,
+    log_weight_of_draws,
     reweighted,
     settings_under,
     shape_of_draws,
@@ -43,7 +44,14 @@ from phase_ppl.analysis.tree import (
     unseen_share,
     untried,
 )
-from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves, normalised, so_far
+from phase_ppl.analysis.weights import (
+    WEIGHTINGS,
+    chain_groups,
+    halves,
+    log_sum_exp,
+    normalised,
+    so_far,
+)
 from phase_ppl.analysis.with_arviz import are_equal
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, whole_number
@@ -169,6 +177,23 @@ class Posterior(EventPosterior):
     def _unseen(self) -> float:
         # chains come to what they have not seen; a proposal that was fitted need not
         return unseen_share(self._tree) if self._attrs.get("adapts") else 0.0
+
+    @functools.cached_property
+    def _luck(self) -> FloatArray | None:
+        # a simulator with noise comes near the video now and then: goals for which it did not may
+        # be as probable as those for which it did
+        if not self._attrs.get("adapts"):
+            return None
+        log_weight = log_weight_of_draws(self._counted).ravel()
+        place = simulation_of_draw(self._counted).ravel()
+        log_likelihood = array(self._tree, "simulations", "log_likelihood")[place]
+        known = (place >= 0) & np.isfinite(log_weight + log_likelihood)
+        log_weight = np.where(known, log_weight, -np.inf)
+        log_likelihood = np.where(known, log_likelihood, 0.0)
+        decides = normalised(log_weight)
+        lucky = float(decides @ log_likelihood)
+        luck = np.exp(log_weight - log_likelihood + lucky - log_sum_exp(log_weight))
+        return np.where(known, luck / (1 + luck), 0.0)
 
     def _most_effective(self) -> float:
         """Return how many independent draws the draws can be worth at most.
@@ -476,24 +501,36 @@ class Posterior(EventPosterior):
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
-    def __str__(self) -> str:
-        found = self.diagnostics()
+    def _head(self, found: Mapping[str, Any]) -> str:
         head = (
             f"{self.event_id}: {found['particles']} particles x {found['iterations']} iterations, "
             f"{found['kernel']}, weights {found['weights']}"
         )
         if self.burn_in and self.weights == "count":
             head += f", after a burn-in of {self.burn_in}"
+        return head
+
+    def _body(self, found: Mapping[str, Any]) -> list[str]:
         n, off = self.observed().shape[1], found["best_error_per_frame"]
         fit = f"the best draw stays {off:.2f} units per frame from the observation"
         fit += "" if n == 1 else f" (all {_WORDS.get(n, n)} entities together)"
-        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
-        lines += [*self._answer_lines(), ""]
+        told = [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
-            lines += wrapped("prior", changed)
+            told += wrapped("prior", changed)
         if self.tempering:
-            lines += wrapped("likelihood", self.tempering)
-        return "\n".join([*lines, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))])
+            told += wrapped("likelihood", self.tempering)
+        return [*told, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))]
+
+    def _untried(self, name: str) -> frozenset[str]:
+        simulations = self._tree["simulations"].dataset
+        done = simulations["completed"].values & ~simulations["failed"].values
+        space = self._words.space
+        goals = {one: simulations[one].values[done].astype(np.int64) for one in space.goal_sites}
+        tried = {**goals, **self._words.relation_codes(goals)}.get(name)
+        if tried is None or self._looked_up:
+            return frozenset()
+        labels = self._quantities[name].categories()
+        return frozenset(labels) - {labels[code] for code in np.unique(tried).tolist()}
 
     @property
     def tempering(self) -> str:

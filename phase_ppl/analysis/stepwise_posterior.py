@@ -26,7 +26,7 @@ from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, Table, summed_by_
 from phase_ppl.analysis.stepwise_own import OwnTable
 from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, SCHEMAS, PolicyTable, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
-from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
+from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
@@ -50,25 +50,7 @@ FILTERING: Final = (
 )
 """Goes with every result over time."""
 
-UNEXPLAINED: Final = 17.0
-"""Nats below a perfect match, after the best joint action, from which on a frame counts as
-explained by no action: one body some 3 units from where it could be. 41 real videos without noise
-have none (16 at most); of the model's own videos, whose positions have noise of heavy tails, 3 %
-of the frames come to as much (``benchmarks/stepwise.py calibration``)."""
-
-SURPRISE: Final = 4.0
-"""Nats by which what was done was less probable than one sure action, beyond what is unexplained;
-the model's own videos have ``SURPRISING`` of their frames above it
-(``benchmarks/stepwise.py calibration``)."""
-
-SURPRISING: Final = 0.1
-_TOO_SURPRISING: Final = 0.5
-"""Share of such frames from which on the agents are said not to do what any goals make likely."""
-
 _FRAME: Final = "frame"  # attribute of files: the last frame that is counted
-
-DISAGREE: Final = 0.1
-"""Standard error of a leading probability from which on the sets of searches disagree."""
 
 
 class StepwisePosterior(EventPosterior):
@@ -334,7 +316,8 @@ class StepwisePosterior(EventPosterior):
         ``surprise_median`` (nats, of :meth:`surprise` less what no action explains) and
         ``surprising_share``, that of frames above ``surprise_reference``; ``unexplained_most`` and
         ``unexplained_frames``, which no action explains; ``overlapping_frames``, in which bodies
-        lie on each other or in a wall; and ``verdict``, in words, the worst sign first.
+        lie on each other or in a wall; and ``trust``, ``answer``, ``checks``, ``next`` and
+        ``verdict`` (:func:`phase_ppl.analysis.verdict.judged`).
         """
         found = self._found.isel(time=slice(None, self._frame + 1))
         unexplained = np.array(found["unexplained"].values, float)
@@ -355,7 +338,7 @@ class StepwisePosterior(EventPosterior):
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
             "overlapping_frames": overlapping_frames(self.observed(), self.scene),
         }
-        return {**result, "verdict": _verdict(result)}
+        return {**result, **of_reading(result)}
 
     def map(self) -> Any:
         space, best = self._table.space, self._table.most_probable(self._frame)
@@ -471,34 +454,34 @@ class StepwisePosterior(EventPosterior):
     def _judged(self) -> dict[str, Any]:
         return {"log_evidence": self.log_evidence, **super()._judged(), "frame": self.frame}
 
-    def __str__(self) -> str:
-        found, cost = self.diagnostics(), self.cost
+    def _head(self, found: Mapping[str, Any]) -> str:
         seeds = found["planner_seeds"]
         searched = f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
         if isinstance(self._table, OwnTable):
             samples, simulator = self._table.samples, self.settings["model"]["simulator"]
             searched = f"by {f'{samples} samples' if samples else 'the density'} of {simulator}"
-        head = (
+        return (
             f"{self.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
             f"{searched}"
         )
-        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"])]
-        lines += [*self._notes(), "", *self._answer_lines(), ""]
+
+    def _body(self, found: Mapping[str, Any]) -> list[str]:
+        cost, told = self.cost, [*self._notes(), *self._answer_lines(), ""]
         if changed := changed_text(self.settings):
-            lines += wrapped("prior", changed)
+            told += wrapped("prior", changed)
         evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
         if self._strength_weight != 1:
             evidence += f", for strengths {self._strength_weight:g}"
-        lines += wrapped("evidence", evidence)
+        told += wrapped("evidence", evidence)
         if self.tempering:
-            lines += wrapped("weight", f"{self.tempering} in the probabilities above")
+            told += wrapped("weight", f"{self.tempering} in the probabilities above")
         steps = max(1, self._table.n_frames - 1)  # it was paid for all frames, counted or not
         what = "calls" if self._table.own else "searches"
         words = f"{cost[what]} {what}, {cost[what] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             words += f", in {cost['seconds']:.1f} s; the film of {steps / FRAMES_PER_SECOND:.1f} "
             words += f"simulated s lasts {cost['video_seconds']:.1f} s"
-        return "\n".join([*lines, *wrapped("cost", words)])
+        return [*told, *wrapped("cost", words)]
 
     def _notes(self) -> list[str]:
         """Return what is to be said of hypotheses that were drawn."""
@@ -515,62 +498,6 @@ class StepwisePosterior(EventPosterior):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
-
-
-def _verdict(found: Mapping[str, Any]) -> str:
-    """Return in a few sentences whether the posterior can be trusted, the worst sign first."""
-    n, n_sets, share = found["frames"] - 1, found["planner_seeds"], found["surprising_share"]
-    samples, own = found["samples"], found["samples"] is not None
-    signs = []
-    if found["unexplained_frames"]:
-        which = frames_text(found["unexplained_frames"])
-        signs.append(
-            f"No sample of the simulator comes near {which}: its tails decide, of which samples "
-            "say nothing."
-            if own
-            else f"No action explains {which}: a body is where nothing could have put it. The "
-            "probabilities hold only for a video that this is not."
-        )
-    if found["overlapping_frames"]:
-        signs.append(overlap_sign(found["overlapping_frames"]))
-    if share is not None and share > _TOO_SURPRISING:
-        signs.append(
-            f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
-            f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
-        )
-    if (n_sets > 1 or own) and n:
-        signs += undecided(found["leading"])
-    errors = {name: one["error"] for name, one in found["leading"].items()}
-    worst = max(errors, key=lambda name: np.nan_to_num(errors[name]))
-    if n_sets > 1 and errors[worst] > DISAGREE:
-        sets = "parts of the samples" if own else "sets of searches"
-        signs.append(
-            f"The {n_sets} {sets} disagree on {worst} (standard error {errors[worst]:.2f}): "
-            f"use more, {f'samples={4 * samples}' if own else f'planner_seeds={2 * n_sets}'}."
-        )
-    if n_sets == 1 and n and not own:
-        signs.append(
-            "With one set of searches nothing tells how much of this is the planner's chance."
-        )
-    if share is None and n and not own:
-        signs.append("Nothing was kept that would tell whether the model expects such a video.")
-    if n == 0:
-        signs.append("Nothing was seen but the start: this is the prior.")
-    if not signs and own:
-        signs.append(
-            f"Samples come near every frame, and their {n_sets} parts agree (largest standard "
-            f"error of a leading probability: {errors[worst]:.2g})."
-            if samples
-            else "The simulator's own density was summed over all hypotheses: there is no error "
-            "but the model's."
-        )
-    elif not signs:
-        signs.append(
-            f"Actions explain every frame, {1 - share:.0%} of them are such as the model expects, "
-            f"and the {n_sets} sets of searches agree (largest standard error of a leading "
-            f"probability: {errors[worst]:.2g})."
-        )
-    return " ".join(signs)
 
 
 def holds_stepwise(path: str | os.PathLike[str]) -> bool:

@@ -67,7 +67,12 @@ class Printed:
     """What a notebook shows as it is printed, its lines kept."""
 
     def _repr_html_(self) -> str:
-        return f'<pre style="line-height:1.25">{html.escape(str(self))}</pre>'
+        return preformatted(str(self))
+
+
+def preformatted(text: str) -> str:
+    """Return lines as a notebook is to show them."""
+    return f'<pre style="line-height:1.25">{html.escape(text)}</pre>'
 
 
 def drawn(scene: Any, trajectory: FloatArray | None = None, caption: str = "") -> str:
@@ -127,11 +132,15 @@ def plain(value: Any) -> Any:
     return value
 
 
-def bars(label: str, entries: Sequence[tuple[str, float]]) -> Iterator[str]:
-    """Yield a line for each name and probability, the first of which begins with the label."""
+def bars(label: str, entries: Sequence[tuple[str, float | None]]) -> Iterator[str]:
+    """Yield a line for each name and probability, the first of which begins with the label.
+
+    What has none was not tried.
+    """
     for name, probability in entries:
-        bar = "#" * round(probability * _BAR)
-        yield f"{f'{label} ':<{LABEL}}{name:<{_NAME}}{probability!s:<{_NUMBER}}{bar}".rstrip()
+        bar = "#" * round((probability or 0) * _BAR)
+        number = "not tried" if probability is None else str(probability)
+        yield f"{f'{label} ':<{LABEL}}{name:<{_NAME}}{number:<{_NUMBER}}{bar}".rstrip()
         label = ""
 
 
