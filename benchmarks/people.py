@@ -27,15 +27,13 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
+from phase_people.answers import Answers, people
+from phase_people.fit import PEOPLE, PeopleFit, pareto_smoothed
+from phase_people.observers import OBSERVERS, Evidence, observer_named
 from phase_ppl.analysis.figures.style import COLOURS, NORMAL, in_style, new_figure, written
-from phase_ppl.analysis.with_arviz import pareto_smoothed
-from phase_ppl.evaluation.doubt import doubt_of
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.metrics import evaluate_predictions
-from phase_ppl.evaluation.observers.answers import Answers, people
-from phase_ppl.evaluation.observers.fit import PEOPLE, PeopleFit, observer_of
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.models.observers import OBSERVERS, Evidence, observer_named
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
@@ -72,8 +70,8 @@ def with_shares(given: Prediction) -> Prediction:
 
 
 def scores(events: list[Event], predictions: Mapping[str, Prediction]) -> dict[str, Any]:
-    doubt = doubt_of(events, predictions) or {}
     metrics = evaluate_predictions(events, predictions)
+    doubt = metrics["doubt"] or {}
     return {
         "r": doubt["relation_r"],
         "r_given_truth": doubt["relation_r_given_truth"],
@@ -204,7 +202,7 @@ def population(
     real: dict[str, float] = {}
     cues: dict[str, FloatArray] = {}
     if like == "people":
-        known = observer_of(PEOPLE, "stepwise").draws
+        known = ppl.FittedObserver.named(PEOPLE, "stepwise").draws
         draw = int(rng.integers(len(known["spread"])))
         real = {k: float(values[draw]) for k, values in known.items()}
         seen = real_cues()

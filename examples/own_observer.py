@@ -14,17 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+from jax import Array
 
 import phase_ppl as ppl
-from phase_ppl.models.observers import Evidence, Responses, log_shares, tilt
 
 
-def timid(evidence: Evidence) -> Responses:
+def timid(evidence: ppl.observers.Evidence) -> dict[str, Array]:
     weight = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
     fear = numpyro.sample("fear", dist.HalfNormal(3.0))
     belief = weight * evidence.log_likelihood[0, 0] + evidence.log_prior
-    belief += fear * tilt(evidence, evidence.cues["contact"], adversarial=1.0)
-    return {"relation": log_shares(jnp.asarray(belief), evidence, "relation")}
+    belief += fear * ppl.observers.tilt(evidence, evidence.cues["contact"], adversarial=1.0)
+    return {"relation": ppl.observers.log_shares(jnp.asarray(belief), evidence, "relation")}
 
 
 def judged_events(n: int) -> tuple[list[ppl.Event], dict[str, ppl.Prediction]]:

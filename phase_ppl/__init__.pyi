@@ -1,22 +1,31 @@
 """Every public name and where it is: what type checkers read, and the package's own table."""
 
 import phase_study as _study
+from phase_films.reading import VideoReading as VideoReading
+from phase_films.reading import read_video as read_video
+from phase_people import observers as observers
+from phase_people.design import design as design
+from phase_people.fit import FittedObserver as FittedObserver
+from phase_people.fit import PeopleFit as PeopleFit
+from phase_people.fit_people import evidence_from as evidence_from
+from phase_people.fit_people import fit_people as fit_people
+from phase_people.information import Design as Design
+from phase_people.observers import Observer as Observer
+from phase_people.observers import Perception as Perception
 from phase_ppl import render as render
 from phase_ppl.agents.config import PlannerConfig as PlannerConfig
 from phase_ppl.analysis import figures as _plots
 from phase_ppl.analysis.comparison import Comparison as Comparison
-from phase_ppl.analysis.design import Design as Design
 from phase_ppl.analysis.estimate import Estimate as Estimate
 from phase_ppl.analysis.figures.over_time import watch_film as watch_film
 from phase_ppl.analysis.posterior import Posterior as Posterior
 from phase_ppl.analysis.posterior import load_posterior as load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
+from phase_ppl.dataset.documents import read_json as read_json
 from phase_ppl.dataset.environment import env as env
 from phase_ppl.dataset.events_netcdf import event_dataset as event_dataset
 from phase_ppl.dataset.events_netcdf import event_from_dataset as event_from_dataset
-from phase_ppl.dataset.films.reading import VideoReading as VideoReading
-from phase_ppl.dataset.films.reading import read_video as read_video
 from phase_ppl.dataset.generated import GeneratedEvents as GeneratedEvents
 from phase_ppl.dataset.generation.families import available_families as available_families
 from phase_ppl.dataset.generation.families import draw_situation as draw_situation
@@ -31,11 +40,12 @@ from phase_ppl.dataset.load import load_event as load_event
 from phase_ppl.dataset.load import load_events as load_events
 from phase_ppl.dataset.load import save_event as save_event
 from phase_ppl.dataset.load import save_events as save_events
+from phase_ppl.dataset.motion import items_held as items_held
+from phase_ppl.dataset.motion import observed_turning as observed_turning
 from phase_ppl.dataset.statistics import statistics as statistics
 from phase_ppl.evaluation import figures as figures
 from phase_ppl.evaluation.comparison import ModelComparison as ModelComparison
 from phase_ppl.evaluation.comparison import compare_models as compare_models
-from phase_ppl.evaluation.design import design as design
 from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
@@ -44,8 +54,6 @@ from phase_ppl.evaluation.experiments import Likeness as Likeness
 from phase_ppl.evaluation.experiments import Tags as Tags
 from phase_ppl.evaluation.experiments import load_likeness as load_likeness
 from phase_ppl.evaluation.experiments import load_tags as load_tags
-from phase_ppl.evaluation.fit_people import evidence_from as evidence_from
-from phase_ppl.evaluation.fit_people import fit_people as fit_people
 from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import all_events as all_events
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments
@@ -55,8 +63,6 @@ from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predic
 from phase_ppl.evaluation.metrics import human_accuracy as human_accuracy
 from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
-from phase_ppl.evaluation.observers.fit import FittedObserver as FittedObserver
-from phase_ppl.evaluation.observers.fit import PeopleFit as PeopleFit
 from phase_ppl.evaluation.paper import Reproduction as Reproduction
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.prediction import pairs_of as pairs_of
@@ -88,14 +94,12 @@ from phase_ppl.inference.settings import simulations as simulations
 from phase_ppl.inference.stepwise import StepwiseInterrupted as StepwiseInterrupted
 from phase_ppl.inference.stepwise import Watch as Watch
 from phase_ppl.inference.stepwise import watch as watch
-from phase_ppl.models import observers as observers
 from phase_ppl.models import priors as priors
 from phase_ppl.models import roles as roles
 from phase_ppl.models import sites as sites
+from phase_ppl.models.density import tracing as tracing
 from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
 from phase_ppl.models.model import Model as Model
-from phase_ppl.models.observers import Observer as Observer
-from phase_ppl.models.observers import Perception as Perception
 from phase_ppl.models.priors import register_prior as register_prior
 from phase_ppl.models.program import EventProgram as EventProgram
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood

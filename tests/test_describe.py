@@ -6,6 +6,7 @@ import json
 import pickle
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import phase_ppl
@@ -31,33 +32,35 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
-def test_it_prints_a_table_or_json_and_writes_card_sheet_and_figures(
+def test_it_prints_a_table_and_writes_it_with_card_and_sheet(
     folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"
     text = told(capsys, "describe", folder, "--out", out, "--quiet")
-    for words in ("my set: 2 events, 1 without copies", "dull 3", "data_card.png, contact_sheet"):
+    for words in (
+        "my set: 2 events, 1 without copies",
+        "scenario",
+        "data_card.png, contact_sheet",
+    ):
         assert words in text
     for name in ("data_card.png", "contact_sheet.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
-    assert json.loads((out / "statistics.json").read_text())["events"] == 2
-    found = json.loads(told(capsys, "describe", folder, "--json", "--out", out, "--quiet"))
-    assert found["tables"]["scenario"]["counts"]["competing"] == 2
-    assert found["draws"]["compete"]["share"] == 0.25
+    found = pd.read_csv(out / "statistics.csv", index_col=["quantity", "label"])
+    assert found.loc[("scenario", "competing"), "count"] == 2
+    assert found.loc[("family", "compete"), "value"] == 1
 
 
 def test_a_file_a_folder_of_files_and_a_bundled_event_are_sets_too(
     folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    said = told(capsys, "describe", folder / "events.nc")
-    assert "events: 2 events, 2 agents of unknown strength\n" in said
+    assert "events: 2 events, 2 agents of unknown strength\n" in told(
+        capsys, "describe", folder / "events.nc"
+    )
     files = tmp_path / "files"
     files.mkdir()
     for name in ("b", "a"):
         phase_ppl.save_event(make_event(4, name), files / f"{name}.json")
-    text = told(capsys, "describe", files, "--beside", folder)
-    assert "files: 2 events" in text
-    assert "my set" in text
+    assert "files: 2 events" in told(capsys, "describe", files)
     assert "collaborate: 1 event\n" in told(capsys, "describe", "collaborate")
 
 

@@ -16,7 +16,7 @@ NAMESPACES = (
     "plot", "render", "figures", "priors", "sites", "worlds", "observers",
     "errors", "files", "goals",
 )  # fmt: skip
-APPLICATIONS = ("phase_study",)
+APPLICATIONS = ("phase_films", "phase_people", "phase_study")
 
 
 def test_every_public_name_is_there_and_is_what_it_is_called() -> None:

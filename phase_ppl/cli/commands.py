@@ -39,7 +39,6 @@ COMMANDS: Final = {
     "goals": ("events", "list the goals that an agent can have, 36 in PHASE"),
     "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
-    "read-video": ("events", "read an event back from a film of it"),
     "compare": ("infer", "compare kernels on an event: same budget, several seeds, against a "
                 "reference"),
     "query": ("results", "ask a saved posterior, as in 'P(relation=friendly | goal_red=get to "
@@ -47,7 +46,6 @@ COMMANDS: Final = {
     "evaluate": ("evaluate", "ask a model about many events, and score what it answers"),
     "compare-models": ("evaluate", "compare evaluations of several models, and people, on the same "
                        "events"),
-    "fit-people": ("evaluate", "fit an observer to people's judgments"),
     "reproduce": ("evaluate", "the paper's tables and figures, cell by cell"),
     "report": ("results", "make one self-contained HTML page of a run, an evaluation or a "
                "comparison"),

@@ -1,27 +1,22 @@
-"""The commands on events: ``simulate``, ``render``, ``read-video``, ``describe``, ``export``."""
+"""The commands on events: ``simulate``, ``render``, ``describe``, ``export``."""
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
-from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
+from phase_ppl.dataset.generated import MANIFEST
 from phase_ppl.dataset.load import EXPORTS
 from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
-from phase_ppl.dataset.statistics import PHASE
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
 from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import check_output, writable_folder, write_json
+from phase_ppl.world.files import atomic_output, writable_folder
 
 _PICTURE: Final = ".png"
 _STRIP: Final = 6
@@ -37,7 +32,6 @@ def add_to(commands: Any) -> None:
     cli.add(goals, "--world NAME", says)
     _add_simulate(commands)
     _add_render(commands)
-    _add_read_video(commands)
     _add_describe(commands)
     _add_export(commands)
 
@@ -187,60 +181,6 @@ def _render(options: argparse.Namespace) -> int:
     return 0
 
 
-def _add_read_video(commands: Any) -> None:
-    parser = cli.command(
-        commands,
-        "read-video",
-        _read_video,
-        "phase-ppl read-video clip.mp4 --layout phase --out clip.json --picture check.png",
-    )
-    cli.add(parser, "film FILM", "an .mp4, a .gif, or anything else that ffmpeg reads", Path)
-    known = parser.add_mutually_exclusive_group(required=True)
-    says = "the world that it shows, such as phase, or an event file of that world"
-    cli.add(known, "--layout WORLD", says)
-    says = "an event file or a bundled event's name, whose scene it shows: walls, sizes, starts"
-    cli.add(known, "--scene EVENT", says)
-    says = "frames of the film per frame of the event; default a quarter of a second of the film"
-    cli.add(parser, "--frames-per-step N", says, float)
-    cli.add(parser, "--start S", "seconds of the film before the event begins", float, 0.0)
-    says = "frames in a row in which a body may be lost; default 6"
-    cli.add(parser, "--max-gap N", says, cli.whole(0), 6)
-    cli.add(
-        parser, "--out FILE", ".json or .nc, which the other commands take", Path, required=True
-    )
-    says = "where to draw what was read over frames of the film, to check it by eye"
-    cli.add(parser, "--picture FILE.png", says, Path)
-    cli.share(parser, "progress")
-
-
-def _read_video(options: argparse.Namespace) -> int:
-    cli.check_suffix(options.out, EVENT_SUFFIXES)
-    writable_folder(options.out.parent)
-    if options.picture is not None:
-        check_output(options.picture, (_PICTURE,))
-    layout, scene = options.layout, None
-    if options.scene is not None:
-        scene = phase_ppl.load_event(options.scene).scene
-    elif Path(layout).suffix in EVENT_SUFFIXES:
-        layout = phase_ppl.load_events(layout)[0].scene.world
-    more = cli.arguments(phase_ppl.read_video, options, scene=scene, layout=layout)
-    reading = phase_ppl.read_video(options.film, **more)
-    phase_ppl.save_event(reading.event, options.out)
-    print(f"{'':16}confidence  least  in frame  interpolated")
-    for name, sure in zip(reading.event.scene.world.entities, reading.confidence.T, strict=True):
-        least = int(sure.argmin())
-        print(
-            f"{name:16}{np.median(sure):10.2f}{sure[least]:7.2f}{least:10d}{(sure == 0).sum():14d}"
-        )
-    written = [options.out]
-    if options.picture is not None:
-        reading.picture(options.picture)
-        written.append(options.picture)
-    frames = reading.event.observation.n_frames
-    print(f"\n{frames} frames written to {' and '.join(map(str, written))}")
-    return 0
-
-
 def _add_describe(commands: Any) -> None:
     parser = cli.command(
         commands, "describe", _describe, "phase-ppl describe events.json --out out"
@@ -248,42 +188,36 @@ def _add_describe(commands: Any) -> None:
     cli.add(
         parser, "events EVENTS", "a generated set, an event file, or a folder of event files", Path
     )
-    cli.add(parser, "--beside EVENTS", "another set to compare with, not PHASE", Path)
-    says = "write statistics.json, data_card.png and contact_sheet.png there"
+    says = "write statistics.csv, data_card.png and contact_sheet.png there"
     cli.add(parser, "--out DIR", says, Path)
-    cli.add(parser, "--json", "print JSON, not a table")
     cli.share(parser, "progress")
 
 
 def _describe(options: argparse.Namespace) -> int:
-    from phase_ppl.analysis.figures.data_card import data_table
-
     out = None if options.out is None else writable_folder(options.out)
-    events, found = _statistics(options.events)
-    beside = PHASE if options.beside is None else _statistics(options.beside)[1]
-    if options.json:
-        print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False))
-    else:
-        print(data_table(found, beside))
+    path: Path = options.events
+    made = (path / MANIFEST).is_file()
+    events = phase_ppl.load_events(path) if made else all_events(path)
+    found = phase_ppl.statistics(events)
+    n, units, *unknown = found.attrs.values()
+    words = [f"{path.resolve().stem}: {n} event{'s' * (n != 1)}"]
+    words += [f"{units} without copies"] * (units != n)
+    for number, what in zip(unknown, ("without truth", "agents of unknown strength"), strict=True):
+        words += [f"{number} {what}"] * (number > 0)
+    print(", ".join(words))
+    shown = found[(found["count"] != 0).fillna(True) | found["phase"].notna()]
+    print(shown.to_string(float_format="{:.2f}".format, na_rep=""))
     if out is None:
         return 0
-    write_json(out / "statistics.json", found)
-    phase_ppl.plot.data_card(found, out / "data_card.png", beside=beside)
+    with atomic_output(out / "statistics.csv", (".csv",)) as part:
+        found.to_csv(part)
+    phase_ppl.plot.data_card(found, out / "data_card.png")
     sheets = phase_ppl.render.contact_sheet(
         events, out / "contact_sheet.png", progress=cli.shows_progress(options)
     )
-    if not options.json:
-        names = ", ".join(["statistics.json", "data_card.png", *(sheet.name for sheet in sheets)])
-        print(f"\nWritten to {out}: {names}")
+    names = ", ".join(["statistics.csv", "data_card.png", *(sheet.name for sheet in sheets)])
+    print(f"\nWritten to {out}: {names}")
     return 0
-
-
-def _statistics(path: Path) -> tuple[Sequence[Event], Mapping[str, Any]]:
-    made = GeneratedEvents(path) if (path / MANIFEST).is_file() else None
-    events = all_events(path) if made is None else made
-    manifest = None if made is None else made.manifest
-    name = path.resolve().name if path.is_dir() else path.stem
-    return events, phase_ppl.statistics(events, manifest, name=name)
 
 
 def _add_export(commands: Any) -> None:

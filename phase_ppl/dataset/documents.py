@@ -76,7 +76,12 @@ def too_large(limit: int) -> InvalidEventError:
 
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the JSON object in the file ``path``, as :func:`read_document`; errors name it."""
+    """Return the JSON object in a file. A pickle is refused, not loaded.
+
+    Raises:
+        InvalidEventError: there is no such file, or it holds no JSON object, a name twice, or
+            numbers that are not finite. The message names the file and the place.
+    """
     with in_front(f"{path}: "):
         return read_document(path)
 

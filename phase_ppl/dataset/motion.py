@@ -87,9 +87,10 @@ def items_held(
     within: float = HELD_WITHIN,
     n_agents: int = len(AGENTS),
 ) -> NDArray[np.int64]:
-    """Return (time, agent): the item that the agent seems to hold, or ``NOTHING``.
+    """Return (time, agent): the item that the agent seems to hold, by its place, or -1.
 
-    The first entities are agents, the others items.
+    Of a trajectory (time, entity, coord) of x, y [units], angle [rad], and sizes (entity,) [units];
+    the first entities are agents, the others items.
 
     A held item is fixed in front of, behind or beside its holder, the two shapes touching at a grab
     point. An item that stays ``within`` so many units of that place for three frames counts as
@@ -178,10 +179,10 @@ def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) ->
 
 
 def observed_turning(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) -> Turning:
-    """Return "ccw" or "cw" where the agents clearly turn one way only, else "both".
+    """Return "ccw" or "cw" where the agents of PHASE clearly turn one way only, else "both".
 
-    At least ``MIN_TURNS`` turns must be seen, ``MIN_SHARE`` of them the same way.
-    Arguments as for :func:`count_turns`.
+    At least ``MIN_TURNS`` turns must be seen, ``MIN_SHARE`` of them the same way, in a trajectory
+    (time, entity, coord) of x, y [units], angle [rad], of bodies of sizes (entity,) [units].
     """
     counter_clockwise, clockwise = count_turns(trajectory, radius)
     total = counter_clockwise + clockwise

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.ratings import event_judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.event import Event
 
 PEOPLE: Final = "people"
@@ -96,7 +96,7 @@ def peoples_answers(events: Sequence[Event]) -> dict[str, Prediction]:
     """Return the shares of people's ratings, of the events that people judged."""
     found = {}
     for event in events:
-        judgments = event_judgments(event)
+        judgments = Judgments.of(event)
         if judgments is not None:
             shares = {q: ratings / ratings.sum() for q, ratings in judgments.counts.items()}
             found[event.id] = Prediction(event.id, shares, world=event.scene.world)

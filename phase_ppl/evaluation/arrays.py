@@ -10,7 +10,7 @@ import numpy as np
 
 from phase_ppl.analysis.quantities import relations_of, titles
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of, questions_of
-from phase_ppl.evaluation.ratings import Judgments, event_judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
@@ -142,7 +142,7 @@ def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) ->
 
 def facts(events: Sequence[Event]) -> Facts:
     """Collect what is known about the events."""
-    judgments = [event_judgments(event) for event in events]
+    judgments = [Judgments.of(event) for event in events]
     world = world_of(events)
     return Facts(
         ids=tuple(event.id for event in events),

@@ -33,12 +33,12 @@ else:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from phase_ppl.evaluation.arrays import Facts, Said, facts, predicted, said
+from phase_ppl.evaluation.arrays import Facts, Said
 from phase_ppl.evaluation.bootstrap import (
     Measure,
     correlation,
@@ -48,24 +48,14 @@ from phase_ppl.evaluation.bootstrap import (
     resampled,
     weighted_mean,
 )
-from phase_ppl.evaluation.prediction import Prediction, labels_of
+from phase_ppl.evaluation.prediction import labels_of
 from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.scene import PHASE
 
 BINS: Final = 10
 _STREAM: Final = 0xD0B7
-
-
-def doubt_of(
-    events: Sequence[Event], predictions: Mapping[str, Prediction]
-) -> dict[str, Any] | None:
-    """Return what the module describes."""
-    chosen = predicted(events, predictions)
-    known = facts(chosen)
-    return doubt(known, said(known, predictions))
 
 
 def doubt(known: Facts, model: Said, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:

@@ -21,8 +21,16 @@ from phase_ppl.dataset.hdf5 import SIGNATURE, with_event_id
 from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
 from phase_ppl.evaluation.judgments import Study, all_events, judged
-from phase_ppl.evaluation.prediction import Prediction, as_prediction
-from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.registry import (
+    Answer,
+    Onlooker,
+    Predict,
+    ReadyModel,
+    check_world,
+    ready,
+    seen_through,
+)
 from phase_ppl.simulator.contract import error_text
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
 from phase_ppl.world.errors import (
@@ -36,11 +44,10 @@ from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
-from phase_ppl.world.scene import Scene, check_is_phase
+from phase_ppl.world.scene import Scene
 from phase_ppl.world.shards import SHARD, Shard
 
 if TYPE_CHECKING:
-    from phase_ppl.evaluation.observers.fit import FittedObserver
     from phase_ppl.models.model import Model
 
 COMPILED_OF: Final = 8
@@ -84,7 +91,7 @@ def evaluate(
     seed: int = 0,
     judgments: str | os.PathLike[str] | Study | None = None,
     progress: bool | None = None,
-    observer: str | os.PathLike[str] | FittedObserver | None = None,
+    observer: str | os.PathLike[str] | Onlooker | None = None,
     **options: Any,
 ) -> Evaluation:
     """Ask a model of social perception about many events, and score its answers.
@@ -127,7 +134,8 @@ def evaluate(
             place of those in the events.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         observer: through whom the model is seen: "people", who come with the package, the file
-            of a fitted observer, or what :func:`phase_ppl.fit_people` gives; by default nobody.
+            of a fitted observer, what :func:`phase_ppl.fit_people` gives, or anything else that
+            is an :class:`~phase_ppl.evaluation.registry.Onlooker`; by default nobody.
         **options: of a model given by name.
 
     Raises:
@@ -153,10 +161,7 @@ def evaluate(
         chosen = chosen[: whole_number("limit", limit)]
     ready_model = ready(model, options)
     if observer is not None:
-        check_is_phase(chosen[0].scene.world, "an observer of people")
-        from phase_ppl.evaluation.observers.fit import seen_through  # needs JAX
-
-        ready_model = seen_through(ready_model, observer)
+        ready_model = seen_through(ready_model, observer, world)
     if not ready_model.parallel:
         executor, slots = None, 1
     settings = settings_of(ready_model, seed, chosen, shard)
@@ -309,7 +314,7 @@ def _ask(predict: Predict, job: _Job) -> _Outcome:
         given = predict(job.scene, job.observation, job.seed)
         seconds, cpu = time.perf_counter() - clock, time.process_time() - used
         answer = given if isinstance(given, Answer) else Answer(given)
-        prediction = as_prediction(answer.given, world=job.scene.world)
+        prediction = Prediction.of(answer.given, world=job.scene.world)
         cost = {**stable(plain(prediction.cost)), "seconds": seconds, "cpu_seconds": cpu}
         prediction = dataclasses.replace(prediction, cost=cost)
         return _Outcome(prediction, _contents(answer) if job.with_artefacts else {})

@@ -31,6 +31,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from phase_ppl.analysis.posterior import Posterior, load_posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
@@ -120,6 +122,11 @@ class Evaluation(Printed):
             "cost": self.cost,
         }
         return dict(plain(found))
+
+    def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
+        """Return the posterior of an event, read from the folder; None where none was kept."""
+        file = None if self.folder is None else self.folder.folder_of(event_id) / POSTERIOR
+        return load_posterior(file) if file is not None and file.is_file() else None
 
     @property
     def finished(self) -> bool:

@@ -39,7 +39,7 @@ from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
 from phase_ppl.evaluation.raters import is_raters, read_raters
-from phase_ppl.evaluation.ratings import Judgments, event_judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.errors import (
     InvalidEventError,
     UnknownNameError,
@@ -321,5 +321,5 @@ def judged(
         events = with_judgments(events, study)
     reference_predictions(events)
     for event in events:
-        event_judgments(event)
+        Judgments.of(event)
     return events

@@ -95,7 +95,7 @@ from phase_ppl.evaluation.prediction import (
     questions_of,
     reference_predictions,
 )
-from phase_ppl.evaluation.ratings import Judgments, event_judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
@@ -433,7 +433,7 @@ def human_accuracy(
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
         InvalidSettingError: ``seed`` or ``resamples`` is out of range.
     """
-    chosen = [e for e in events if e.truth is not None and event_judgments(e) is not None]
+    chosen = [e for e in events if e.truth is not None and Judgments.of(e) is not None]
     known = arrays.facts(chosen)
     weights = resampled(len(chosen), seed, resamples)
     share = {kind: at_truth(people, known.truth[kind]) for kind, people in known.people.items()}
@@ -491,7 +491,7 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
     rows = [
         (who, kind, part_of(event, kind, i), float(row[question] == true_answers(event)[question]))
         for event in events
-        if event.truth is not None and (judgments := event_judgments(event)) is not None
+        if event.truth is not None and (judgments := Judgments.of(event)) is not None
         for who, row in judgments.responses.items()
         for kind, questions in kinds.items()
         for i, question in enumerate(questions)

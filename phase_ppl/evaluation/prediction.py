@@ -119,6 +119,45 @@ class Prediction:
         object.__setattr__(self, "probabilities", probabilities)
         object.__setattr__(self, "answers", answers)
 
+    @classmethod
+    def of(cls, given: object, event_id: str = "", world: World = PHASE) -> Prediction:
+        """Return what a model answered as a prediction of an event of a world.
+
+        Args:
+            given: a prediction, or a mapping from questions to a label, to label -> probability,
+                or to probabilities in label order; None is no answer.
+            event_id: of the event.
+            world: of the event.
+
+        Raises:
+            InvalidEventError, UnknownNameError: as for the class; it is neither, it is empty, or
+                of another world.
+        """
+        if isinstance(given, cls):
+            if given.world != world:
+                raise InvalidEventError(
+                    f"the answer is about an event of the world {given.world.name!r}, not "
+                    f"{world.name!r}"
+                )
+            found = dataclasses.replace(given, event_id=event_id)
+        elif isinstance(given, Mapping):
+            answered = {q: answer for q, answer in given.items() if answer is not None}
+            labels = {q: answer for q, answer in answered.items() if isinstance(answer, str)}
+            probabilities = {
+                q: probabilities_of(q, shares, world) if isinstance(shares, Mapping) else shares
+                for q, shares in answered.items()
+                if q not in labels
+            }
+            found = cls(event_id, probabilities, labels, world=world)
+        else:
+            raise InvalidEventError(
+                f"the answer is {shown(given)}, expected a Prediction or a mapping with "
+                f"{_one_of(world)}"
+            )
+        if not found.answers:
+            raise InvalidEventError(f"the answer is empty: {_one_of(world)} is needed")
+        return found
+
     @property
     def questions(self) -> Mapping[str, tuple[str, ...]]:
         """The questions of its world -> the possible answers, in label order."""
@@ -196,34 +235,6 @@ class Prediction:
             },
             world=world,
         )
-
-
-def as_prediction(given: object, event_id: str = "", world: World = PHASE) -> Prediction:
-    """Return an answer as a prediction of the event, which is of the world."""
-    if isinstance(given, Prediction):
-        if given.world != world:
-            raise InvalidEventError(
-                f"the answer is about an event of the world {given.world.name!r}, not "
-                f"{world.name!r}"
-            )
-        found = dataclasses.replace(given, event_id=event_id)
-    elif isinstance(given, Mapping):
-        answered = {q: answer for q, answer in given.items() if answer is not None}
-        labels = {q: answer for q, answer in answered.items() if isinstance(answer, str)}
-        probabilities = {
-            q: probabilities_of(q, shares, world) if isinstance(shares, Mapping) else shares
-            for q, shares in answered.items()
-            if q not in labels
-        }
-        found = Prediction(event_id, probabilities, labels, world=world)
-    else:
-        raise InvalidEventError(
-            f"the answer is {shown(given)}, expected a Prediction or a mapping with "
-            f"{_one_of(world)}"
-        )
-    if not found.answers:
-        raise InvalidEventError(f"the answer is empty: {_one_of(world)} is needed")
-    return found
 
 
 def _one_of(world: World) -> str:

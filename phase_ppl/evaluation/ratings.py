@@ -74,6 +74,19 @@ class Judgments:
         return int((ratings == ratings.max()).sum())
 
     @classmethod
+    def of(cls, event: Event) -> Judgments | None:
+        """Return the judgments that an event carries; None where there are none.
+
+        Raises:
+            InvalidEventError, UnknownNameError: as of :meth:`from_record`; the message names the
+                event.
+        """
+        if event.judgments is None:
+            return None
+        with in_front(f"event {event.id}: judgments: "):
+            return cls.from_record(event.judgments, event.scene.world)
+
+    @classmethod
     def of_responses(
         cls, responses: Mapping[str, Mapping[str, str]], world: World = PHASE
     ) -> Judgments:
@@ -162,14 +175,6 @@ class Judgments:
                 {"participant": who, **row} for who, row in self.responses.items()
             ]
         return record
-
-
-def event_judgments(event: Event) -> Judgments | None:
-    """Return the judgments that an event carries; None where there are none."""
-    if event.judgments is None:
-        return None
-    with in_front(f"event {event.id}: judgments: "):
-        return Judgments.from_record(event.judgments, event.scene.world)
 
 
 def _counts(record: Mapping[str, Any], world: World) -> dict[str, IntArray]:

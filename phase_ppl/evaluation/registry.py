@@ -16,10 +16,12 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import inspect
+import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
+import phase_ppl
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Observation
@@ -234,6 +236,31 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
         "function_source": source_hash(source),
     }
     return ReadyModel(name, predict, parallel, isinstance(model, str), stable(plain(record)))
+
+
+class Onlooker(Protocol):
+    """Through whom a model is seen: who makes other answers of its answers.
+
+    Attributes:
+        record: what determines what is made of an answer, as plain data, under names that
+            settings of models do not have.
+    """
+
+    @property
+    def record(self) -> Mapping[str, Any]: ...
+
+    def seeing(self, model: Predict, world: World) -> Predict:
+        """Return the model as it is seen about events of a world."""
+
+
+def seen_through(
+    model: ReadyModel, observer: str | os.PathLike[str] | Onlooker, world: World
+) -> ReadyModel:
+    """Return a model seen through an observer; a fitted one may be given by name or as a file."""
+    if isinstance(observer, str | os.PathLike):
+        observer = phase_ppl.FittedObserver.named(observer, model.name, world)
+    record = {**model.record, **observer.record}
+    return dataclasses.replace(model, predict=observer.seeing(model.predict, world), record=record)
 
 
 def _check_signature(model: Predict) -> None:

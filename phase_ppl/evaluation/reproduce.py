@@ -434,11 +434,10 @@ def _drawings(
         "lambda.",
         plots.search,
     )
-    name = "these videos" if real else "generated"
     yield (
         "Statistics of the events",
-        "Bars and curves: relations, goals, sizes, durations and speeds beside those of PHASE.",
-        lambda: plots.data_card(statistics(list(events), name=name)),
+        "Bars: relations, goals, strengths, sizes and shares of time beside those of PHASE.",
+        lambda: plots.data_card(statistics(events)),
     )
     if tags is not None:
         words = "Bars: percentage of videos with each label."

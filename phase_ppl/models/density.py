@@ -77,7 +77,11 @@ def _check_not_forked() -> None:
 def tracing() -> Iterator[None]:
     """Keep other threads from tracing programs: NumPyro has one stack of handlers for all.
 
-    A context, and a decorator of functions that enter handlers. No simulation is run within.
+    A context, and a decorator of functions that enter NumPyro's handlers or sample by its kernels
+    while others may infer. No simulation is run within.
+
+    Raises:
+        InvalidSettingError: the process was forked from one in which JAX was at work.
     """
     _check_not_forked()
     with _stack:

@@ -1,9 +1,18 @@
 """Pictures and animations of events in the look of the PHASE videos."""
 
-from phase_ppl.render.frames import contact_sheet, draw_frame, field_of_view, image, strip
+from phase_ppl.render.frames import Painter, contact_sheet, draw_frame, field_of_view, image, strip
 from phase_ppl.render.video import video, videos
 
-__all__ = ["contact_sheet", "draw_frame", "field_of_view", "image", "strip", "video", "videos"]
+__all__ = [
+    "Painter",
+    "contact_sheet",
+    "draw_frame",
+    "field_of_view",
+    "image",
+    "strip",
+    "video",
+    "videos",
+]
 
 
 def __dir__() -> list[str]:

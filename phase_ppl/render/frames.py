@@ -13,7 +13,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -149,9 +149,23 @@ class Painter:
         pale: how far the landmarks are mixed with white, so that more can be seen on them.
 
     Attributes:
+        scene: that is drawn.
         size: width and height of its pictures, pixels.
         scale: pixels per unit.
+        background, wall_colour, eye_colour: RGB values from 0 to 255.
+        wall_pixels: width of a wall.
+        corners: (4, 2) of an agent of size 1 in its body frame, whose y axis points ahead,
+            clockwise from the back left.
+        eyes, eye_radius: (2, 2) centres and the size of its eyes, in the same frame.
     """
+
+    background: ClassVar = BACKGROUND
+    wall_colour: ClassVar = WALL_COLOUR
+    wall_pixels: ClassVar = WALL_PIXELS
+    corners: ClassVar = UNIT_TRAPEZOID
+    eyes: ClassVar = EYES
+    eye_colour: ClassVar = EYE_COLOUR
+    eye_radius: ClassVar = EYE_RADIUS
 
     def __init__(
         self,
@@ -329,18 +343,13 @@ def panel(frame: Image.Image) -> Image.Image:
     return frame.crop((beside, 0, frame.width - beside, frame.height))
 
 
-def side_by_side(
-    panels: list[Image.Image], below: int = 0, columns: int | None = None
-) -> Image.Image:
-    """Return ``panels`` from left to right, each over so many blank pixels; None: all in a row."""
+def side_by_side(panels: list[Image.Image], below: int = 0) -> Image.Image:
+    """Return ``panels`` from left to right, each over so many blank pixels."""
     width, height = (max(sizes) for sizes in zip(*(part.size for part in panels), strict=True))
-    columns = min(columns or len(panels), len(panels))
-    rows = -(-len(panels) // columns)
-    picture = Image.new("RGB", (width * columns, (height + below) * rows), BACKGROUND)
+    picture = Image.new("RGB", (width * len(panels), height + below), BACKGROUND)
     for index, part in enumerate(panels):
-        row, column = divmod(index, columns)
-        x, y = column * width, row * (height + below)
-        picture.paste(part, (x + (width - part.width) // 2, y + (height - part.height) // 2))
+        x = index * width + (width - part.width) // 2
+        picture.paste(part, (x, (height - part.height) // 2))
     return picture
 
 

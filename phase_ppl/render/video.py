@@ -18,7 +18,6 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
-from phase_ppl.render.ffmpeg import ffmpeg
 from phase_ppl.render.frames import (
     Drawable,
     Painter,
@@ -136,10 +135,25 @@ def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) ->
 
 
 def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Start ffmpeg (OSError: there is none, or it cannot be started)."""
+    import imageio_ffmpeg
+
     rate = str(Fraction(fps).limit_denominator(1001))
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*size), "-r", rate]
-    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-    return ffmpeg(["-v", "error", "-y", *source, "-i", "-", *result], **streams)
+    program = "ffmpeg"
+    try:
+        program = imageio_ffmpeg.get_ffmpeg_exe()
+        return subprocess.Popen(
+            [program, "-v", "error", "-y", *source, "-i", "-", *result], stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for Python, which then ends it
+        )  # fmt: skip
+    except (OSError, RuntimeError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or "there is none"
+        raise OSError(
+            f"ffmpeg cannot be started ({program}: {reason}): install it, or let the environment "
+            "variable IMAGEIO_FFMPEG_EXE name it"
+        ) from error
 
 
 FRAMES_PER_SECOND: Final = 20

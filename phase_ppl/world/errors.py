@@ -26,9 +26,13 @@ __all__ = [
     "SimulationError",
     "UnknownNameError",
     "check_name",
+    "instance_of",
     "nonnegative_number",
+    "number_or_nan",
     "positive_number",
     "shown",
+    "shown_path",
+    "unknown_name",
     "whole_number",
 ]
 

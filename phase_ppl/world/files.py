@@ -21,7 +21,16 @@ from phase_ppl.world.errors import (
     shown_path,
 )
 
-__all__ = ["as_path", "atomic_output", "existing_file", "locked", "writable_folder", "write_bytes"]
+__all__ = [
+    "as_path",
+    "atomic_output",
+    "check_output",
+    "existing_file",
+    "locked",
+    "writable_folder",
+    "write_bytes",
+    "write_json",
+]
 
 _NAME_BYTES: Final = 255
 _PATH_BYTES: Final = 4095
@@ -56,7 +65,7 @@ def write_bytes(path: str | os.PathLike[str], suffixes: Sequence[str], content: 
 
 
 def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
-    """Write a JSON object, whole or not at all."""
+    """Write a JSON object, whole or not at all; otherwise as :func:`atomic_output`."""
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (".json",), f"{text}\n".encode())
 

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import phase_ppl
-from phase_ppl.analysis.figures.data_card import data_table
+import phase_ppl as ppl
+from phase_ppl.dataset.generated import MANIFEST_SCHEMA, GeneratedEvents
 from phase_ppl.dataset.motion import moves_to_the_end, seems_to_hold, speeds
-from phase_ppl.dataset.statistics import GOAL_TYPES, PHASE, standard_error, statistics
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.dataset.statistics import GOAL_TYPES, standard_error, statistics
+from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import rotation
 from phase_ppl.world.goals import GOALS
+from tests.analysis.pages import texts_apart
 from tests.world.examples import DEV, make_scene, needs_dev
 
 START = np.array([[8.0, 20.0, 0.0], [24.0, 14.0, 1.0], [12.0, 8.0, 0.0], [20.0, 8.0, 0.0]])
@@ -53,28 +54,29 @@ def events() -> list[Event]:
     ]
 
 
-MANIFEST: dict[str, Any] = {
-    "entries": [
-        {"id": "one", "group": "one", "family": "collab", "layout": 10, "split": "train",
-         "reflection": "none", "measures": {"held": [0.5, 0.0]}},
-        {"id": "two", "group": "one", "family": "chasing", "layout": 8, "split": "test",
-         "reflection": "up-down", "measures": {"held": [1.0, 0.0]}},
-    ],
-    "kept": {"collab": 3, "chasing": 1},
-    "rejected": {
-        "collab": {"an agent is stuck": 1, "a goal is not reached": 4}, "compete": {"dull": 2},
-    },
-}  # fmt: skip
+def made(events: list[Event], tmp_path: Path) -> GeneratedEvents:
+    """Return them as a generated set: the second is a copy of the first."""
+    ppl.save_events(events, tmp_path / "events.nc")
+    told = [
+        {"family": "collab", "layout": 10, "split": "train", "reflection": "none"},
+        {"family": "chasing", "layout": 8, "split": "mine", "reflection": "up-down"},
+    ]
+    entries = [
+        {"id": event.id, "group": "one", "checksum": "not looked at here", **entry}
+        for event, entry in zip(events, told, strict=True)
+    ]
+    record = {"schema": MANIFEST_SCHEMA, "entries": entries}
+    (tmp_path / "manifest.json").write_text(json.dumps(record))
+    return GeneratedEvents(tmp_path)
 
 
 def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -> None:
-    found = statistics(events, name="two")
-    assert (found["name"], found["events"], found["units"]) == ("two", 2, 2)
-    assert (found["without_strength"], found["draws"]) == (1, None)
-    json.dumps(found, allow_nan=False)
-    counts = {name: table["counts"] for name, table in found["tables"].items()}
+    found = statistics(events)
+    numbers = {"events": 2, "units": 2, "without_truth": 0, "without_strength": 1}
+    assert found.attrs == numbers
+    counts = {name: found.loc[name, "count"].to_dict() for name in found.index.levels[0]}
     assert counts["relation"] == {"friendly": 1, "neutral": 0, "adversarial": 1}
-    assert found["tables"]["relation"]["shares"]["friendly"] == 0.5
+    assert found.loc[("relation", "friendly"), ["value", "phase"]].tolist() == [0.5, 0.4]
     assert counts["scenario"]["opposing"] == 1
     assert counts["goal_type"] == dict(zip(GOAL_TYPES, (2, 0, 0, 0, 1, 1), strict=True))
     assert len(counts["goal"]) == len(GOALS)
@@ -86,77 +88,75 @@ def test_kinds_goals_strengths_sizes_durations_and_speeds(events: list[Event]) -
     assert "family" not in counts
     # red of 150 N goes 0.1 per frame, four times; green of 600 N stands, and so does red in "two"
     expected = {
-        "frames_min": 3, "frames_median": 4, "frames_max": 5, "speed_mean_150": 1.2,
-        "speed_mean_600": 0, "speed_max": 6.0, "speed_mean": (4 * 1.2 + 2 * 6) / 12,
-        "at_rest": 6 / 12, "at_rest_150": 0, "at_rest_600": 1, "step_max": 0.5,
-        "items_move": 4 / 12, "untrimmed": 1,
+        ("frames", "min"): 3, ("frames", "median"): 4, ("frames", "max"): 5,
+        ("speed_150", "mean"): 1.2, ("speed_600", "mean"): 0, ("speed", "max"): 6.0,
+        ("speed", "mean"): (4 * 1.2 + 2 * 6) / 12, ("agent_rests", "mean"): 6 / 12,
+        ("step", "max"): 0.5, ("item_moves", "mean"): 4 / 12, ("moves_to_the_end", "mean"): 1,
     }  # fmt: skip
-    assert {name: found["values"][name]["value"] for name in expected} == pytest.approx(expected)
-    bins = {name: histogram["counts"] for name, histogram in found["histograms"].items()}
-    assert (bins["frames"][0], bins["speed"][:4]) == (2, [10, 0, 0, 2])
-    assert sum(bins["speed_600"]) == 6
+    assert {name: found.loc[name, "value"] for name in expected} == pytest.approx(expected)
+    assert found.loc["frames", "count"].isna().all()
+    assert found.loc["frames", "error"].isna().tolist() == [True, False, True]
 
 
 def test_what_is_none_of_the_original_strengths_and_sizes_is_other() -> None:
     odd = event(track(3), "odd", strengths=(200.0, 450.0))
     odd = dataclasses.replace(odd, scene=make_scene(radius=[0.9, 1.2, 1.01, 1.6]))
     found = statistics([odd])
-    assert found["tables"]["strength"]["counts"]["other"] == 1
-    assert found["tables"]["agent_size"]["counts"]["other"] == 1
-    assert "speed_mean_450" in found["values"]
-    assert "speed_mean_300" not in found["values"]
+    assert found.loc[("strength", "other"), "count"] == 1
+    assert found.loc[("agent_size", "other"), ["count", "phase"]].tolist() == [1, 0.0]
+    assert ("speed_450", "mean") in found.index
+    assert ("speed_300", "mean") not in found.index
 
 
-def test_a_manifest_tells_of_copies_families_holding_and_draws(events: list[Event]) -> None:
-    found = statistics(events, MANIFEST)
-    tables = found["tables"]
-    assert found["units"] == tables["relation"]["units"] == 1
-    assert tables["family"]["counts"] == {"chasing": 1, "collab": 1}
-    for name, values in (
-        ("layout", ["8", "10"]), ("reflection", ["none", "up-down"]), ("split", ["train", "test"]),
-    ):  # fmt: skip
-        assert list(tables[name]["counts"]) == values
-    # 5 frames of (0.5, 0), 3 of (1, 0)
-    assert found["holding_from"] == "recorded"
-    assert found["values"]["holding"]["value"] == pytest.approx((5 * 0.5 + 3) / 16)
-    assert found["values"]["holding"]["se"] is None
-    assert found["draws"]["collab"] == {
-        "kept": 3, "tried": 8, "share": 3 / 8,
-        "reasons": {"a goal is not reached": 4, "an agent is stuck": 1},
-    }  # fmt: skip
-    assert found["draws"]["compete"]["share"] == 0
-    # holding is estimated where it does not tell of all
-    part = {**MANIFEST, "entries": [MANIFEST["entries"][0], {"id": "two", "measures": None}]}
-    found = statistics(events, part)
-    assert found["holding_from"] == "geometry"
-    assert found["values"]["holding"]["value"] == 0
+def test_a_generated_set_tells_of_copies_families_and_splits(
+    events: list[Event], tmp_path: Path
+) -> None:
+    found = statistics(made(events, tmp_path))
+    assert (found.attrs["events"], found.attrs["units"]) == (2, 1)
+    assert found.loc[("speed", "mean"), "error"] != found.loc[("speed", "mean"), "error"]  # NaN
+    assert found.loc["family", "count"].to_dict() == {"chasing": 1, "collab": 1}
+    assert list(found.loc["layout"].index) == ["8", "10"]
+    assert list(found.loc["split"].index) == ["train", "validation", "test", "mine"]
+    assert found.loc[("split", "mine"), ["value", "phase"]].tolist() == [0.5, 0.0]
 
 
 def test_events_without_truth_count_where_none_is_needed(events: list[Event]) -> None:
     unknown = event(track(9), "unknown", goals=None)
     found = statistics([*events, unknown])
-    assert found["without_truth"] == 1
-    assert found["tables"]["relation"]["units"] == 2
-    assert found["tables"]["agent_size"]["units"] == 3
-    assert found["values"]["frames_max"]["value"] == 9
+    assert found.attrs["without_truth"] == 1
+    assert found.loc["relation", "count"].sum() == 2
+    assert found.loc[("frames", "max"), "value"] == 9
     alone = statistics([unknown])
-    assert set(alone["tables"]) == {"agent_size", "item_size"}
-    assert alone["values"]["frames_median"]["se"] is None
-    json.dumps(alone, allow_nan=False)
+    counted = alone.index[alone["count"].notna()].get_level_values(0)
+    assert set(counted) == {"agent_size", "item_size"}
+    assert np.isnan(alone.loc[("frames", "median"), "error"])
 
 
-def test_what_cannot_be_described_is_refused(events: list[Event]) -> None:
+def test_what_cannot_be_described_is_refused() -> None:
     with pytest.raises(InvalidEventError, match="no events"):
         statistics([])
-    for wrong in ({}, {"entries": 3}, {"entries": [{"family": "collab"}]}):
-        with pytest.raises(InvalidSettingError, match="entries"):
-            statistics(events, wrong)
 
 
 def test_the_standard_error_of_a_mean_is_the_textbooks() -> None:
     numbers = np.random.default_rng(1).normal(size=400)
     found = standard_error([np.array([number]) for number in numbers], np.mean)
     assert found == pytest.approx(numbers.std(ddof=1) / 20, rel=0.15)
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_the_card_draws_shares_beside_those_of_the_original_events(
+    events: list[Event], tmp_path: Path
+) -> None:
+    found = statistics(made(events, tmp_path))
+    figure = ppl.plot.data_card(found, tmp_path / "card.png")
+    assert (tmp_path / "card.png").exists()
+    assert len(figure.axes) == 5
+    assert texts_apart(figure) > 40
+    bars = [bar.get_width() for bar in figure.axes[0].patches]  # type: ignore[attr-defined]
+    shown = found.loc[["relation", "scenario"]]
+    assert bars == pytest.approx([*shown["value"], *shown["phase"]])
+    without_truth = [dataclasses.replace(event, truth=None) for event in events]
+    assert len(ppl.plot.data_card(statistics(without_truth)).axes) == 2
 
 
 # --- motion ------------------------------------------------------------------------------------
@@ -193,35 +193,33 @@ def test_an_item_that_stays_at_a_grab_point_is_held(point: tuple[int, int]) -> N
 
 @needs_dev
 def test_half_of_the_test_videos_is_like_the_whole() -> None:
-    found = statistics(phase_ppl.load_events(DEV))
-    value = {name: entry["value"] for name, entry in found["values"].items()}
-    whole = {name: entry["value"] for name, entry in PHASE["values"].items()}
+    found = statistics(ppl.load_events(DEV))
+    value, whole = found["value"], found["phase"]
     for level in (150, 300, 450, 600):
         for what in ("mean", "p99"):
-            name = f"speed_{what}_{level}"
+            name = (f"speed_{level}", what)
             assert value[name] == pytest.approx(whole[name], rel=0.15)
-    for name in ("untrimmed", "items_move", "holding"):
-        assert value[name] == pytest.approx(whole[name], abs=0.04)
-    assert 0.19 < value["at_rest"] < 0.31
-    assert value["frames_median"] == pytest.approx(whole["frames_median"], abs=5)
+    for of in ("moves_to_the_end", "item_moves", "agent_holds"):
+        assert value[of, "mean"] == pytest.approx(whole[of, "mean"], abs=0.04)
+    assert 0.19 < value["agent_rests", "mean"] < 0.31
+    assert value["frames", "median"] == pytest.approx(whole["frames", "median"], abs=5)
 
 
 # --- other worlds -------------------------------------------------------------------------------
 
 
 def test_a_set_of_another_world_is_described_by_its_own_names() -> None:
-    trio = phase_ppl.worlds.TRIO
+    trio = ppl.worlds.TRIO
     goals = {"red agent": "Get blue ball to home", "green agent": "get to pink ball"}
-    event = phase_ppl.simulate(
+    event = ppl.simulate(
         trio.random_scene(0),
         goals=goals,
         relation={("purple agent", "red agent"): "hinder"},
         frames=4,
-        planner=phase_ppl.PlannerConfig(simulations=2, particles=4),
+        planner=ppl.PlannerConfig(simulations=2, particles=4),
     )
     found = statistics([event])
-    counts = {name: found["tables"][name]["counts"] for name in found["tables"]}
-    assert found["landmarks"] == list(trio.landmark_names)
+    counts = {name: found.loc[name, "count"].to_dict() for name in found.index.levels[0]}
     assert counts["relation"] == {"friendly": 0, "neutral": 2, "adversarial": 1}
     assert counts["scenario"]["opposing"] == 1
     assert {goal for goal, n in counts["goal"].items() if n} == {
@@ -229,6 +227,5 @@ def test_a_set_of_another_world_is_described_by_its_own_names() -> None:
     }  # fmt: skip
     assert (counts["goal_type"]["LMO+"], counts["goal_type"]["LMO-"]) == (1, 1)
     assert sum(counts["agent_size"].values()) == 3
-    assert "home" in data_table(found, PHASE)
     with pytest.raises(InvalidEventError, match="several worlds"):
-        statistics([event, phase_ppl.load_event("compete")])
+        statistics([event, ppl.load_event("compete")])

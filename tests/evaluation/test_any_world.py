@@ -14,7 +14,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.evaluation.arrays import kinds_of, parts_of
 from phase_ppl.evaluation.prediction import Prediction, questions_of
-from phase_ppl.evaluation.ratings import event_judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -218,7 +218,7 @@ def test_people_are_scored_by_agent_and_pair_beside_a_model(
     ppl.save_events(ppl.with_judgments(events, study), file)
     assert ppl.load_judgments(study_file, file).table.equals(study.table)
     for event in ppl.load_events(file):
-        judged = event_judgments(event)
+        judged = Judgments.of(event)
         assert judged is not None
         assert judged.responses == study.judgments[event.id].responses
 
@@ -299,7 +299,7 @@ def test_worlds_are_not_mixed(events: list[ppl.Event]) -> None:
     with pytest.raises(InvalidSettingError, match="of the worlds 'trio', 'solo', expected those"):
         ppl.evaluate(both, "stepwise", **ONE_PROCESS)
     with pytest.raises(InvalidEventError, match="of the world 'PHASE', not 'trio'"):
-        ppl.evaluation.prediction.as_prediction(Prediction("", answers={}), "", TRIO)
+        Prediction.of(Prediction("", answers={}), "", TRIO)
     places = [{"home": (8.0, 8.0)}, {"home": (9.0, 8.0)}]
     alike = [ppl.World(["red agent"], ["ball"], place, name="yard") for place in places]
     mixed = [ppl.simulate(w.random_scene(0), ppl.roles.draw(w, 0), frames=3) for w in alike]

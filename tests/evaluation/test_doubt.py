@@ -11,7 +11,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation.arrays import facts, said
 from phase_ppl.evaluation.bootstrap import resampled
-from phase_ppl.evaluation.doubt import agreement, calibration, ceiling, doubt_of
+from phase_ppl.evaluation.doubt import agreement, calibration, ceiling
 from phase_ppl.evaluation.metrics import evaluate_predictions, model_measures
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.event import Event
@@ -31,7 +31,7 @@ def predictions(shares: Any) -> dict[str, Prediction]:
 
 
 def doubt(shares: Any, judged: list[Event] | None = None) -> dict[str, Any]:
-    return doubt_of(judged or events(), predictions(shares)) or {}
+    return evaluate_predictions(judged or events(), predictions(shares))["doubt"] or {}
 
 
 SHARES = np.array(VOTES) / 10

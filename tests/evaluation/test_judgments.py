@@ -15,7 +15,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.judgments import load_judgments, with_judgments
-from phase_ppl.evaluation.ratings import Judgments, event_judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (
@@ -202,15 +202,15 @@ def test_events_get_the_judgments_of_the_study_alone_and_files_keep_them(tmp_pat
     assert [event.id for event in events] == ["a", "b", "c"]
     assert events[2].judgments is None
     assert before[0].judgments is None
-    judgments = event_judgments(events[0])
+    judgments = Judgments.of(events[0])
     assert judgments.responses == study.judgments["a"].responses
     assert judgments.responses["p02"] == {"goal_red": BLUE_TO_RED, "relation": "friendly"}
     ppl.save_events(events, tmp_path / "events.json")
     *read, silent = ppl.load_events(tmp_path / "events.json")
-    assert event_judgments(silent) is None
+    assert Judgments.of(silent) is None
     for event, again in zip(events, read, strict=False):
         assert again.judgments == event.judgments
-        one, other = study.judgments[event.id], event_judgments(again)
+        one, other = study.judgments[event.id], Judgments.of(again)
         assert (one.n_raters, one.responses) == (other.n_raters, other.responses)
         np.testing.assert_equal(one.counts, other.counts)
     with pytest.raises(InvalidEventError, match="of none of the 1 events, but of 'a', 'b'"):
@@ -274,7 +274,7 @@ def test_record_of_nobody_is_none() -> None:
     none = {"relation_counts": None, "n_raters": None}
     for record in ({}, nobody, none, {"responses": []}, {"majority": "friendly"}):
         assert Judgments.from_record(record) is None
-    assert event_judgments(make_event("a")) is None
+    assert Judgments.of(make_event("a")) is None
 
 
 ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
@@ -307,4 +307,4 @@ ONE = {"responses": [{"participant": "a", "relation": "friendly"}]}
 def test_bad_votes_are_refused_and_the_event_is_named(record: dict[str, Any], message: str) -> None:
     event = dataclasses.replace(make_event("film 7"), judgments=record)
     with pytest.raises(PhasePPLError, match=f"event film 7: judgments: .*{message}"):
-        event_judgments(event)
+        Judgments.of(event)

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from phase_people.observers import Perception
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models.likelihood import RadialLikelihood
-from phase_ppl.models.observers import Perception
 from phase_ppl.models.predicate import Rationality, Thresholds
 from phase_ppl.models.socialgnn.store import TrainingSettings
 from phase_ppl.simulator.joint import DynamicsNoise

@@ -1,26 +1,29 @@
 """Figures of posteriors, comparisons and sets of events, as ``ppl.plot``.
 
-Every function returns a matplotlib figure that belongs to no global state, and where ``path`` is
-given writes it there as well, as .png, .pdf or .svg; OutputError: it cannot be written there, or
-the ending is another.
+Every function of an object returns a matplotlib figure that belongs to no global state, and where
+``path`` is given writes it there as well, as .png, .pdf or .svg; OutputError: it cannot be written
+there, or the ending is another. Figures of one's own look the same if a function that is decorated
+by ``in_style`` begins with ``new_figure`` and ends with ``written``.
 """
 
 from phase_ppl.analysis.figures.beliefs import beliefs, search
-from phase_ppl.analysis.figures.curves import comparison, design, sensitivity, training_curves
+from phase_ppl.analysis.figures.curves import comparison, sensitivity, training_curves
 from phase_ppl.analysis.figures.data_card import data_card
 from phase_ppl.analysis.figures.diagnostics import chains, diagnostics, errors, goal_map
 from phase_ppl.analysis.figures.over_time import over_time, why
 from phase_ppl.analysis.figures.posterior import posterior, posteriors
+from phase_ppl.analysis.figures.style import in_style, new_figure, written
 
 __all__ = [
     "beliefs",
     "chains",
     "comparison",
     "data_card",
-    "design",
     "diagnostics",
     "errors",
     "goal_map",
+    "in_style",
+    "new_figure",
     "over_time",
     "posterior",
     "posteriors",
@@ -28,6 +31,7 @@ __all__ = [
     "sensitivity",
     "training_curves",
     "why",
+    "written",
 ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.statistics import PHASE, goal_type
+from phase_ppl.dataset.statistics import goal_type, shares
 from phase_ppl.evaluation.prediction import Prediction, independent
 from phase_ppl.evaluation.registry import Predict, register_model
 from phase_ppl.world.event import Observation
@@ -79,8 +79,7 @@ def majority() -> Predict:
     them in label order is the answer.
     """
     goals = [goal_shares(agent) for agent in range(len(AGENTS))]
-    shares = PHASE["tables"]["relation"]["shares"]
-    relations = np.array([shares[relation] for relation in RELATIONS])
+    relations = np.array([shares("relation")[relation] for relation in RELATIONS])
     prediction = Prediction(
         "", {"goal_red": goals[0], "goal_green": goals[1], "relation": relations}
     )
@@ -96,6 +95,6 @@ def chance() -> Predict:
 
 def goal_shares(agent: int) -> NDArray[np.float64]:
     """Return (36,) how frequent an agent's effective goals are in PHASE, sum 1; 0 red, 1 green."""
-    shares = PHASE["tables"]["goal_type"]["shares"]
+    known = shares("goal_type")
     types = [None if is_self_referring(goal, agent) else goal_type(goal) for goal in range(N_GOALS)]
-    return np.array([0.0 if name is None else shares[name] / types.count(name) for name in types])
+    return np.array([0.0 if name is None else known[name] / types.count(name) for name in types])

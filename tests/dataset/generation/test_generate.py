@@ -195,7 +195,7 @@ def test_re_planned_copies_are_what_they_say_and_change_nothing_else(
         assert event.truth is not None
         assert event.truth.scenario == origin["scenario"]
         assert entry["measures"]["frames"] == event.observation.n_frames
-    assert ppl.statistics(made, made.manifest)["units"] == 3
+    assert ppl.statistics(made).attrs["units"] == 3
 
 
 def test_what_no_draw_or_change_makes_good_is_given_up_and_said(

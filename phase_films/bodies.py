@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
-from phase_ppl.dataset.films.frames import Colours, Still
-from phase_ppl.render.frames import EYE_COLOUR, EYE_RADIUS, EYES, Painter, Pixels
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID, heading, is_agent
+from phase_films.frames import Colours, FloatArray, Painter, Pixels, Still
 
-REACH: Final = float(np.hypot(*UNIT_TRAPEZOID.T).max())
+_CORNERS: Final = Painter.corners
+
+REACH: Final = float(np.hypot(*_CORNERS.T).max())
 """How far an agent of size 1 reaches from its origin."""
 
 SEEN: Final = 0.3
@@ -37,9 +36,9 @@ _FINE: Final = 44  # pixels of a window's side up to which all are looked at
 _DELTA: Final = 0.25  # pixels by which slopes are measured
 _MOST_TRIES: Final = 30
 
-_SIDES: Final = np.roll(UNIT_TRAPEZOID, -1, axis=0) - UNIT_TRAPEZOID
+_SIDES: Final = np.roll(_CORNERS, -1, axis=0) - _CORNERS
 _NORMALS: Final = np.column_stack([-_SIDES[:, 1], _SIDES[:, 0]]) / np.hypot(*_SIDES.T)[:, None]
-_OFFSETS: Final = (_NORMALS * UNIT_TRAPEZOID).sum(axis=1)
+_OFFSETS: Final = (_NORMALS * _CORNERS).sum(axis=1)
 
 
 class Bodies:
@@ -54,7 +53,7 @@ class Bodies:
         self.walls = np.asarray(painter.walls, float) / 255
 
     def is_agent(self, entity: int) -> bool:
-        return is_agent(entity, self._n_agents)
+        return entity < self._n_agents
 
     def find(self, frame: Pixels, before: FloatArray | None, radius: FloatArray) -> FloatArray:
         """Return (entity, 4) x, y [units], angle [rad] and confidence; NaN for what is not seen.
@@ -101,9 +100,11 @@ class Bodies:
         if not self.is_agent(entity):
             return [np.array([*blob, turn]), *was]
         # where its colour is in the mean, not its origin
-        shift = -CENTRE_OF_MASS_Y * radius
+        shift = 1 / 6 * radius
         angles = turn + 2 * np.pi * np.arange(_ANGLES) / _ANGLES
-        by_colour = [np.array([*(blob + shift * heading(a)), a]) for a in angles]
+        by_colour = [
+            np.array([*(blob + shift * np.array([-math.sin(a), math.cos(a)])), a]) for a in angles
+        ]
         return by_colour + [np.array([*one[:2], a]) for one in was for a in angles[::-1]]
 
     def blob(self, labels: Pixels, entity: int, radius: float) -> FloatArray | None:
@@ -127,7 +128,7 @@ class Bodies:
 
     def area(self, entity: int) -> float:
         """Return the area in its own colour of a body of size 1."""
-        return 4.0 - 2 * np.pi * EYE_RADIUS**2 if self.is_agent(entity) else np.pi
+        return 4.0 - 2 * np.pi * self.painter.eye_radius**2 if self.is_agent(entity) else np.pi
 
     def _improve(
         self,
@@ -200,7 +201,9 @@ class _Window:
                 continue
             shape, own = self._cover(of.is_agent(other), poses[other], float(radius[other]))
             colour = own * of.still.body_colours[other][:, None, None]
-            colour = colour + (shape - own) * np.array(EYE_COLOUR, float)[:, None, None]
+            colour = (
+                colour + (shape - own) * np.array(self._painter.eye_colour, float)[:, None, None]
+            )
             if of.order.index(other) < of.order.index(entity):
                 under = under * (1 - shape) + colour
             else:
@@ -226,8 +229,10 @@ class _Window:
         for (across, along), offset in zip(_NORMALS, _OFFSETS, strict=True):
             np.maximum(beyond, across * x + along * y - size * offset, out=beyond)
         shape = within(beyond)
-        eyes = [np.hypot(x - size * across, y - size * along) for across, along in EYES]
-        return shape, shape * (1 - within(np.minimum(*eyes) - size * EYE_RADIUS))
+        eyes = [
+            np.hypot(x - size * across, y - size * along) for across, along in self._painter.eyes
+        ]
+        return shape, shape * (1 - within(np.minimum(*eyes) - size * self._painter.eye_radius))
 
     def _residual(self, pose: FloatArray) -> FloatArray:
         """Return drawn less seen, over all pixels and colours."""

@@ -9,38 +9,24 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
-from phase_ppl.dataset.films.bodies import REACH, SEEN, Bodies
-from phase_ppl.dataset.films.frames import Colours, Film, Still, View
-from phase_ppl.dataset.motion import observed_turning
-from phase_ppl.render.frames import BACKGROUND, Painter, Pixels, panel, side_by_side, write_centred
-from phase_ppl.world import worlds
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    instance_of,
-    nonnegative_number,
-    number_or_nan,
-    shown,
-    unknown_name,
-    whole_number,
-)
-from phase_ppl.world.event import MIN_FRAMES, SHOWN_SECONDS_PER_FRAME, Event, Observation
-from phase_ppl.world.files import atomic_output
-from phase_ppl.world.geometry import agent_outline, is_agent
-from phase_ppl.world.picture import trail_colour
-from phase_ppl.world.progress import counted
-from phase_ppl.world.scene import PHASE, Scene, World, one_or_all
+import phase_ppl as ppl
+from phase_films.bodies import REACH, SEEN, Bodies
+from phase_films.frames import Colours, Film, FloatArray, Painter, Pixels, Still, View
 
 _PANELS: Final = 6
 _COLUMNS: Final = 3
 _PALE: Final = 0.55
-_CAPTION: Final = 30
+_CAPTION: Final = 30  # pixels below a panel
+_GAP: Final = 4
+_DARKER: Final = 0.7  # than a body, its way
 _OUTLINE: Final = (20, 20, 20)
+_TEXT: Final = (70, 70, 70)
 _DOUBTED: Final = (230, 0, 230)
 
+_SHOWN_SECONDS: Final = 0.25  # that a frame of an event is shown for in films as they are made
+_MIN_FRAMES: Final = 2  # of an event
 _MOST_LOST: Final = 0.25  # share of the frames in which a body may be lost
 _OTHER_START: Final = 0.5  # units from a scene's start that are no error of reading
 _SIZED_IN: Final = 7  # frames that a size is estimated from
@@ -57,7 +43,7 @@ class VideoReading:
             less where most of it is covered. 0 where it was lost and its place is interpolated.
     """
 
-    event: Event
+    event: ppl.Event
     confidence: FloatArray
     _pictures: dict[int, Image.Image]
 
@@ -78,46 +64,59 @@ class VideoReading:
         the ways since the picture before. Below stand the frame and the least confidence in it.
         """
         painter, frames = Painter(self.event.scene), sorted(self._pictures)
-        with atomic_output(path, (".png",)) as part:
+        with ppl.files.atomic_output(path, (".png",)) as part:
             panels = [
                 self._panel(painter, frame, before)
                 for before, frame in zip([0, *frames[:-1]], frames, strict=True)
             ]
-            side_by_side(panels, 4, _COLUMNS).save(part, "PNG")
+            width, height = panels[0].width, panels[0].height + _GAP
+            columns = min(_COLUMNS, len(panels))
+            size = width * columns, height * -(-len(panels) // columns)
+            sheet = Image.new("RGB", size, Painter.background)
+            for place, one in enumerate(panels):
+                sheet.paste(one, (width * (place % columns), height * (place // columns)))
+            sheet.save(part, "PNG")
 
     def _panel(self, painter: Painter, frame: int, before: int) -> Image.Image:
         drawn = self._pictures[frame]
-        drawn = Image.blend(drawn, Image.new("RGB", drawn.size, BACKGROUND), _PALE)
+        drawn = Image.blend(drawn, Image.new("RGB", drawn.size, Painter.background), _PALE)
         draw = ImageDraw.Draw(drawn)
         scene, track = self.event.scene, self.event.observation.trajectory
         for entity, colour in enumerate(scene.world.entity_colours):
             way = painter.pixel(track[before : frame + 1, entity, :2]) - 0.5
-            draw.line([tuple(at) for at in way.tolist()], fill=trail_colour(colour), width=2)
+            dark = tuple(round(_DARKER * part) for part in colour)
+            draw.line([tuple(at) for at in way.tolist()], fill=dark, width=2)
             sure = self.confidence[frame, entity] >= 0.5
             pose, size = track[frame, entity], float(scene.radius[entity])
-            if is_agent(entity, len(scene.world.agents)):
-                corners = agent_outline(pose, size)
-            else:
-                turns = np.linspace(0, 2 * np.pi, 40)[:, None]
-                corners = pose[:2] + size * np.hstack([np.cos(turns), np.sin(turns)])
-            line = [tuple(at) for at in (painter.pixel(corners) - 0.5).tolist()]
+            turns = np.linspace(0, 2 * np.pi, 40)
+            shape = np.column_stack([np.cos(turns), np.sin(turns)])
+            if entity < len(scene.world.agents):
+                cos, sin = np.cos(pose[2]), np.sin(pose[2])
+                shape = painter.corners @ np.array([[cos, sin], [-sin, cos]])
+            line = [tuple(at) for at in (painter.pixel(pose[:2] + size * shape) - 0.5).tolist()]
             draw.line([*line, line[0]], fill=_OUTLINE if sure else _DOUBTED, width=1)
-        small = panel(drawn)
+        # the arena with a margin that is the same all around
+        x0, _, _, y1 = scene.arena
+        left, top = painter.pixel([x0, y1])
+        beside = round(left - top)
         least = int(self.confidence[frame].argmin())
         words = (
             f"frame {frame}: least {self.confidence[frame, least]:.2f}, "
             f"{scene.world.entities[least]}"
         )
-        result = side_by_side([small], _CAPTION)
-        write_centred(result, words, small.width / 2, small.height + _CAPTION / 4, 18)
+        width, height = drawn.width - 2 * beside, drawn.height + _CAPTION
+        result = Image.new("RGB", (width, height), Painter.background)
+        result.paste(drawn.crop((beside, 0, beside + width, drawn.height)))
+        place, font = (width / 2, height - _CAPTION * 3 / 4), ImageFont.load_default(18)
+        ImageDraw.Draw(result).text(place, words, fill=_TEXT, font=font, anchor="mm")
         return result
 
 
 def read_video(
     path: str | os.PathLike[str],
-    scene: Scene | None = None,
+    scene: ppl.Scene | None = None,
     *,
-    layout: str | World | None = None,
+    layout: str | ppl.World | None = None,
     frames_per_step: float | None = None,
     start: float = 0.0,
     max_gap: int = 6,
@@ -155,11 +154,14 @@ def read_video(
         UnknownNameError: there is no ready-made world of that name.
     """
     shown_scene, world = _given(scene, layout)
-    nonnegative_number("start", start)
-    whole_number("max_gap", max_gap, 0)
-    if frames_per_step is not None and not 1 <= number_or_nan(frames_per_step) < math.inf:
-        raise InvalidSettingError(
-            f"frames_per_step={shown(frames_per_step)}, expected a number >= 1"
+    ppl.errors.nonnegative_number("start", start)
+    ppl.errors.whole_number("max_gap", max_gap, 0)
+    if (
+        frames_per_step is not None
+        and not 1 <= ppl.errors.number_or_nan(frames_per_step) < math.inf
+    ):
+        raise ppl.errors.InvalidSettingError(
+            f"frames_per_step={ppl.errors.shown(frames_per_step)}, expected a number >= 1"
         )
     colours = Colours(shown_scene.world)
     film = Film(path)
@@ -173,7 +175,7 @@ def read_video(
             shown_scene,
             walls=still.walls(),
             landmark_centres=centres,
-            landmark_half_width=one_or_all(halves.tolist()),
+            landmark_half_width=halves[0] if len({*halves}) == 1 else halves,
         )
     else:
         still.check(scene)
@@ -187,37 +189,39 @@ def read_video(
     )
     if scene is None:
         scene = dataclasses.replace(shown_scene, start=track[0], world=world)
-        if scene.world == PHASE:
-            scene = dataclasses.replace(scene, turning=observed_turning(track, scene.radius))
+        if scene.world == ppl.worlds.PHASE:
+            scene = dataclasses.replace(scene, turning=ppl.observed_turning(track, scene.radius))
     else:
         _check_start(scene, track)
-    event = Event(scene, Observation(track), id=film.path.stem)
+    event = ppl.Event(scene, ppl.Observation(track), id=film.path.stem)
     return VideoReading(event, confidence, pictures)
 
 
-def _given(scene: Scene | None, layout: str | World | None) -> tuple[Scene, World]:
+def _given(scene: ppl.Scene | None, layout: str | ppl.World | None) -> tuple[ppl.Scene, ppl.World]:
     """Return the scene, or one of the layout in which nobody has a place yet; and the world.
 
     Goals of one's own may be about rooms, and there are none before walls are found: the scene of
     a layout has none of these.
     """
     if (scene is None) == (layout is None):
-        raise InvalidSettingError("give either the scene= that the film shows, or its layout=")
+        raise ppl.errors.InvalidSettingError(
+            "give either the scene= that the film shows, or its layout="
+        )
     if scene is not None:
-        instance_of("scene", scene, Scene, "a phase_ppl.Scene")
+        ppl.errors.instance_of("scene", scene, ppl.Scene, "a phase_ppl.Scene")
         return scene, scene.world
     if isinstance(layout, str):
-        known = {name.lower(): world for name, world in worlds.available().items()}
+        known = {name.lower(): world for name, world in ppl.worlds.available().items()}
         if layout.lower() not in known:
-            raise unknown_name("layout", layout, worlds.available())
+            raise ppl.errors.unknown_name("layout", layout, ppl.worlds.available())
         layout = known[layout.lower()]
-    instance_of("layout", layout, World, "a phase_ppl.World or the name of one")
-    assert isinstance(layout, World)
+    ppl.errors.instance_of("layout", layout, ppl.World, "a phase_ppl.World or the name of one")
+    assert isinstance(layout, ppl.World)
     x0, x1, y0, y1 = layout.arena
     start = np.tile([(x0 + x1) / 2, (y0 + y1) / 2, 0.0], (len(layout.entities), 1))
     size = min(x1 - x0, y1 - y0) / 16
     radius, plain = np.full(len(start), size), dataclasses.replace(layout, predicates=())
-    return Scene(start, radius, [], world=plain), layout  # type: ignore[arg-type]
+    return ppl.Scene(start, radius, [], world=plain), layout  # type: ignore[arg-type]
 
 
 def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatArray:
@@ -225,21 +229,25 @@ def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatAr
     name = film.path.name
     if frames_per_step is None:
         if not film.fps > 0:
-            raise InvalidEventError(f"{name} does not say how fast it is: give frames_per_step=")
-        frames_per_step = film.fps * SHOWN_SECONDS_PER_FRAME
+            raise ppl.errors.InvalidEventError(
+                f"{name} does not say how fast it is: give frames_per_step="
+            )
+        frames_per_step = film.fps * _SHOWN_SECONDS
         if frames_per_step < 1:
-            raise InvalidEventError(
+            raise ppl.errors.InvalidEventError(
                 f"{name} has {film.fps:g} frames per second, at least "
-                f"{1 / SHOWN_SECONDS_PER_FRAME:g} were expected: give frames_per_step="
+                f"{1 / _SHOWN_SECONDS:g} were expected: give frames_per_step="
             )
     if start and not film.fps > 0:
-        raise InvalidEventError(f"{name} does not say how fast it is: start= cannot be found")
+        raise ppl.errors.InvalidEventError(
+            f"{name} does not say how fast it is: start= cannot be found"
+        )
     first = round(start * film.fps)
     steps = (film.n_frames - 1 - first) / frames_per_step
-    if steps < MIN_FRAMES - 1:
-        raise InvalidEventError(
+    if steps < _MIN_FRAMES - 1:
+        raise ppl.errors.InvalidEventError(
             f"{name} has {film.n_frames} frames, {film.fps:g} a second: with start={start:g} and "
-            f"frames_per_step={frames_per_step:g} fewer than {MIN_FRAMES} frames of an event"
+            f"frames_per_step={frames_per_step:g} fewer than {_MIN_FRAMES} frames of an event"
         )
     return np.asarray(first + np.arange(math.floor(steps + 1e-6) + 1) * float(frames_per_step))
 
@@ -283,7 +291,7 @@ def _follow(
     poses: dict[int, FloatArray] = {}
     pictures: dict[int, Image.Image] = {}
     before: FloatArray | None = None
-    frames = counted(film.frames(wanted), progress, "frame", film.path.name, len(wanted))
+    frames = ppl.counted(film.frames(wanted), progress, "frame", film.path.name, len(wanted))
     for number, frame in frames:
         picture = view(frame)
         if number in kept:
@@ -306,7 +314,7 @@ def _follow(
 
 
 def _closed(
-    found: FloatArray, scene: Scene, seconds: FloatArray, max_gap: int, known: FloatArray | None
+    found: FloatArray, scene: ppl.Scene, seconds: FloatArray, max_gap: int, known: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return (time, entity, 3) without gaps, and the confidence, of what was found.
 
@@ -321,13 +329,13 @@ def _closed(
         edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
         for begin, end in edges.reshape(-1, 2).tolist():
             if end - begin > max_gap:
-                raise InvalidEventError(
+                raise ppl.errors.InvalidEventError(
                     f"the {name} is not found in frames {begin} to {end - 1}, "
                     f"{seconds[begin]:.2f} to {seconds[end - 1]:.2f} s of the film; gaps of up to "
                     f"max_gap={max_gap} frames are bridged"
                 )
         if lost.mean() > _MOST_LOST:
-            raise InvalidEventError(
+            raise ppl.errors.InvalidEventError(
                 f"the {name} is not found in {lost.sum()} of {len(lost)} frames, in gaps; at most "
                 f"{_MOST_LOST:.0%} are bridged"
             )
@@ -335,7 +343,7 @@ def _closed(
             first = known[entity] if known is not None else _below(found, scene, entity)
             if first is not None:
                 track[0, entity], lost[0] = first, False
-        if not is_agent(entity, len(world.agents)):
+        if entity >= len(world.agents):
             track[:, entity, 2] = 0.0 if known is None else known[entity, 2]
         turned = np.unwrap(track[~lost, entity, 2])
         if known is not None:  # of all angles that look alike, the scene's
@@ -347,11 +355,11 @@ def _closed(
     return track, confidence
 
 
-def _below(found: FloatArray, scene: Scene, entity: int) -> FloatArray | None:
+def _below(found: FloatArray, scene: ppl.Scene, entity: int) -> FloatArray | None:
     """Return where a body may be that is not seen at first: below the one it comes out of."""
     n_agents = len(scene.world.agents)
     first = int(np.isfinite(found[:, entity, 0]).argmax())
-    above = [a for a in range(n_agents) if a > entity or not is_agent(entity, n_agents)]
+    above = [a for a in range(n_agents) if a > entity or entity >= n_agents]
     apart = np.linalg.norm(found[0, above, :2] - found[first, entity, :2], axis=1)
     reach = REACH * (scene.radius[above] + scene.radius[entity])
     if not (apart < reach).any():
@@ -360,13 +368,13 @@ def _below(found: FloatArray, scene: Scene, entity: int) -> FloatArray | None:
     return np.append(found[0, nearest, :2], found[first, entity, 2])
 
 
-def _check_start(scene: Scene, track: FloatArray) -> None:
+def _check_start(scene: ppl.Scene, track: FloatArray) -> None:
     """Raise InvalidEventError where the film begins elsewhere than its scene."""
     off = np.linalg.norm(track[0, :, :2] - scene.start[:, :2], axis=1)
     worst = int(off.argmax())
     if off[worst] > _OTHER_START:
         x, y = track[0, worst, :2]
-        raise InvalidEventError(
+        raise ppl.errors.InvalidEventError(
             f"the {scene.world.entities[worst]} starts at {scene.start[worst, :2].tolist()} in the "
             f"scene, but at [{x:.2f}, {y:.2f}] in the film: it is of another scene, or start= is "
             "not when the event begins"

@@ -7,30 +7,21 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
-from phase_ppl.analysis.posterior import load_posterior
-from phase_ppl.evaluation.evaluate import evaluate
-from phase_ppl.evaluation.evaluation import POSTERIOR, Evaluation
-from phase_ppl.evaluation.judgments import Study, all_events, judged, load_judgments
-from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of
-from phase_ppl.evaluation.observers.fit import PeopleFit, as_observer, sampled
-from phase_ppl.models.observers import Evidence, Perception, Program
-from phase_ppl.world.errors import InvalidEventError, whole_number
-from phase_ppl.world.event import Event
-from phase_ppl.world.scene import check_is_phase
-
-if TYPE_CHECKING:
-    from phase_ppl.models.model import Model
+import phase_ppl as ppl
+from phase_people.answers import Answers, Made, check_is_phase, evidence_of
+from phase_people.fit import PeopleFit, as_observer, sampled
+from phase_people.observers import Evidence, Perception, Program
 
 Source: TypeAlias = (
-    "str | os.PathLike[str] | Model | Evaluation | Evidence | Mapping[str, Any] | None"
+    "str | os.PathLike[str] | ppl.Model | ppl.Evaluation | Evidence | Mapping[str, Any] | None"
 )
 
 
 def fit_people(
-    events: str | os.PathLike[str] | Sequence[Event],
-    judgments: str | os.PathLike[str] | Study | None = None,
+    events: str | os.PathLike[str] | Sequence[ppl.Event],
+    judgments: str | os.PathLike[str] | ppl.Study | None = None,
     observer: str | Program = "company",
     *,
     source: Source = "stepwise",
@@ -46,14 +37,14 @@ def fit_people(
     """Fit an observer to people's answers by NUTS.
 
     Where it is known who gave which answer, raters are modelled as such; response times of a study
-    are part of the likelihood (:func:`~phase_ppl.evaluation.observers.answers.people`).
+    are part of the likelihood (:func:`~phase_people.answers.people`).
 
     Args:
         events: a file or folder of events, or events.
         judgments: a file of :func:`phase_ppl.load_judgments` or a study; by default those that the
             events carry.
-        observer: name of a ready-made one (:data:`~phase_ppl.models.observers.OBSERVERS`),
-            or a program of evidence (:mod:`phase_ppl.models.observers`).
+        observer: name of a ready-made one (:data:`~phase_people.observers.OBSERVERS`),
+            or a program of evidence (:mod:`phase_people.observers`).
         source: of the evidence: a model by name or a :class:`phase_ppl.Model`, which is asked
             about every event; an evaluation or its folder, whose posteriors are read, so that
             nothing is computed twice; event id -> posterior or prediction; evidence; or None,
@@ -69,14 +60,14 @@ def fit_people(
             world than PHASE.
     """
     for name, number in (("draws", draws), ("warmup", warmup), ("chains", chains)):
-        whole_number(name, number)
+        ppl.errors.whole_number(name, number)
     program, name = as_observer(observer)
-    everything = all_events(events)
+    everything = ppl.all_events(events)
     check_is_phase(everything[0].scene.world, "fit_people")
     study = judgments
-    if study is not None and not isinstance(study, Study):
-        study = load_judgments(study, everything)
-    chosen = judged(everything, study)
+    if study is not None and not isinstance(study, ppl.Study):
+        study = ppl.load_judgments(study, everything)
+    chosen = everything if study is None else ppl.with_judgments(everything, study)
     answers = Answers.of(chosen, study)
     asking = {"workers": workers, "progress": progress, "seed": seed, **options}
     evidence = evidence_from(chosen, source, perception, **asking)
@@ -87,19 +78,19 @@ def fit_people(
 
 
 def evidence_from(
-    events: Sequence[Event],
+    events: Sequence[ppl.Event],
     source: Source = "stepwise",
     perception: Perception | None = None,
     **options: Any,
 ) -> Evidence:
     """Return what observers have to go by; arguments and errors as of :func:`fit_people`."""
     for judged_event in events:  # before a model is asked
-        check_is_phase(judged_event.scene.world, "an observer of people")
+        check_is_phase(judged_event.scene.world)
     if isinstance(source, Evidence):
         return source
     if source is None:
         return evidence_of(events)
-    if perception is None or isinstance(source, Evaluation | Mapping) or _is_folder(source):
+    if perception is None or isinstance(source, ppl.Evaluation | Mapping) or _is_folder(source):
         return evidence_of(events, asked_about(events, source, **options))
     seed = options.get("seed", 0)
     readings = [perception.readings(e.scene, e.observation, seed) for e in events]
@@ -118,7 +109,7 @@ def _is_folder(source: object) -> bool:
     return isinstance(source, os.PathLike) or (isinstance(source, str) and Path(source).is_dir())
 
 
-def asked_about(events: Sequence[Event], source: Any, **options: Any) -> Mapping[str, Made]:
+def asked_about(events: Sequence[ppl.Event], source: Any, **options: Any) -> Mapping[str, Made]:
     """Return event id -> the posterior, or prediction, that a model makes of it.
 
     Args:
@@ -129,19 +120,16 @@ def asked_about(events: Sequence[Event], source: Any, **options: Any) -> Mapping
     """
     if isinstance(source, Mapping):
         return source
-    if isinstance(source, Evaluation) or _is_folder(source):
-        return _made(source if isinstance(source, Evaluation) else Evaluation.load(source))
+    if isinstance(source, ppl.Evaluation) or _is_folder(source):
+        return _made(source if isinstance(source, ppl.Evaluation) else ppl.Evaluation.load(source))
     with tempfile.TemporaryDirectory() as folder:
-        return _made(evaluate(events, source, out=folder, **options))
+        return _made(ppl.evaluate(events, source, out=folder, **options))
 
 
-def _made(evaluation: Evaluation) -> dict[str, Made]:
+def _made(evaluation: ppl.Evaluation) -> dict[str, Made]:
     """Return event id -> posterior, or prediction of a model that keeps none."""
     if evaluation.failures:
         event, why = next(iter(evaluation.failures.items()))
-        raise InvalidEventError(f"the model failed at the event {event}: {why}")
-    found: dict[str, Made] = {}
-    for event, prediction in evaluation.predictions.items():
-        file = None if evaluation.folder is None else evaluation.folder.folder_of(event) / POSTERIOR
-        found[event] = load_posterior(file) if file is not None and file.is_file() else prediction
-    return found
+        raise ppl.errors.InvalidEventError(f"the model failed at the event {event}: {why}")
+    given = evaluation.predictions.items()
+    return {event: evaluation.posterior(event) or prediction for event, prediction in given}

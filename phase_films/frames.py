@@ -11,21 +11,21 @@ from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Final
 
+import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from phase_ppl.render.ffmpeg import ffmpeg
-from phase_ppl.render.frames import BACKGROUND, WALL_COLOUR, WALL_PIXELS, Painter, Pixels
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown_path
-from phase_ppl.world.files import existing_file
-from phase_ppl.world.scene import Scene, World
+import phase_ppl as ppl
 
 Mask = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+Pixels = NDArray[np.uint8]
+Painter = ppl.render.Painter
 
 MOST_SAMPLES: Final = 16
+_WALL: Final = Painter.wall_pixels
 BLACK: Final = 110  # largest channel below which a pixel is taken for a wall's
 _WIDEST: Final = 1280  # pixels; wider films are made smaller
 _ASPECT: Final = 0.1  # relative deviation of an arena's proportions that is allowed
@@ -44,7 +44,8 @@ class Film:
     """A video file, decoded by ffmpeg (InvalidEventError: there is none, or it is no video)."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path: Path = existing_file(path)
+        self.path: Path = ppl.files.existing_file(path)
+        self.said = ppl.errors.shown_path(self.path)  # as messages name it
         self.fps = 0.0  # frames per second, 0 where the file does not say
         self.samples: list[Image.Image] = []  # evenly spaced, the first frame among them
         every, self.n_frames = 1, 0
@@ -88,18 +89,27 @@ class Film:
             words = said.read().decode(errors="replace")
         if not some:
             last = (words.split("\n\n")[0].strip().splitlines() or ["it is empty"])[-1]
-            raise InvalidEventError(
-                f"{shown_path(self.path)}: not a video that can be read ({last.strip()[:200]})"
+            raise ppl.errors.InvalidEventError(
+                f"{self.said}: not a video that can be read ({last.strip()[:200]})"
             )
         rate = re.search(r"Video:.* ([\d.]+) fps", words)
         self.fps = float(rate[1]) if rate else 0.0
 
     def _started(self, options: Sequence[str], said: IO[bytes]) -> subprocess.Popen[bytes]:
-        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}
+        program = "ffmpeg"
         try:
-            return ffmpeg(options, **streams)
-        except OSError as error:
-            raise InvalidEventError(f"{shown_path(self.path)}: {error}") from error
+            program = imageio_ffmpeg.get_ffmpeg_exe()
+            # Ctrl-C is for Python, which then ends it
+            return subprocess.Popen(
+                [program, *options], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said,
+                start_new_session=True,
+            )  # fmt: skip
+        except (OSError, RuntimeError) as error:
+            reason = (isinstance(error, OSError) and error.strerror) or "there is none"
+            raise ppl.errors.InvalidEventError(
+                f"{self.said}: ffmpeg cannot be started ({program}: {reason}): install "
+                "it, or let the environment variable IMAGEIO_FFMPEG_EXE name it"
+            ) from error
 
 
 class View:
@@ -110,13 +120,13 @@ class View:
     as wide as ``scale`` of the film.
     """
 
-    def __init__(self, film: Film, scene: Scene) -> None:
+    def __init__(self, film: Film, scene: ppl.Scene) -> None:
         painter = Painter(scene)
         self._size = painter.size
         x0, x1, y0, y1 = scene.arena
         corners = painter.pixel([[x0, y1], [x1, y0]])
         lightest = np.max([np.asarray(frame).max(axis=2) for frame in film.samples], axis=0)
-        box = _border(lightest < BLACK, corners[1] - corners[0] + WALL_PIXELS, film, scene)
+        box = _border(lightest < BLACK, corners[1] - corners[0] + _WALL, film, scene)
         lines = [_lines(lightest.T, box[2:], box[:2]), _lines(lightest, box[:2], box[2:])]
         ends = np.array(lines).T  # (first and last line, x and y)
         factor = (ends[1] - ends[0]) / (corners[1] - corners[0])
@@ -134,12 +144,14 @@ class View:
                 Image.Transform.AFFINE,
                 self._affine,
                 Image.Resampling.BICUBIC,
-                fillcolor=BACKGROUND,
+                fillcolor=Painter.background,
             )
         return np.asarray(frame, np.uint8)
 
 
-def _border(black: Mask, size: FloatArray, film: Film, scene: Scene) -> tuple[int, int, int, int]:
+def _border(
+    black: Mask, size: FloatArray, film: Film, scene: ppl.Scene
+) -> tuple[int, int, int, int]:
     """Return first and last row and column, the last ones not included, of the arena's border."""
     marks, _ = ndimage.label(black, np.ones((3, 3)))
     found = []
@@ -148,7 +160,7 @@ def _border(black: Mask, size: FloatArray, film: Film, scene: Scene) -> tuple[in
         height, width = part.shape
         if min(height, width) < 20 or abs(width / height * size[1] / size[0] - 1) > _ASPECT:
             continue
-        thick = max(1, round(width / size[0] * WALL_PIXELS))
+        thick = max(1, round(width / size[0] * _WALL))
         sides = part[:thick], part[-thick:], part[:, :thick].T, part[:, -thick:].T
         if min(side.any(axis=0).mean() for side in sides) >= _SIDE and part.mean() < 0.5:
             rows, columns = place
@@ -156,13 +168,13 @@ def _border(black: Mask, size: FloatArray, film: Film, scene: Scene) -> tuple[in
     found.sort(reverse=True)
     if not found:
         x0, x1, y0, y1 = scene.arena
-        raise InvalidEventError(
-            f"{shown_path(film.path)}: no arena is found in the picture: expected a black border, "
+        raise ppl.errors.InvalidEventError(
+            f"{film.said}: no arena is found in the picture: expected a black border, "
             f"{x1 - x0:g} to {y1 - y0:g} in its proportions, as the world {scene.world.name} has it"
         )
     if len(found) > 1 and found[1][0] > 0.8 * found[0][0]:
-        raise InvalidEventError(
-            f"{shown_path(film.path)}: {len(found)} arenas beside each other are in the picture; "
+        raise ppl.errors.InvalidEventError(
+            f"{film.said}: {len(found)} arenas beside each other are in the picture; "
             "cut out the one that is to be read"
         )
     return found[0][1]
@@ -204,15 +216,17 @@ class Colours:
     entity has the colour of something else.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ppl.World) -> None:
         self.names = (*world.entities, *world.landmark_names, "background", "walls")
         marks = (one.colour for one in world.landmarks)
-        self.values = np.array([*world.entity_colours, *marks, BACKGROUND, WALL_COLOUR], float)
+        self.values = np.array(
+            [*world.entity_colours, *marks, Painter.background, Painter.wall_colour], float
+        )
         self._n = len(world.entities)
         for one in range(self._n):
             for other in range(one + 1, len(self.names)):
                 if np.linalg.norm(self.values[one] - self.values[other]) < _APART:
-                    raise InvalidSettingError(
+                    raise ppl.errors.InvalidSettingError(
                         f"the colours of {self.names[one]} and {self.names[other]} are "
                         f"{tuple(self.values[one].astype(int).tolist())} and "
                         f"{tuple(self.values[other].astype(int).tolist())}: too near each other "
@@ -264,7 +278,7 @@ class Still:
         for entity, parts in enumerate(own):
             pixels = np.concatenate(parts)
             if len(pixels) < 20:
-                raise InvalidEventError(
+                raise ppl.errors.InvalidEventError(
                     f"nothing in the film has the colour of the {colours.names[entity]}, "
                     f"{tuple(colours.values[entity].astype(int).tolist())}"
                 )
@@ -285,7 +299,7 @@ class Still:
             if shown < _LEAST * area or shown < 0.95 * seen.sum():
                 rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
                 if not len(rows):
-                    raise InvalidEventError(
+                    raise ppl.errors.InvalidEventError(
                         f"nothing in the film has the colour of the {one.name}, {one.colour}"
                     )
                 low = self._painter.units([columns[0], rows[-1] + 1])
@@ -302,15 +316,15 @@ class Still:
         black = self._lightest < BLACK
         found = []
         for axis in (0, 1):
-            length = np.ones((2 * WALL_PIXELS, 1) if axis == 0 else (1, 2 * WALL_PIXELS), bool)
+            length = np.ones((2 * _WALL, 1) if axis == 0 else (1, 2 * _WALL), bool)
             marks, _ = ndimage.label(ndimage.binary_opening(black, length))
             for number, place in enumerate(ndimage.find_objects(marks), 1):
                 along, across = place if axis == 0 else place[::-1]
                 thick = (marks[place] == number).sum() / (along.stop - along.start)
-                if thick > 2 * WALL_PIXELS or self._is_eye(place):
+                if thick > 2 * _WALL or self._is_eye(place):
                     continue
                 middle = (across.start + across.stop) / 2
-                ends = along.start + WALL_PIXELS / 2, along.stop - WALL_PIXELS / 2
+                ends = along.start + _WALL / 2, along.stop - _WALL / 2
                 points = [(middle, end) if axis == 0 else (end, middle) for end in ends]
                 found.append(self._snapped(painter.units(points)))
         return np.array(self._inner(found)).reshape(-1, 2, 2)
@@ -356,20 +370,20 @@ class Still:
                 inner.append(one)
         return inner
 
-    def check(self, scene: Scene) -> None:
+    def check(self, scene: ppl.Scene) -> None:
         """Raise InvalidEventError unless the film shows the scene's walls and landmarks."""
         black = self._lightest < BLACK
         for wall in scene.walls:
             points = wall[0] + np.linspace(0, 1, 50)[:, None] * (wall[1] - wall[0])
             columns, rows = self._painter.pixel(points).astype(int).T
             if black[rows, columns].mean() < 1 - _LEAST / 5:
-                raise InvalidEventError(
+                raise ppl.errors.InvalidEventError(
                     f"the film does not show the scene's wall {wall.tolist()}: it is of another "
                     "scene; give a layout instead, and walls are found in the film"
                 )
         extra = [wall for wall in self.walls() if not _covered(wall, scene.walls)]
         if extra:
-            raise InvalidEventError(
+            raise ppl.errors.InvalidEventError(
                 f"the film shows a wall {extra[0].tolist()} that the scene does not have: it is "
                 "of another scene; give a layout instead, and walls are found in the film"
             )
@@ -378,7 +392,7 @@ class Still:
         ):
             inside, area = self._square(centre, half)
             if (self._mark(index) & inside).sum() < _LEAST * area:
-                raise InvalidEventError(
+                raise ppl.errors.InvalidEventError(
                     f"the film does not show the scene's {name} at {centre.tolist()}"
                 )
 

@@ -11,32 +11,22 @@ from typing import Any, TypeAlias
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.design import LAPSE, Design, checked
-from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.evaluation.evaluation import Evaluation
-from phase_ppl.evaluation.fit_people import asked_about
-from phase_ppl.evaluation.judgments import all_events
-from phase_ppl.evaluation.observers.answers import Made, evidence_of
-from phase_ppl.evaluation.observers.fit import FittedObserver
-from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.registry import available_models
-from phase_ppl.models import priors
-from phase_ppl.models.model import Model
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown, unknown_name
-from phase_ppl.world.event import Event
-from phase_ppl.world.progress import counted
+import phase_ppl as ppl
+from phase_people.answers import Made, evidence_of
+from phase_people.fit import FittedObserver
+from phase_people.fit_people import asked_about
+from phase_people.information import LAPSE, Design, checked
+from phase_people.observers import FloatArray
 
 Candidate: TypeAlias = (
-    "str | os.PathLike[str] | Model | Evaluation | FittedObserver | Callable[..., Any] "
+    "str | os.PathLike[str] | ppl.Model | ppl.Evaluation | FittedObserver | Callable[..., Any] "
     "| Mapping[str, Any]"
 )
 """What can be told from others, see :func:`design`."""
 
 
 def design(
-    events: str | os.PathLike[str] | Sequence[Event],
+    events: str | os.PathLike[str] | Sequence[ppl.Event],
     models: Mapping[str, Candidate] | Sequence[str],
     question: str = "relation",
     *,
@@ -76,24 +66,27 @@ def design(
 
     Example:
         ``found = ppl.design(events, ["uniform", "sparse_social"], source="runs")``, then
-        ``found.best(5)`` and ``ppl.plot.design(found)``
+        ``found.best(5)`` and ``found.plot()``
 
     Raises:
         InvalidSettingError, UnknownNameError: a model, question or setting that cannot be used.
         InvalidEventError: events that cannot be read, or at which a model failed.
     """
-    chosen = all_events(events)
+    chosen = ppl.all_events(events)
     named = models if isinstance(models, Mapping) else {name: name for name in models}
     given = {str(label): one for label, one in named.items()}
     if isinstance(models, str) or len(given) < 2:
-        raise InvalidSettingError(f"models={shown(models)}: it takes two to be told apart")
+        raise ppl.errors.InvalidSettingError(
+            f"models={ppl.errors.shown(models)}: it takes two to be told apart"
+        )
     kinds = {label: _kind(label, one) for label, one in given.items()}
     asking = {"workers": workers, "progress": progress, "seed": seed, **options}
     base: Mapping[str, Made] | None = None
     if {"prior", "observer"} & {*kinds.values()}:
         if _kind("source", source) in ("prior", "observer"):
-            raise InvalidSettingError(
-                f"source={shown(source)}: expected what makes posteriors, such as 'stepwise'"
+            raise ppl.errors.InvalidSettingError(
+                f"source={ppl.errors.shown(source)}: expected what makes posteriors, such as "
+                "'stepwise'"
             )
         base = asked_about(chosen, source, **asking)
     rows: list[list[FloatArray]] = []
@@ -111,7 +104,9 @@ def design(
         for event in chosen:
             found_labels, found = _predicted(label, question, event.id, made)
             if labels and labels != found_labels:
-                raise InvalidSettingError(f"{label} has other answers to {question} than others")
+                raise ppl.errors.InvalidSettingError(
+                    f"{label} has other answers to {question} than others"
+                )
             labels = found_labels
             rows[-1].append(found)
     dims = ("model", "event", "answer")
@@ -125,17 +120,19 @@ def _kind(label: str, one: object) -> str:
     """Return "model", "prior" or "observer"."""
     if isinstance(one, FittedObserver):
         return "observer"
-    if isinstance(one, Model | Evaluation | Mapping | os.PathLike):
+    if isinstance(one, ppl.Model | ppl.Evaluation | Mapping | os.PathLike):
         return "model"
     if isinstance(one, str):
-        if Path(one).is_dir() or one in available_models():
+        if Path(one).is_dir() or one in ppl.available_models():
             return "model"
-        if one in priors.available():
+        if one in ppl.priors.available():
             return "prior"
-        known = [*available_models(), *priors.available()]
-        raise unknown_name(f"model or prior of {label!r}", one, known)
+        known = [*ppl.available_models(), *ppl.priors.available()]
+        raise ppl.errors.unknown_name(f"model or prior of {label!r}", one, known)
     if not callable(one):
-        raise InvalidSettingError(f"{label}={shown(one)} is no model, prior or fitted observer")
+        raise ppl.errors.InvalidSettingError(
+            f"{label}={ppl.errors.shown(one)} is no model, prior or fitted observer"
+        )
     try:
         inspect.signature(one).bind()
     except TypeError:
@@ -146,21 +143,21 @@ def _kind(label: str, one: object) -> str:
 def _under(
     label: str,
     prior: Any,
-    events: Sequence[Event],
+    events: Sequence[ppl.Event],
     base: Mapping[str, Made],
     progress: bool | None,
 ) -> dict[str, Made]:
     """Return event id -> its posterior under another prior."""
     found: dict[str, Made] = {}
-    for event in counted(events, progress, "event", label):
+    for event in ppl.counted(events, progress, "event", label):
         post = base.get(event.id)
-        if not isinstance(post, EventPosterior):
-            raise InvalidSettingError(
+        if not isinstance(post, ppl.Posterior | ppl.StepwisePosterior):
+            raise ppl.errors.InvalidSettingError(
                 f"{label} is a prior, for which the source must have a posterior of {event.id!r}"
             )
         try:
             found[event.id] = post.with_prior(prior)
-        except PhasePPLError as error:
+        except ppl.PhasePPLError as error:
             raise type(error)(f"{label}, {event.id}: {error}") from None
     return found
 
@@ -170,17 +167,19 @@ def _predicted(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the answers to a question about an event, their probabilities and errors (2, n)."""
     one = made.get(event)
-    if isinstance(one, Hypotheses):
+    if isinstance(one, ppl.Posterior | ppl.StepwisePosterior):
         marginal = one.marginal(question)
         names = tuple(str(name) for name in marginal[question].values)
         return names, np.stack([marginal.values, marginal["error"].values])
-    if not isinstance(one, Prediction):
-        raise InvalidSettingError(f"{label} says nothing of the event {event!r}")
+    if not isinstance(one, ppl.Prediction):
+        raise ppl.errors.InvalidSettingError(f"{label} says nothing of the event {event!r}")
     if question not in one.questions:
         what = f"question to {label}, which has predictions only:"
-        raise unknown_name(what, question, one.questions)
+        raise ppl.errors.unknown_name(what, question, one.questions)
     if question not in one.probabilities:
-        raise InvalidSettingError(f"{label} has no probabilities of {question} for {event!r}")
+        raise ppl.errors.InvalidSettingError(
+            f"{label} has no probabilities of {question} for {event!r}"
+        )
     shares = one.probabilities[question]
     errors = one.errors.get(question, np.full_like(shares, np.nan))
     return one.questions[question], np.stack([shares, errors])

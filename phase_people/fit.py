@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import importlib.metadata
 import json
 import os
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from typing import Any, Final
 
@@ -19,24 +21,28 @@ from jax import Array
 from numpyro import handlers
 from numpyro.infer import MCMC, NUTS
 
-from phase_ppl.analysis.with_arviz import arviz_groups, pareto_smoothed
-from phase_ppl.dataset.documents import check_schema, read_json
-from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of, expected, people
-from phase_ppl.evaluation.prediction import Prediction, as_prediction
-from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel
-from phase_ppl.models.density import tracing
-from phase_ppl.models.observers import OBSERVERS, Evidence, Perception, Program, observer_named
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
-from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.files import write_json
-from phase_ppl.world.scene import Scene
+import phase_ppl as ppl
+from phase_people.answers import Answers, check_is_phase, evidence_of, expected, people
+from phase_people.observers import (
+    OBSERVERS,
+    Evidence,
+    FloatArray,
+    Perception,
+    Program,
+    observer_named,
+)
 
 SCHEMA: Final = "phase-ppl-observer-1"
 KEPT: Final = 200  # draws of the parameters that a file keeps: a mean over them is off by little
 UNRELIABLE: Final = 0.7  # Pareto k from which on what is left out is left out by fitting again
 _NOT_PARAMETERS: Final = ("log_likelihood", "rater", "own_pace")
 _AT_A_TIME: Final = 50
+
+PEOPLE: Final = "people"
+"""Name of the observers that come with the package, fitted to people's judgments of relations in
+50 of PHASE's test videos; parameters only, no judgments."""
+
+_FILE: Final = resources.files("phase_people") / "people.json"
 _REMEMBERED: Final = 4  # samplers, so that observers fitted side by side are compiled once each
 
 
@@ -58,7 +64,7 @@ class FittedObserver:
     questions: tuple[str, ...]
     perception: Perception | None
 
-    @tracing()
+    @ppl.tracing()
     def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
         """Return question -> (draw, event, answer) shares of people that are expected."""
 
@@ -77,7 +83,7 @@ class FittedObserver:
         found = jax.jit(of_all)(draws, evidence.numbers)
         return {question: np.asarray(values, np.float64) for question, values in found.items()}
 
-    def predict(self, evidence: Evidence) -> dict[str, Prediction]:
+    def predict(self, evidence: Evidence) -> dict[str, ppl.Prediction]:
         """Return event id -> what people are expected to say, as a mean over the draws."""
         return _predictions(evidence, {q: p.mean(axis=0) for q, p in self.shares(evidence).items()})
 
@@ -87,7 +93,7 @@ class FittedObserver:
         Raises:
             OutputError: it cannot be written.
         """
-        write_json(path, self.to_dict())
+        ppl.files.write_json(path, self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
         """Return name and draws as plain data; :meth:`from_dict` gives them back."""
@@ -119,29 +125,103 @@ class FittedObserver:
             InvalidEventError: it is no such record, or lacks the program.
             UnknownNameError: there is no such ready-made observer.
         """
-        check_schema(record, SCHEMA, "this is no fitted observer")
+        if record.get("schema") != SCHEMA:
+            raise ppl.errors.InvalidEventError(
+                "this is no fitted observer: its schema is "
+                f"{ppl.errors.shown(record.get('schema'))}, not {SCHEMA!r}"
+            )
         name = str(record.get("observer", ""))
         if observer is None and not name:
-            raise InvalidSettingError("the observer is one of somebody's own: hand in its program")
+            raise ppl.errors.InvalidSettingError(
+                "the observer is one of somebody's own: hand in its program"
+            )
         try:
             draws = {k: np.array(values, np.float64) for k, values in record["draws"].items()}
             seen, questions = record["perception"], tuple(map(str, record["questions"]))
             perception = None if seen is None else Perception(**seen)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise InvalidEventError(f"a fitted observer is damaged: {error}") from None
+            raise ppl.errors.InvalidEventError(f"a fitted observer is damaged: {error}") from None
         if "spread" not in draws or {d.shape for d in draws.values()} != {draws["spread"].shape}:
-            raise InvalidEventError("a fitted observer is damaged: draws of unequal numbers")
+            raise ppl.errors.InvalidEventError(
+                "a fitted observer is damaged: draws of unequal numbers"
+            )
         return FittedObserver(observer or observer_named(name), name, draws, questions, perception)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], observer: Program | None = None) -> FittedObserver:
         """Read a file of :meth:`save`; arguments and errors as of :meth:`from_dict`."""
-        return cls.from_dict(read_json(path), observer)
+        return cls.from_dict(ppl.read_json(path), observer)
+
+    @classmethod
+    def named(
+        cls, name: str | os.PathLike[str], model: str, world: ppl.World | None = None
+    ) -> FittedObserver:
+        """Return "people", the observer that comes with the package for a model, or a file's.
+
+        Args:
+            name: "people", or the file.
+            model: by which "people" is chosen.
+            world: of the events that it is for, by default PHASE.
+
+        Raises:
+            InvalidSettingError: another world than PHASE, or "people" of a model for which there
+                are none.
+            InvalidEventError, UnknownNameError: as of :meth:`from_dict`.
+        """
+        if world is not None:
+            check_is_phase(world)
+        if name != PEOPLE:
+            return cls.load(name)
+        known = json.loads(_FILE.read_text(encoding="utf-8"))
+        if model not in known:
+            raise ppl.errors.InvalidSettingError(
+                f"observer 'people' comes for the models {', '.join(known)}, not for "
+                f"{ppl.errors.shown(model)}: phase_ppl.fit_people makes one"
+            )
+        return cls.from_dict(known[model])
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What determines how a model is seen through it, as plain data."""
+        digest = hashlib.sha256(json.dumps(self.to_dict()).encode()).hexdigest()
+        return {"observer": self.name, "observer_digest": digest}
+
+    def seeing(self, model: Callable[..., Any], world: ppl.World) -> Observed:
+        """Return a model seen through it; InvalidSettingError: in another world than PHASE."""
+        check_is_phase(world)
+        return Observed(model, self)
 
 
-def _predictions(evidence: Evidence, shares: Mapping[str, FloatArray]) -> dict[str, Prediction]:
+def _arviz() -> Any:
+    """Return ArviZ, which is slow to import."""
+    with warnings.catch_warnings():
+        # announces ArviZ 1, with which this works too
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+
+        return arviz
+
+
+@functools.cache
+def _is_new() -> bool:
+    return int(importlib.metadata.version("arviz").split(".")[0]) >= 1
+
+
+def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
+    if _is_new():
+        from arviz_stats.base import array_stats
+
+        logs, k = array_stats.psislw(log_ratios, axis=-1)
+    else:
+        logs, k = _arviz().psislw(log_ratios)
+    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
+    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
+
+
+def _predictions(evidence: Evidence, shares: Mapping[str, FloatArray]) -> dict[str, ppl.Prediction]:
     return {
-        event: Prediction(event, {q: p[i] / p[i].sum() for q, p in shares.items()})
+        event: ppl.Prediction(event, {q: p[i] / p[i].sum() for q, p in shares.items()})
         for i, event in enumerate(evidence.events)
     }
 
@@ -173,12 +253,11 @@ class PeopleFit(FittedObserver):
         judged = np.flatnonzero(self.answers.judged)
         logs = self.log_likelihood[:, judged].reshape(*shape, len(judged))
         events = {"event": [self.evidence.events[i] for i in judged]}
-        return arviz_groups(
-            {
-                "posterior": xr.Dataset(posterior),
-                "log_likelihood": xr.Dataset({"answers": ((*dims, "event"), logs)}, events),
-            }
-        )
+        groups = {
+            "posterior": xr.Dataset(posterior),
+            "log_likelihood": xr.Dataset({"answers": ((*dims, "event"), logs)}, events),
+        }
+        return xr.DataTree.from_dict(groups) if _is_new() else _arviz().InferenceData(**groups)
 
     @functools.cached_property
     def _left_out_weights(self) -> tuple[FloatArray, FloatArray]:
@@ -216,7 +295,7 @@ class PeopleFit(FittedObserver):
         return np.asarray(found)
 
     @functools.cached_property
-    def left_out(self) -> dict[str, Prediction]:
+    def left_out(self) -> dict[str, ppl.Prediction]:
         """Event id -> what is predicted of a video by the fit to all others.
 
         Draws are weighted by Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry 2017,
@@ -239,7 +318,7 @@ class PeopleFit(FittedObserver):
         )
 
 
-@tracing()
+@ppl.tracing()
 def sampled(
     observer: Program,
     name: str,
@@ -292,65 +371,47 @@ def as_observer(given: str | Program) -> tuple[Program, str]:
     if isinstance(given, str):
         return observer_named(given), given
     if not callable(given):
-        raise InvalidSettingError(f"observer={shown(given)} is no name and no program of evidence")
+        raise ppl.errors.InvalidSettingError(
+            f"observer={ppl.errors.shown(given)} is no name and no program of evidence"
+        )
     named = (name for name, one in OBSERVERS.items() if one == given)
     return given, next(named, "")
 
 
 # --- models seen through an observer --------------------------------------------------------------
 
-PEOPLE: Final = "people"
-"""Name of the observers that come with the package, fitted to people's judgments of relations in
-50 of PHASE's test videos; parameters only, no judgments."""
-
-_FILE: Final = resources.files("phase_ppl.evaluation.observers") / "people.json"
-
-
-def observer_of(given: str | os.PathLike[str] | FittedObserver, model: str) -> FittedObserver:
-    """Return a fitted observer: itself, a file's, or "people", the package's for this model."""
-    if isinstance(given, FittedObserver):
-        return given
-    if given != PEOPLE:
-        return FittedObserver.load(given)
-    known = json.loads(_FILE.read_text(encoding="utf-8"))
-    if model not in known:
-        raise InvalidSettingError(
-            f"observer 'people' comes for the models {', '.join(known)}, not for {shown(model)}: "
-            "phase_ppl.fit_people makes one"
-        )
-    return FittedObserver.from_dict(known[model])
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Observed:
     """A model whose answers an observer gives; what it was not fitted to stays the model's."""
 
-    model: Predict
+    model: Callable[[ppl.Scene, ppl.Observation, int], Any]
     observer: FittedObserver
 
-    def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
+    def __call__(self, scene: ppl.Scene, observation: ppl.Observation, seed: int) -> ppl.Answer:
         """Return the answers that people are expected to give."""
         perception = self.observer.perception
         readings = [observation]
         if perception is not None:
             readings = perception.readings(scene, observation, seed)
         given = [self.model(scene, one, seed) for one in readings]
-        answers = [one if isinstance(one, Answer) else Answer(one) for one in given]
-        made: list[Made] = [answer.posterior or as_prediction(answer.given) for answer in answers]
-        event = Event(scene, observation)
+        answers = [one if isinstance(one, ppl.Answer) else ppl.Answer(one) for one in given]
+        told = [ppl.Prediction.of(answer.given) for answer in answers]
+        made: list[Any] = [a.posterior or one for a, one in zip(answers, told, strict=True)]
+        event = ppl.Event(scene, observation)
         evidence = evidence_of([event], {event.id: made})
         (expected,) = self.observer.predict(evidence).values()
-        own = as_prediction(answers[0].given)
+        own = told[0]
         fitted = {q: p for q, p in expected.probabilities.items() if q in self.observer.questions}
         kept = {q: a for q, a in own.answers.items() if q not in fitted}
-        prediction = Prediction(
+        prediction = ppl.Prediction(
             "",
             {**{q: own.probabilities[q] for q in kept if q in own.probabilities}, **fitted},
             kept,
-            _summed([as_prediction(one.given).cost for one in answers]),
+            _summed([one.cost for one in told]),
             {q: e for q, e in own.errors.items() if q in kept},
         )
-        return Answer(prediction, answers[0].artefacts)
+        return ppl.Answer(prediction, answers[0].artefacts)
 
     def warm_up(self) -> None:
         """Prepare what all processes share."""
@@ -365,11 +426,3 @@ def _summed(costs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         else sum(cost.get(name, 0) for cost in costs)
         for name, value in costs[0].items()
     }
-
-
-def seen_through(model: ReadyModel, given: str | os.PathLike[str] | FittedObserver) -> ReadyModel:
-    """Return a model seen through an observer."""
-    observer = observer_of(given, model.name)
-    digest = hashlib.sha256(json.dumps(observer.to_dict()).encode()).hexdigest()
-    record: dict[str, Any] = {**model.record, "observer": observer.name, "observer_digest": digest}
-    return dataclasses.replace(model, predict=Observed(model.predict, observer), record=record)

@@ -11,29 +11,26 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import html
 import itertools
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from phase_ppl.analysis.estimate import Estimate, entropy
-from phase_ppl.dataset.documents import read_json
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    check_name,
-    shown,
-    whole_number,
-)
-from phase_ppl.world.files import write_json
-from phase_ppl.world.picture import Printed, plain
+import phase_ppl as ppl
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FloatArray: TypeAlias = NDArray[np.float64]
 
 SCHEMA: Final = "phase-ppl-design-1"
 
@@ -45,12 +42,27 @@ _REPLICATES: Final = 40  # of the models' probabilities within their errors
 _LISTED: Final = 20
 _RANDOM_SETS: Final = 100
 
+_NAME: Final = 32  # characters of an id that a figure shows
+_INK, _GREY, _BLUE, _PALE_BLUE = "#222222", "#666666", "#0072b2", "#56a0d3"
+_SMALL, _NORMAL = 7.5, 8.5  # font sizes, points
+
+
+def _titled(axes: Axes, title: str, note: str) -> None:
+    """Write a title, and smaller what stands between it and the axes."""
+    axes.set_title(title, pad=15)
+    place: dict[str, Any] = {
+        "xycoords": "axes fraction",
+        "textcoords": "offset points",
+        "annotation_clip": False,
+    }
+    axes.annotate(note, (0, 1), (0, 4), color=_GREY, **place)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Design(Printed):
+class Design:
     """What answers about events can be expected to say about which of several models is right.
 
-    :func:`phase_ppl.design` returns one. Printed it is a table, ``ppl.plot.design`` draws it.
+    :func:`phase_ppl.design` returns one. Printed it is a table, :meth:`plot` draws it.
 
     Attributes:
         probabilities: (model, event, answer) of answers, sum 1, with the coordinate ``error``, NaN
@@ -87,7 +99,7 @@ class Design(Printed):
     @property
     def most(self) -> float:
         """The most that can be known: the entropy of the prior over models, nats."""
-        return float(entropy(self.prior))
+        return float(-(self.prior * np.log(self.prior)).sum())
 
     # --- single events -------------------------------------------------------------------------
 
@@ -187,7 +199,7 @@ class Design(Printed):
         error = nats.std(axis=0) / math.sqrt(len(nats))
         return np.array([nats.mean(axis=0), error, leads.mean(axis=0)])
 
-    def joint(self, events: Iterable[str]) -> Estimate:
+    def joint(self, events: Iterable[str]) -> ppl.Estimate:
         """Return what answers about several events say together, nats, with its error.
 
         One that is named twice counts once.
@@ -197,10 +209,10 @@ class Design(Printed):
         """
         places = [self._place(event) for event in dict.fromkeys(events)]
         value, error, _ = self._expected(self._simulated[:, places].sum(axis=1))
-        return Estimate(float(value), float(error))
+        return ppl.Estimate(float(value), float(error))
 
     def _place(self, event: str) -> int:
-        check_name("event", event, self.events)
+        ppl.errors.check_name("event", event, self.events)
         return self.events.index(event)
 
     def best(self, n: int) -> pd.DataFrame:
@@ -215,7 +227,7 @@ class Design(Printed):
             model that people answer by would lead. Of 4000 draws of a model and its answers one
             half chooses, the other estimates.
         """
-        n = min(whole_number("n", n), len(self.events))
+        n = min(ppl.errors.whole_number("n", n), len(self.events))
         logs = np.zeros((DRAWS, len(self.prior)))
         rows, left = [], list(range(len(self.events)))
         for _ in range(n):
@@ -234,7 +246,7 @@ class Design(Printed):
             A row per number of events: ``information`` on average, ``low`` and ``high``, its 5 %
             and 95 % quantiles, and ``right``.
         """
-        n = min(whole_number("n", n), len(self.events))
+        n = min(ppl.errors.whole_number("n", n), len(self.events))
         rng = np.random.default_rng(self.seed)
         found = np.empty((_RANDOM_SETS, n, 2))
         for order in range(_RANDOM_SETS):
@@ -263,18 +275,72 @@ class Design(Printed):
             place = self._place(event)
             counted = given if isinstance(given, Mapping) else {}
             for answer in counted or ([given] if isinstance(given, str) else given):
-                check_name("answer", answer, labels)
+                ppl.errors.check_name("answer", answer, labels)
                 if times := counted.get(answer, 1):  # what nobody said may be impossible
                     log_mass = log_mass + times * self._log_shares[:, place, labels.index(answer)]
         if np.isneginf(log_mass).all():
-            raise InvalidSettingError("no model can give these answers, without lapses")
+            raise ppl.errors.InvalidSettingError("no model can give these answers, without lapses")
         shares = np.exp(log_mass - logsumexp(log_mass))
         return dict(zip(self.models, shares.tolist(), strict=True))
 
-    # --- files and print -----------------------------------------------------------------------
+    # --- a figure, files and print ---------------------------------------------------------------
+
+    @ppl.plot.in_style
+    def plot(self, path: str | os.PathLike[str] | None = None, *, n: int = 12) -> Figure:
+        """Draw the most telling events, ``n`` at most, and what the best chosen say together.
+
+        8 inches wide. Left, the expected information of each event, with its error where it is
+        known. Right, that of the events of :meth:`best` together, beside as many taken by chance
+        (mean and 90 % of 100 orders); the dotted line is all that can be known. The figure belongs
+        to no global state, and with a ``path`` it is written there as well.
+
+        Raises:
+            OutputError: it cannot be written there, or the ending is not .png, .pdf or .svg.
+        """
+        table = self.table.head(n)
+        figure = ppl.plot.new_figure(8.0, max(2.6, 1.1 + 0.2 * len(table)))
+        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+        places = np.arange(len(table))[::-1]
+        error = {"xerr": table["error"], "error_kw": {"ecolor": _INK, "elinewidth": 1}}
+        left.barh(places, table["information"], 0.62, color=_PALE_BLUE, **error)
+        people = "an answer" if self.answers == 1 else f"{self.answers} answers"
+        note = f"expected information of {people} about the {self.question}"
+        _titled(left, "Events that tell models apart", note)
+        left.set_xlabel("nats")
+        left.set_yticks(places, [name[:_NAME] for name in table.index], fontsize=_SMALL)
+        left.set_xlim(left=0)
+
+        chosen, random = self.best(n), self.at_random(n)
+        counts = np.arange(1, len(chosen) + 1)
+        right.axhline(self.most, color=_GREY, lw=0.8, ls=":")
+        end = {"color": _GREY, "va": "bottom", "ha": "right"}
+        right.text(len(chosen), self.most, "all that can be known", **end)
+        right.fill_between(counts, random["low"], random["high"], color=_GREY, alpha=0.16, lw=0)
+        right.plot(counts, random["information"], color=_GREY, lw=1.6)
+        right.plot(counts, chosen["information"], "o-", ms=3, color=_BLUE, lw=1.8)
+        middle = len(counts) // 2
+        for text, y, colour, side, up in (
+            ("chosen", chosen["information"], _BLUE, "bottom", 5),
+            ("by chance", random["information"], _GREY, "top", -7),
+        ):
+            style: dict[str, Any] = {
+                "ha": "center",
+                "va": side,
+                "fontsize": _NORMAL,
+                "color": colour,
+            }
+            at = counts[middle], y.iloc[middle]
+            right.annotate(text, at, (0, up), textcoords="offset points", **style)
+        _titled(right, "Several events together", f"between {', '.join(self.models)}"[:64])
+        right.set(xlabel="events", ylabel="nats", ylim=(0, self.most * 1.12))
+        right.set_xticks(counts[:: max(1, len(counts) // 6)])
+        right.grid(axis="y")
+        return ppl.plot.written(figure, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it to a .json file, from which :meth:`load` reads it."""
+        errors = self.probabilities["error"].values
+        none = np.full(errors.shape, None)  # of what is not known
         record = {
             "schema": SCHEMA,
             "question": self.question,
@@ -286,9 +352,9 @@ class Design(Printed):
             "events": self.events,
             "labels": self.labels,
             "probabilities": self.probabilities.values.tolist(),
-            "errors": plain(self.probabilities["error"].values),  # None where it is not known
+            "errors": np.where(np.isfinite(errors), errors, none).tolist(),
         }
-        write_json(path, record)
+        ppl.files.write_json(path, record)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
@@ -297,9 +363,11 @@ class Design(Printed):
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
-        record = read_json(path)
+        record = ppl.read_json(path)
         if record.get("schema") != SCHEMA:
-            raise InvalidEventError(f"{path}: its schema is {record.get('schema')!r}, not {SCHEMA}")
+            raise ppl.errors.InvalidEventError(
+                f"{path}: its schema is {record.get('schema')!r}, not {SCHEMA}"
+            )
         try:
             dims = ("model", "event", "answer")
             coords = {dim: record[f"{dim}s"] for dim in dims[:2]} | {"answer": record["labels"]}
@@ -313,7 +381,7 @@ class Design(Printed):
                 seed=record["seed"],
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise InvalidEventError(f"{path} is damaged: {error}") from None
+            raise ppl.errors.InvalidEventError(f"{path} is damaged: {error}") from None
 
     def __str__(self) -> str:
         people = "one answer" if self.answers == 1 else f"{self.answers} answers"
@@ -326,6 +394,9 @@ class Design(Printed):
         text = table.to_string(float_format=lambda number: f"{number:.3f}", na_rep="?")
         rest = len(self.events) - len(table)
         return f"{head}\n{text}" + (f"\n... and {rest} less telling ones" if rest else "")
+
+    def _repr_html_(self) -> str:
+        return f'<pre style="line-height:1.25">{html.escape(str(self))}</pre>'
 
     def __repr__(self) -> str:
         return f"<Design: {self.question} of {len(self.events)} events, {len(self.models)} models>"
@@ -343,25 +414,29 @@ def checked(
     """Return a design of (model, event, answer) probabilities; errors as ``phase_ppl.design``."""
     models = [str(name) for name in probabilities["model"].values]
     if len(models) < 2:
-        raise InvalidSettingError(f"models={shown(models)}: it takes two to be told apart")
+        raise ppl.errors.InvalidSettingError(
+            f"models={ppl.errors.shown(models)}: it takes two to be told apart"
+        )
     if isinstance(lapse, bool) or not 0 <= lapse < 1:
-        raise InvalidSettingError(f"lapse={shown(lapse)}, expected a number in [0, 1)")
+        raise ppl.errors.InvalidSettingError(
+            f"lapse={ppl.errors.shown(lapse)}, expected a number in [0, 1)"
+        )
     weights = np.ones(len(models))
     if prior is not None:
         for name in prior:
-            check_name("model in prior", name, models)
+            ppl.errors.check_name("model in prior", name, models)
         weights = np.array([float(prior.get(name, 0.0)) for name in models])
         if not (np.isfinite(weights).all() and (weights > 0).all()):
-            raise InvalidSettingError(
-                f"prior={shown(dict(prior))}, expected a positive number for every model"
+            raise ppl.errors.InvalidSettingError(
+                f"prior={ppl.errors.shown(dict(prior))}, expected a positive number for every model"
             )
     return Design(
         probabilities,
         question,
-        whole_number("answers", answers),
+        ppl.errors.whole_number("answers", answers),
         float(lapse),
         weights / weights.sum(),
-        whole_number("seed", seed, minimum=0),
+        ppl.errors.whole_number("seed", seed, minimum=0),
     )
 
 

@@ -23,10 +23,10 @@ from scipy.special import logsumexp, softmax
 from scipy.stats import norm
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.observers.answers import Answers, people
-from phase_ppl.evaluation.observers.fit import FittedObserver, PeopleFit, observer_of, sampled
+from phase_people.answers import Answers, people
+from phase_people.fit import FittedObserver, PeopleFit, sampled
+from phase_people.observers import CUES, Evidence, Observer, Program, cues
 from phase_ppl.evaluation.prediction import QUESTIONS
-from phase_ppl.models.observers import CUES, Evidence, Observer, Program, cues
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
@@ -116,7 +116,7 @@ def test_a_stored_observer_answers_as_the_fit(fit: PeopleFit, tmp_path: Path) ->
     one, other = (each.predict(world()[0])["v1"].probabilities for each in (read, fit))
     assert one["relation"] == pytest.approx(other["relation"], abs=0.03)
     with pytest.raises(InvalidSettingError, match="hand in its program"):
-        observer_of(file, "anything")
+        FittedObserver.named(file, "anything")
     record = json.loads(file.read_text())
     for broken, message in (
         ({**record, "schema": "other"}, "schema is 'other'"),
@@ -256,7 +256,7 @@ def test_all_readings_of_a_video_are_paid_for() -> None:
         return ppl.Prediction("", shares, cost={"searches": asked[-1], "cached": True})
 
     people = dataclasses.replace(
-        observer_of("people", "chance"), perception=ppl.Perception(percepts=4)
+        FittedObserver.named("people", "chance"), perception=ppl.Perception(percepts=4)
     )
     seen = ppl.evaluate([event], counting, observer=people, progress=False)
     cost = seen.predictions[event.id].cost

@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 
 import phase_ppl as ppl
+from phase_films import reading as films
+from phase_films.frames import Film
 from phase_ppl.cli import main
-from phase_ppl.dataset.films import reading as films
-from phase_ppl.dataset.films.frames import Film
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene

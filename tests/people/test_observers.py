@@ -12,10 +12,9 @@ import pytest
 from numpyro import handlers
 
 import phase_ppl as ppl
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.evaluation.observers.answers import FLOOR, evidence_of
-from phase_ppl.models import observers
-from phase_ppl.models.observers import (
+from phase_people import observers
+from phase_people.answers import FLOOR, PAIRS, evidence_of
+from phase_people.observers import (
     CUES,
     Evidence,
     Observer,
@@ -23,6 +22,7 @@ from phase_ppl.models.observers import (
     observer_named,
     surface_cues,
 )
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Observation
 from phase_ppl.world.goals import N_GOALS
@@ -180,8 +180,6 @@ def test_what_is_no_observer_is_refused() -> None:
 
 
 def test_few_hypotheses_answer_as_all_pairs_of_goals_do() -> None:
-    from phase_ppl.evaluation.observers.answers import PAIRS
-
     rng = np.random.default_rng(0)
     n = PAIRS["relation"].size
     logs = -rng.gamma(2.0, 3.0, (3, 1, 5, n))

@@ -15,17 +15,20 @@ import xarray as xr
 from jax import Array
 from scipy import special, stats
 
-from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.evaluation.judgments import Study
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.evaluation.ratings import event_judgments
-from phase_ppl.models.observers import CUES, HALF_LIVES, Evidence, Program, Responses, surface_cues
-from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.event import Event
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
-from phase_ppl.world.scene import check_is_phase
+import phase_ppl as ppl
+from phase_people.observers import (
+    ANSWERS,
+    CUES,
+    HALF_LIVES,
+    QUESTIONS,
+    RELATIONS,
+    Evidence,
+    FloatArray,
+    IntArray,
+    Program,
+    Responses,
+    surface_cues,
+)
 
 _NODES: Final = 64  # points at which what people share about a video is summed out
 _STEPS: Final = 10  # of Newton's method, damped, to where they lie
@@ -44,9 +47,9 @@ class Answers:
     seconds: FloatArray  # (time,)
 
     @classmethod
-    def of(cls, events: Sequence[Event], study: Study | None = None) -> Answers:
+    def of(cls, events: Sequence[ppl.Event], study: ppl.Study | None = None) -> Answers:
         """Collect the judgments that events carry, and the response times of a study."""
-        judged = {i: one for i, e in enumerate(events) if (one := event_judgments(e)) is not None}
+        judged = {i: one for i, e in enumerate(events) if (one := ppl.Judgments.of(e)) is not None}
         counts = {
             question: np.zeros((len(events), len(labels)), np.int64)
             for question, labels in QUESTIONS.items()
@@ -56,7 +59,7 @@ class Answers:
                 counts[question][event] = given
         counts = {question: n for question, n in counts.items() if n.any()}
         if not counts:
-            raise InvalidEventError("nobody judged any of the events")
+            raise ppl.errors.InvalidEventError("nobody judged any of the events")
         named = all(one.responses for one in judged.values())
         names = sorted({who for one in judged.values() for who in one.responses} if named else ())
         place = {who: i for i, who in enumerate(names)}
@@ -227,7 +230,7 @@ def _of_times(said: Responses, answers: Answers, n_raters: int, n_events: int) -
 
 # --- what a model saw -----------------------------------------------------------------------------
 
-Made: TypeAlias = Hypotheses | Prediction | None
+Made: TypeAlias = "ppl.Posterior | ppl.StepwisePosterior | ppl.Prediction | None"
 """What a model made of a video; None: surface cues are all there is."""
 
 FLOOR: Final = 0.01
@@ -237,16 +240,27 @@ it does not know that it is impossible."""
 _LOWEST: Final = -1e4
 """Nats in place of minus infinity, of which single precision has no differences."""
 
+_N: Final = ANSWERS["goal_red"]
 PAIRS: Final = {
-    "relation": RELATION_TABLE.ravel().astype(np.int64),
-    "goal_red": np.repeat(np.arange(N_GOALS), N_GOALS),
-    "goal_green": np.tile(np.arange(N_GOALS), N_GOALS),
+    "relation": np.array(
+        [RELATIONS.index(ppl.Truth(one, two).relation) for one in ppl.GOALS for two in ppl.GOALS]
+    ),
+    "goal_red": np.repeat(np.arange(_N), _N),
+    "goal_green": np.tile(np.arange(_N), _N),
 }
 _RELATIONS_ONLY: Final = {"relation": np.arange(len(RELATIONS))}
 
 
+def check_is_phase(world: ppl.World, what: str = "an observer of people") -> None:
+    """Raise InvalidSettingError for another world than PHASE."""
+    if world != ppl.worlds.PHASE:
+        raise ppl.errors.InvalidSettingError(
+            f"{what} knows the world PHASE only, not {world.name!r}"
+        )
+
+
 def evidence_of(
-    events: Sequence[Event], made: Mapping[str, Made | Sequence[Made]] | None = None
+    events: Sequence[ppl.Event], made: Mapping[str, Made | Sequence[Made]] | None = None
 ) -> Evidence:
     """Return what observers have to go by: scene and observation of the events, nothing else.
 
@@ -256,23 +270,25 @@ def evidence_of(
     InvalidSettingError: an event is of another world than PHASE.
     """
     for event in events:
-        check_is_phase(event.scene.world, "an observer of people")
+        check_is_phase(event.scene.world)
     readings: list[list[Made]] = []
     for event in events:
         one = None if made is None else made.get(event.id)
         if made is not None and one is None:
-            raise InvalidSettingError(f"the model made nothing of the event {event.id!r}")
+            raise ppl.errors.InvalidSettingError(
+                f"the model made nothing of the event {event.id!r}"
+            )
         readings.append(list(one) if isinstance(one, Sequence) else [one])
     tables = [
         [_table(event.id, one) for one in of] for event, of in zip(events, readings, strict=True)
     ]
     sizes = {(len(of), of[0][1].size) for of in tables}
     if len(sizes) > 1:
-        raise InvalidSettingError(
+        raise ppl.errors.InvalidSettingError(
             "some events have a posterior, others a prediction only, or other numbers of readings"
         )
     likelihood = np.array([[one[0] for one in of] for of in tables])  # event, percept, leak, h
-    pairs = sizes == {(len(tables[0]), N_GOALS**2)}
+    pairs = sizes == {(len(tables[0]), _N**2)}
     cues = [surface_cues(event.scene, event.observation) for event in events]
     return Evidence(
         tuple(event.id for event in events),
@@ -288,9 +304,9 @@ def _table(event_id: str, made: Made) -> tuple[FloatArray, FloatArray]:
     if made is None:
         n = len(RELATIONS)
         return np.zeros((len(HALF_LIVES), n)), np.full(n, -np.log(n))
-    if isinstance(made, Prediction):
+    if isinstance(made, ppl.Prediction):
         if "relation" not in made.probabilities:
-            raise InvalidSettingError(
+            raise ppl.errors.InvalidSettingError(
                 f"event {event_id!r}: no probabilities of relations are given"
             )
         shares = made.probabilities["relation"]

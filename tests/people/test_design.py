@@ -13,10 +13,9 @@ import xarray as xr
 from scipy.stats import binom
 
 import phase_ppl as ppl
-from phase_ppl.analysis.design import checked
+from phase_people.answers import evidence_of
+from phase_people.information import checked
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.evaluation.observers.answers import evidence_of
-from phase_ppl.evaluation.observers.fit import observer_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
@@ -181,7 +180,7 @@ def test_it_prints_draws_and_is_saved(videos: Videos, tmp_path: Path) -> None:
     again = ppl.Design.load(tmp_path / "design.json")
     assert str(again) == str(found)
     assert again.best(3).equals(found.best(3))
-    ppl.plot.design(found, tmp_path / "design.png", n=4)
+    found.plot(tmp_path / "design.png", n=4)
     assert (tmp_path / "design.png").exists()
     (tmp_path / "other.json").write_text("{}")
     with pytest.raises(InvalidEventError, match="schema"):
@@ -194,7 +193,7 @@ def test_a_function_or_people_can_be_told_from_a_prior(videos: Videos) -> None:
     def friendly(scene: Any, observation: Any, seed: int) -> dict[str, Any]:
         return {"relation": {"friendly": 0.8, "neutral": 0.1, "adversarial": 0.1}}
 
-    people = observer_of("people", "stepwise")
+    people = ppl.FittedObserver.named("people", "stepwise")
     models = {"kind": friendly, "people": people, "ideal": "uniform"}
     found = ppl.design(events[:3], models, source=read, workers=1, progress=False)
     kind, of_people, _ = found.probabilities.values
@@ -216,7 +215,7 @@ def test_errors_that_are_unknown_are_not_taken_for_none(tmp_path: Path) -> None:
     assert np.isnan(found.information["error"].values).all()
     assert math.isnan(silent["one"]["video"].estimate("relation", "friendly").error)
     assert " ? " in str(found).splitlines()[-1]
-    assert ppl.plot.design(found) is not None
+    assert found.plot() is not None
     found.save(tmp_path / "design.json")
     assert str(ppl.Design.load(tmp_path / "design.json")) == str(found)
     known = ppl.design([event], exact, progress=False)

@@ -28,22 +28,9 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 from jax import Array
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from phase_ppl.dataset.motion import items_held, moves_to_the_end
-from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import (
-    InvalidSettingError,
-    check_name,
-    nonnegative_number,
-    shown,
-    whole_number,
-)
-from phase_ppl.world.event import Observation
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.names import AGENTS, NOTHING
-from phase_ppl.world.scene import Scene
+import phase_ppl as ppl
 
 __all__ = [
     "ANSWERS",
@@ -67,12 +54,19 @@ __all__ = [
 ]
 
 
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+
+QUESTIONS: Final = ppl.questions_of(ppl.worlds.PHASE)
+RELATIONS: Final = QUESTIONS["relation"]
+"""What is asked about an event of PHASE -> the possible answers; those about the relation."""
+
 HALF_LIVES: Final = (math.inf, 40.0, 10.0)
 """Frames after which what was seen counts half, for each table of ``log_likelihood``."""
 
 _LEAST: Final = 1e-30  # keeps logarithms of shares finite in single precision
 
-ANSWERS: Final = {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS}
+ANSWERS: Final = {name: len(QUESTIONS[name]) for name in ("relation", "goal_red", "goal_green")}
 """Question -> number of its answers."""
 
 
@@ -173,7 +167,7 @@ def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
     ``toward`` has nats per unit of ``values``, (event,) or a number; other relations get 0.
     """
     for relation in toward:
-        check_name("relation", relation, RELATIONS)
+        ppl.errors.check_name("relation", relation, RELATIONS)
     nats = jnp.array([toward.get(relation, 0.0) for relation in RELATIONS])
     return jnp.asarray(values)[..., None] * nats[evidence.answers["relation"]]
 
@@ -191,9 +185,11 @@ _SIDE: Final = 1.2
 
 _AT: Final = 0.4  # units within which of an item an agent is at it
 _MOVES: Final = 0.05  # units per frame from which on a body counts as moving
+_STIRS: Final = 0.02  # the same where the end of all motion is looked for
+_TAIL: Final = 5  # frames of rest that are none: recordings that were cut go on for 5 to 9
 
 
-def surface_cues(scene: Scene, observation: Observation) -> dict[str, float]:
+def surface_cues(scene: ppl.Scene, observation: ppl.Observation) -> dict[str, float]:
     """Return the cues of one video, each of a size of about 1.
 
     ``distance``: log of the mean distance between the agents' centres over 5 units; ``contact``:
@@ -208,14 +204,14 @@ def surface_cues(scene: Scene, observation: Observation) -> dict[str, float]:
     red, green = trajectory[:, 0, :2], trajectory[:, 1, :2]
     apart = np.linalg.norm(red - green, axis=1)
     touch = apart < REACH * (radius[0] + radius[1])
-    held = items_held(trajectory, radius)
+    held = ppl.items_held(trajectory, radius)
     steps = np.diff(trajectory[:, :2, :2], axis=0)
     speeds = np.linalg.norm(steps, axis=2)
     moving = (speeds > _MOVES).all(axis=1)
     cosine = steps.prod(axis=1).sum(axis=1) / np.maximum(speeds.prod(axis=1), _MOVES**2)
-    items = trajectory[:, None, len(AGENTS) :, :2]
-    rims = _SIDE * radius[: len(AGENTS), None] + radius[len(AGENTS) :]
-    at = np.linalg.norm(trajectory[:, : len(AGENTS), None, :2] - items, axis=-1) < rims + _AT
+    items = trajectory[:, None, len(ppl.AGENTS) :, :2]
+    rims = _SIDE * radius[: len(ppl.AGENTS), None] + radius[len(ppl.AGENTS) :]
+    at = np.linalg.norm(trajectory[:, : len(ppl.AGENTS), None, :2] - items, axis=-1) < rims + _AT
     shifted = np.linalg.norm(np.diff(items[:, 0], axis=0), axis=-1) > _MOVES
     handled = (at[1:] & shifted[:, None]).mean(axis=0)  # agent, item
     begins = np.flatnonzero(touch[1:] & ~touch[:-1])
@@ -225,10 +221,17 @@ def surface_cues(scene: Scene, observation: Observation) -> dict[str, float]:
         "working": float(np.sqrt(handled.prod(axis=0)).max()),
         "impact": float(max((apart[max(i - 2, 0)] - apart[i + 1] for i in begins), default=0.0))
         / _NEAR,
-        "holding": float(((held[:, 0] != NOTHING) & (held[:, 0] == held[:, 1])).any()),
-        "unsettled": float(moves_to_the_end(trajectory)),
+        "holding": float(((held[:, 0] != -1) & (held[:, 0] == held[:, 1])).any()),
+        "unsettled": float(_moves_to_the_end(trajectory)),
         "synchrony": float(np.where(moving, cosine, 0.0).mean()),
     }
+
+
+def _moves_to_the_end(trajectory: FloatArray) -> bool:
+    """Whether something still moves in the last frames, so that no rest was cut off."""
+    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
+    moving = np.flatnonzero(steps > _STIRS)
+    return moving.size > 0 and len(steps) - 1 - int(moving[-1]) < _TAIL
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,19 +253,23 @@ class Perception:
 
     def __post_init__(self) -> None:
         for name in ("noise", "missed"):
-            nonnegative_number(name, getattr(self, name))
+            ppl.errors.nonnegative_number(name, getattr(self, name))
         if self.missed >= 1:
-            raise InvalidSettingError(f"missed={self.missed!r}, expected a number in [0, 1)")
-        whole_number("percepts", self.percepts)
+            raise ppl.errors.InvalidSettingError(
+                f"missed={self.missed!r}, expected a number in [0, 1)"
+            )
+        ppl.errors.whole_number("percepts", self.percepts)
 
-    def readings(self, scene: Scene, observation: Observation, seed: int) -> list[Observation]:
+    def readings(
+        self, scene: ppl.Scene, observation: ppl.Observation, seed: int
+    ) -> list[ppl.Observation]:
         """Return ``percepts`` readings; the same seed gives the same ones."""
         rng = np.random.default_rng(seed)
         return [self._reading(scene, observation.trajectory, rng) for _ in range(self.percepts)]
 
     def _reading(
-        self, scene: Scene, trajectory: FloatArray, rng: np.random.Generator
-    ) -> Observation:
+        self, scene: ppl.Scene, trajectory: FloatArray, rng: np.random.Generator
+    ) -> ppl.Observation:
         seen = rng.random(len(trajectory)) >= self.missed
         seen[[0, -1]] = True
         low, high = np.reshape(scene.arena, (2, 2)).T
@@ -272,7 +279,7 @@ class Perception:
         found = filled.reshape(trajectory.shape)
         noise = rng.normal(0.0, self.noise, found[1:, :, :2].shape) * seen[1:, None, None]
         found[1:, :, :2] = np.clip(found[1:, :, :2] + noise, low, high)
-        return Observation(found)
+        return ppl.Observation(found)
 
 
 # --- parts ----------------------------------------------------------------------------------------
@@ -323,8 +330,8 @@ def cues(**toward: str) -> Part:
     common scale ``cue_scale`` is inferred, so that useless ones shrink together.
     """
     for name, relation in toward.items():
-        check_name("cue", name, CUES)
-        check_name("relation", relation, RELATIONS)
+        ppl.errors.check_name("cue", name, CUES)
+        ppl.errors.check_name("relation", relation, RELATIONS)
 
     def part(belief: Belief, evidence: Evidence) -> Belief:
         scale = numpyro.sample("cue_scale", dist.HalfNormal(2.0))
@@ -386,9 +393,11 @@ class Observer:
     def __init__(self, *parts: Part) -> None:
         for part in parts:
             if not callable(part):
-                raise InvalidSettingError(f"part {shown(part)} is no function (belief, evidence)")
+                raise ppl.errors.InvalidSettingError(
+                    f"part {ppl.errors.shown(part)} is no function (belief, evidence)"
+                )
         if leak in parts[1:]:
-            raise InvalidSettingError(
+            raise ppl.errors.InvalidSettingError(
                 "leak comes first: it takes all evidence anew, whatever parts before it made of it"
             )
         object.__setattr__(self, "parts", parts)
@@ -434,7 +443,7 @@ OBSERVERS: Final[Mapping[str, Observer]] = {
 
 def observer_named(name: str) -> Observer:
     """Return a ready-made observer."""
-    check_name("observer", name, OBSERVERS)
+    ppl.errors.check_name("observer", name, OBSERVERS)
     return OBSERVERS[name]
 
 

@@ -1,1 +1,0 @@
-"""Observers fitted to people: evidence from models, answers from studies, and what follows."""
