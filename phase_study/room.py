@@ -443,6 +443,6 @@ def driving(
         before, gone = gone, float(stage.state.pose[0, 1]) - start[0, 1]
         if gone >= way:
             return float(step)
-        if step >= _STEADY and (resets_velocity or gone <= _CREEPS):
+        if step >= _STEADY and (resets_velocity or gone - before <= _CREEPS):
             break
     return step + (way - gone) / (gone - before) if gone - before > _CREEPS else np.inf

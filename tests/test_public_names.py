@@ -63,7 +63,7 @@ def test_whether_a_kernel_is_named_says_what_infer_returns(tmp_path: Path) -> No
         "ppl.Hypothesis('Get blue item to blue lm', 'get to red agent').goal_red + 1",
         "ppl.Observation([[[8.0, 20, 0]] * 4] * 2).n_frames",
     )
-    wrong = "ppl.infer(event).untried"
+    wrong = "ppl.infer(event).burn_in"
     file = tmp_path / "user.py"
     text = "import phase_ppl as ppl\n\nevent = ppl.load_event('collaborate')\n"
     file.write_text(text + "\n".join((*lines, wrong)) + "\n")
@@ -72,4 +72,4 @@ def test_whether_a_kernel_is_named_says_what_infer_returns(tmp_path: Path) -> No
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     errors = [line for line in run.stdout.splitlines() if "user.py" in line]
     assert len(errors) == 1, run.stdout
-    assert '"StepwisePosterior" has no attribute "untried"' in errors[0]
+    assert '"StepwisePosterior" has no attribute "burn_in"' in errors[0]
