@@ -101,15 +101,19 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
     return 0.5 * float(np.abs(one - other).sum())
 
 
-FEW_DRAWS: Final = 5.0
+FEW_DRAWS: Final = 10.0
 """Independent draws below which an answer rests on too little to be sure of anything."""
 
-FEW_WHERE_TOLD, TOLD = 2.0, 0.35
-"""Likewise, where goals fit the better the more the video suggested them: from that rank
-correlation on. In PHASE, which the suggestions know, answers on 2 to 5 effective draws are as right
-as others (``benchmarks/decided.py``), in worlds that they do not know, not."""
+FEW_WHERE_TOLD, TOLD = 2.0, 2.0
+"""Likewise, where goals fit the better the more the video suggested them: from a rank correlation
+of so many standard errors on. In PHASE, which the suggestions know, answers on 2 to 10 effective
+draws are as right as others (``benchmarks/decided.py``), in worlds that they do not know, not."""
 
-MISLED: Final = 0.1  # rank correlation below which suggestions are no better than chance
+LEARNT: Final = 1.3
+"""By how much errors grow where what was drawn decides what is drawn next, which groups of chains
+do not show: of ``amis`` on the first three events of ``benchmarks/toys.py``."""
+
+MISLED: Final = 0.5  # standard errors below which suggestions are no better than chance
 _FEWEST_DEGREES: Final = 2.0  # of freedom: with one, 6.5 spreads would be one error
 _CLEARLY: Final = 2.0  # standard errors by which halves of the draws are to differ
 N_SETS: Final = 30  # random sets of chains that are left out

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.estimate import (
     FEW_WHERE_TOLD,
+    LEARNT,
     MISLED,
     TOLD,
     Jackknife,
@@ -143,6 +144,9 @@ class Posterior(EventPosterior):
         whatever the kernel does. It is unknown where there is a single one.
         """
         over_chains = self._over_chains(share)
+        if over_chains is not None and self._attrs.get("adapts"):
+            factor = LEARNT**2 * over_chains.factor
+            over_chains = dataclasses.replace(over_chains, factor=factor)
         if not self._looked_up:
             return over_chains
         n_sets = len(self._without_sets)

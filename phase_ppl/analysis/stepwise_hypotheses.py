@@ -13,7 +13,7 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final, NamedTuple, TypeAlias
+from typing import Any, ClassVar, Final, NamedTuple, Self, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -98,6 +98,18 @@ class Table:
         self._found = found
         self._weight = float(found.attrs["weight"])
         self.n_frames = int(found.sizes["time"])
+        self._sums = -1, np.empty(0)  # the last frame that is summed up, and the sums
+
+    def extended(self, found: xr.Dataset) -> Self:
+        """Return the table of the same video with further frames, which goes on from this one.
+
+        So that a stream costs as much at a late frame as at an early one.
+        """
+        after = type(self)(found)
+        if not self.sampled:  # others are drawn by what all frames say
+            names = ("hypotheses", "prior_of_strengths", "_sums")
+            vars(after).update({name: vars(self)[name] for name in names if name in vars(self)})
+        return after
 
     @classmethod
     def check(cls, found: xr.Dataset) -> None:
@@ -129,13 +141,27 @@ class Table:
         """(row, combination) prior probabilities of strengths given a hypothesis; one row: any."""
         raise NotImplementedError
 
+    def _of_frame(self, t: int, n_tables: int) -> FloatArray:
+        """Return (table, ...) log likelihoods of one frame, of so many tables."""
+        raise NotImplementedError
+
+    def _summed(self, frame: int) -> FloatArray:
+        """Return (table, ...) log likelihoods of the frames up to ``frame``."""
+        at, sums = self._sums
+        if not 0 <= at <= frame:
+            at, sums = 0, np.array(self._of_frame(0, self.n_tables), np.float64)
+        for t in range(at + 1, frame + 1):
+            sums = sums + self._of_frame(t, self.n_tables)  # others may have the old ones
+        self._sums = frame, sums
+        return sums
+
     def _so_far(self, frame: int) -> FloatArray:
         """Return (table, row) log likelihoods of the frames up to ``frame``."""
-        raise NotImplementedError
+        return self._summed(frame)
 
     def _frame(self, frame: int) -> FloatArray:
         """Return (row,) log likelihoods of one frame, with all sets of searches."""
-        raise NotImplementedError
+        return np.asarray(self._of_frame(frame, 1)[0])
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -174,7 +200,7 @@ class Table:
         """
         rows = self.hypotheses
         with np.errstate(invalid="ignore"):  # what has become impossible before stays so
-            seen = self._so_far(last)[0] - self._so_far(first)[0]
+            seen = -self._so_far(first)[0] + self._so_far(last)[0]
         seen = np.where(np.isnan(seen), -np.inf, seen)
         return np.asarray(rows.log_prior - rows.log_drawn + self._weight * seen)
 

@@ -117,7 +117,6 @@ class OwnTable(Table):
         super().__init__(found)
         self.samples = int(found.attrs["samples"])
         self.is_exact = self.samples == 0
-        self._at, self._sums = -1, np.zeros(0)
         rows, shape = self.hypotheses, (self.space.n_goals,) * self.space.n_agents
         asked = np.ravel_multi_index(found["goals"].values.T, shape)
         # of goals without mass any place will do
@@ -147,27 +146,17 @@ class OwnTable(Table):
         """Parts of the samples, or 1."""
         return max(1, int(self._found.sizes["part"]))
 
-    def _so_far(self, frame: int) -> FloatArray:
-        """Return (table, goals, combination) log likelihoods of the frames up to ``frame``."""
-        if self._at > frame or self._at < 0:
-            self._at = 0
-            self._sums = np.array(self._one(0), np.float64)
-        for t in range(self._at + 1, frame + 1):
-            self._sums += self._one(t)
-        self._at = frame
-        return self._sums
-
-    def _one(self, t: int) -> FloatArray:
+    def _of_frame(self, t: int, n_tables: int) -> FloatArray:
         """Return (table, goals, combination) log likelihoods of one frame."""
-        without = self._found["log_likelihood_without"].values[:, t].astype(np.float64)
-        return np.concatenate([self._found["log_likelihood"].values[t][None], without])
+        without = self._found["log_likelihood_without"].values[: n_tables - 1, t]
+        return np.array([self._found["log_likelihood"].values[t], *without], np.float64)
 
     def _masses(self, frame: int, weight: float | None = None) -> FloatArray:
         """Return (table, row, combination) log masses given the frames up to ``frame``."""
         weight = self._weight if weight is None else weight
         found = np.full((self.n_tables, *self._log_prior.shape), -np.inf)
         some = np.flatnonzero(np.isfinite(self._log_prior).any(axis=1))
-        prior, so_far = self._log_prior[some], weight * self._so_far(frame)[:, self._place[some]]
+        prior, so_far = self._log_prior[some], weight * self._summed(frame)[:, self._place[some]]
         found[:, some] = np.where(prior > -np.inf, prior + so_far, -np.inf)  # NaN was not asked
         return found
 
@@ -194,7 +183,7 @@ class OwnTable(Table):
 
     def log_likelihood(self, frame: int) -> FloatArray:
         """Return (row, combination) log likelihoods of the frames up to ``frame``."""
-        found = self._weight * self._so_far(frame)[0][self._place]
+        found = self._weight * self._summed(frame)[0][self._place]
         return np.where(np.isfinite(self._log_prior), found, -np.inf)
 
 

@@ -75,19 +75,17 @@ class PairTable(PhaseTable):
         goals = {name: list(GOALS) for name in ("goal_red", "goal_green")}
         return {**super().labels(world), **goals}
 
-    @functools.cached_property
-    def _sums(self) -> FloatArray:
-        """(table, time, pair) log likelihoods of the frames so far."""
-        all_sets = self._found["log_likelihood"].values[None]
-        parts = (all_sets, self._found["log_likelihood_without"].values)
-        sums = [part.cumsum(axis=1, dtype=np.float64) for part in parts]
-        return np.concatenate(sums).reshape(self.n_tables, self.n_frames, -1)
+    def _of_frame(self, t: int, n_tables: int) -> FloatArray:
+        """Return (table, pair) log likelihoods of one frame."""
+        found = [self._found["log_likelihood"].values[t]]
+        found += list(self._found["log_likelihood_without"].values[: n_tables - 1, t])
+        return np.array(found, np.float64).reshape(n_tables, -1)
 
     def _so_far(self, frame: int) -> FloatArray:
-        return self._sums[:, frame, self._pair]
+        return self._summed(frame)[:, self._pair]
 
     def _frame(self, frame: int) -> FloatArray:
-        return np.asarray(self._found["log_likelihood"].values[frame].ravel()[self._pair])
+        return super()._frame(frame)[self._pair]
 
     def log_likelihood(self, frame: int) -> FloatArray:
         """Return (row of all, combination) log likelihoods of the frames up to ``frame``."""
@@ -116,8 +114,6 @@ class PolicyTable(WorldTable):
     def __init__(self, found: xr.Dataset) -> None:
         super().__init__(found)
         self.sampled = self.n_hypotheses > MOST_HYPOTHESES
-        self._at = -1  # the frame up to which ``_sums`` counts
-        self._sums = np.zeros((0, 0))
 
     @classmethod
     def check(cls, found: xr.Dataset) -> None:
@@ -135,20 +131,10 @@ class PolicyTable(WorldTable):
     def hypotheses(self) -> GoalRows:
         return self._drawn() if self.sampled else self._ways.enumerated()
 
-    def _so_far(self, frame: int) -> FloatArray:
-        if self._at > frame or self._at < 0:
-            self._at = 0
-            self._sums = np.zeros((self.n_tables, len(self.hypotheses.way)))
-        for t in range(self._at + 1, frame + 1):
-            self._sums += self._of_frame(t, self.n_tables)
-        self._at = frame
-        return self._sums
-
-    def _frame(self, frame: int) -> FloatArray:
-        return np.asarray(self._of_frame(frame, 1)[0])
-
     def _of_frame(self, t: int, n_tables: int) -> FloatArray:
-        """Return (table, row) log likelihoods of one frame, of so many tables."""
+        """Return (table, row) log likelihoods of one frame; of the first, 0."""
+        if t == 0:
+            return np.zeros((n_tables, len(self.hypotheses.way)))
         n, n_sets = self.space.n_agents, self.n_sets
         density = self._found["density"].values[t]
         relative = np.exp(density - density.max()).reshape((N_ACTIONS,) * n)

@@ -160,10 +160,11 @@ def untried(tree: xr.DataTree) -> float:
 
 
 def suggestion_agreement(tree: xr.DataTree) -> float:
-    """Return the rank correlation of how much the video suggests goals with how they fit.
+    """Return how clearly goals fit the better the more the video suggests them.
 
-    Of log proposal less log prior density with the log likelihood, of the first simulation of the
-    goals of all; NaN where proposals have no density, or goals are few.
+    The rank correlation of log proposal less log prior density with the log likelihood, of the
+    first simulation of the goals of all, over the standard error that it has by chance. NaN where
+    proposals have no density, or all goals the same.
     """
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
@@ -173,14 +174,11 @@ def suggestion_agreement(tree: xr.DataTree) -> float:
     done &= np.isfinite(suggested)
     goals = effective_goals(tree, "simulations")[done]
     _, first = np.unique(goals, axis=0, return_index=True)
-    if len(first) < _FEWEST_RANKS:
+    if len(first) < 2:
         return np.nan
     columns = suggested[done][first], simulations["log_likelihood"].values[done][first]
     ranks = pd.DataFrame(np.transpose(columns)).rank()
-    return float(ranks[0].corr(ranks[1]))
-
-
-_FEWEST_RANKS: Final = 10
+    return float(ranks[0].corr(ranks[1]) * np.sqrt(len(first) - 1))
 
 
 def unseen_share(tree: xr.DataTree) -> float:

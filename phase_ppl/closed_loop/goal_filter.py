@@ -23,7 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.agents.agent import Policies, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
@@ -449,16 +449,46 @@ class PolicyFilter(GoalFilter):
             self._log_mass[agent] += self._weight * np.log(mean @ left)
 
 
-def stacked(arrays: Sequence[NDArray[Any]], axis: int = 0) -> NDArray[Any]:
-    """Return arrays as one, along a new axis; the shorter ones are filled up with NaN or 0."""
-    if len({array.shape for array in arrays}) == 1:
-        return np.stack(arrays, axis)
-    shape = np.max([array.shape for array in arrays], axis=0)
-    fill = np.nan if arrays[0].dtype.kind == "f" else 0
-    found = np.full((len(arrays), *shape), fill, arrays[0].dtype)
-    for row, array in zip(found, arrays, strict=True):
-        row[tuple(map(slice, array.shape))] = array
-    return np.moveaxis(found, 0, axis)
+class Growing:
+    """Arrays along time, which are given one by one and may differ in size.
+
+    What was given stays where it is, so that the next one costs the same however many there are.
+    """
+
+    def __init__(self) -> None:
+        self._all: Any = None
+        self._n = 0
+
+    def add(self, given: ArrayLike) -> None:
+        """Put an array at the end."""
+        array = np.asarray(given)
+        known = np.empty((0, *array.shape), array.dtype) if self._all is None else self._all
+        room = len(known), *known.shape[1:]
+        wanted = self._n + 1, *array.shape
+        if any(one > have for one, have in zip(wanted, room, strict=True)):
+            length = max(len(known), 2 * self._n + 1)
+            shape = (length, *map(max, known.shape[1:], array.shape))
+            fill = np.nan if array.dtype.kind == "f" else 0
+            grown = np.full(shape, fill, array.dtype)
+            within: tuple[Any, ...] = tuple(map(slice, known.shape[1:]))
+            grown[(slice(self._n), *within)] = known[: self._n]
+            known = self._all = grown
+        place: tuple[Any, ...] = tuple(map(slice, array.shape))
+        known[(self._n, *place)] = array
+        self._n += 1
+
+    def first(self, n: int) -> NDArray[Any]:
+        """Return the first ``n``, (time, ...); the smaller ones are filled up with NaN or 0."""
+        found: NDArray[Any] = self._all[:n]
+        return found
+
+
+def stacked(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays as one, along a new axis; the smaller ones are filled up with NaN or 0."""
+    all_of_them = Growing()
+    for array in arrays:
+        all_of_them.add(array)
+    return all_of_them.first(len(arrays))
 
 
 def warm_up() -> None:

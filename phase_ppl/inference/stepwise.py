@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -13,16 +14,16 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_hypotheses import STRENGTHS, summed_by_pair
+from phase_ppl.analysis.stepwise_hypotheses import STRENGTHS, Table, summed_by_pair
 from phase_ppl.analysis.stepwise_own import to_read
-from phase_ppl.analysis.stepwise_table import kind_of_table
+from phase_ppl.analysis.stepwise_table import kind_of_table, table_of
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import (
     GoalFilter,
+    Growing,
     PairFilter,
     PolicyFilter,
     SearchSets,
-    stacked,
 )
 from phase_ppl.closed_loop.own_simulator import SimulatorFilter
 from phase_ppl.models.model import Model, checked_sites
@@ -43,6 +44,9 @@ from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
+
+_COUNTED: Final = ("searches", "calls")  # what it cost
 
 
 class Watch:
@@ -93,6 +97,9 @@ class Watch:
         self._seed = whole_number("seed", seed, minimum=0)
         self.threads = number_of_threads(threads)
         self._frames: list[FloatArray] = []
+        self._columns: defaultdict[str, Growing] = defaultdict(Growing)
+        self._counts: Counter[str] = Counter()
+        self._table: Table | None = None
         self._torn = False  # a frame was begun and not finished
         tracking, in_phase = likelihood.tracking, scene.world == PHASE
         if in_phase:
@@ -103,7 +110,7 @@ class Watch:
         self._own = self.model.simulator is not None
         self._weight = likelihood.frame_weight(self._own)
         self._filter = self._own_filter() if self._own else self._joint_filter(in_phase)
-        self._readings: list[Any] = [self._filter.at_start()]
+        self._keep(self._filter.at_start().columns)
 
     def _joint_filter(self, in_phase: bool) -> GoalFilter:
         likelihood, prior, of = self._likelihood, self._constant, self._scene
@@ -168,9 +175,18 @@ class Watch:
             )
         if self._frames:
             self._torn = True
-            self._readings.append(self._filter.read(pose))
+            self._keep(self._filter.read(pose).columns)
+        self._columns["trajectory"].add(pose)
         self._frames.append(pose)
         self._torn = False
+
+    def _keep(self, columns: Mapping[str, Any]) -> None:
+        """Keep what one frame says; only :attr:`_frames` says how many count."""
+        for name, value in columns.items():
+            if name in _COUNTED:
+                self._counts[name] += value
+            else:
+                self._columns[name].add(value)
 
     def update(self, frame: ArrayLike) -> StepwisePosterior:
         """Take in the next frame, as :meth:`take`, and return the posterior now."""
@@ -185,14 +201,17 @@ class Watch:
         """
         from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
-        return StepwisePosterior(self.dataset(), prior=self.model.prior)
+        found = self.dataset()
+        last = self._table
+        self._table = table_of(found) if last is None else last.extended(found)
+        return StepwisePosterior(found, prior=self.model.prior, table=self._table)
 
     def dataset(self) -> xr.Dataset:
         """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_hypotheses`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)
-        readings, kind = self._readings[:n], kind_of_table(scene.world, self._own)
+        kind = kind_of_table(scene.world, self._own)
         settings = {
             "model": self.model.fingerprint(),
             "likelihood": {**likelihood.to_dict(), "weight": self._weight},
@@ -200,22 +219,17 @@ class Watch:
             "turning": scene.turning,
             "resets_velocity": scene.resets_velocity,
         }
-        columns: dict[str, list[Any]] = {
-            name: [one.columns[name] for one in readings] for name in readings[0].columns
-        }
         cost = {
-            "searches": sum(columns.pop("searches", [])),
-            **({"calls": sum(columns.pop("calls"))} if self._own else {}),
+            "searches": self._counts["searches"],
+            **({"calls": self._counts["calls"]} if self._own else {}),
             "frames": n,
             "seconds": time.perf_counter() - self._clock,
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
             "threads": self.threads,
         }
-        columns["trajectory"] = self._frames
         found = dict(self._constant)
-        for name, values in columns.items():
-            along = kind.dimensions[name].index("time")
-            found[name] = stacked(list(map(np.asarray, values)), along)
+        for name, column in self._columns.items():
+            found[name] = np.moveaxis(column.first(n), 0, kind.dimensions[name].index("time"))
         coords: dict[str, Any] = dict(kind.labels(scene.world))
         if scene.world == PHASE:
             levels = list(likelihood.tracking.strengths)

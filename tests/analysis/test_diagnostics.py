@@ -273,19 +273,20 @@ def test_more_is_needed_where_what_the_video_suggests_does_not_fit() -> None:
     for one in others:
         there[one.effective_goals] = 1 / 14
     assert needed(fits, everywhere) == 2.0, "it fits as suggested"
+    assert needed(np.roll(fits, 2), everywhere) == 10.0, "it may be by chance"
     assert needed(-fits, everywhere) is None, "misled, and most was not tried"
-    assert needed(-fits, there) == 5.0, "misled, but all was tried"
-    assert needed([np.nan] * 14, everywhere) == 5.0, "nothing was suggested"
+    assert needed(-fits, there) == 10.0, "misled, but all was tried"
+    assert needed([np.nan] * 14, everywhere) == 10.0, "nothing was suggested"
 
 
 def test_leaders_say_by_how_much_they_lead() -> None:
-    each = [[place] * 2 for place in range(10)]
-    found = posterior_of([A] * 9 + [B], each).leaders()["goal_red"]
+    each = [[place] * 2 for place in range(20)]
+    found = posterior_of([A] * 18 + [B] * 2, each).leaders()["goal_red"]
     assert (found["label"], found["next"]) == (GOALS[A.goal_red], GOALS[B.goal_red])
     assert (found["probability"], found["next_probability"]) == pytest.approx((0.9, 0.1))
     assert found["sure"]
-    for unsure in (posterior_of([A] * 6 + [B] * 4, each), posterior_of([A], [[0]])):
-        assert not unsure.leaders()["goal_red"]["sure"], "0.6 of ten draws, or one draw"
+    for unsure in (posterior_of([A] * 12 + [B] * 8, each), posterior_of([A], [[0]])):
+        assert not unsure.leaders()["goal_red"]["sure"], "0.6 of twenty draws, or one draw"
 
 
 # --- R-hat and effective sizes --------------------------------------------------------------------

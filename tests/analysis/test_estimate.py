@@ -220,7 +220,7 @@ def test_draws_are_worth_no_more_than_the_simulations_that_they_rest_on() -> Non
     assert one.diagnostics()["effective_size"] == pytest.approx(1)
     assert one.probability(goal_red=GOALS[5]).error == pytest.approx(unseen(0.5, 1))
     assert not one.leaders()["goal_red"]["sure"]
-    assert "rest on 1.0 effective simulations; an answer needs 5" in one.diagnostics()["verdict"]
+    assert "rest on 1.0 effective simulations; an answer needs 10" in one.diagnostics()["verdict"]
     # particles that were chosen among all along are worth half
     tree = posterior_of((2,) * 15, [[i] for i in range(15)]).tree
     evidence = (("chain", "draw"), np.zeros((15, 1)))

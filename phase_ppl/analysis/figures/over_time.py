@@ -115,7 +115,7 @@ def _panel(
     if rest.max() >= _SEEN / 2:
         axes.fill_between(time, rest, color=OTHER, alpha=0.6, lw=0, zorder=1)
         ends.append((float(rest[-1]), "all other goals", GREY))
-    axes.set_xlim(time[0], time[-1])
+    axes.set_xlim(time[0], time[-1] if len(time) > 1 else None)
     in_shares(axes)
     direct_labels(axes, ends, gap=_LINE_HEIGHT)
 
