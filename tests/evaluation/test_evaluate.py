@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import phase_ppl as ppl
 from phase_ppl.evaluation import evaluate as module
 from phase_ppl.evaluation.evaluate import EventProgress
 from phase_ppl.evaluation.evaluation import ResultsFolder
+from phase_ppl.evaluation.registry import Predict
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -66,6 +67,20 @@ def test_an_answer_may_have_several_forms() -> None:
         assert found.event_id == "still"
         assert found.probabilities["relation"].tolist() == shares
         assert found.answers == {"relation": "neutral"}
+
+
+def test_a_model_may_be_seen_through_whatever_says_how() -> None:
+    class Contrary:
+        record: Mapping[str, Any] = {"observer": "contrary"}
+
+        def seeing(self, model: Predict, world: ppl.World) -> Predict:
+            assert world == ppl.worlds.PHASE
+            return lambda *seen: {"relation": model(*seen)["relation"][::-1]}  # type: ignore[index]
+
+    found = evaluate(still(), saying({"relation": [0.2, 0.3, 0.5]}), observer=Contrary())
+    assert found.predictions["still"].probabilities["relation"].tolist() == [0.5, 0.3, 0.2]
+    assert found.settings["observer"] == "contrary"
+    assert found.posterior("still") is None
 
 
 def test_what_an_answer_cost_is_kept_as_plain_data(tmp_path: Path) -> None:

@@ -33,8 +33,8 @@ def test_its_answers_are_the_marginals_of_the_posterior_it_keeps(tmp_path: Path)
     of_run = {"seed": seed, "workers": 1, "progress": False, "weights": "count", **TINY}
     post = ppl.infer(EVENT, own, **of_run)
     prediction = found.predictions["walk"]
-    assert found.folder is not None
-    kept = ppl.Posterior.load(found.folder.folder_of("walk") / "posterior.nc")
+    kept = found.posterior("walk")
+    assert isinstance(kept, ppl.Posterior)
     assert kept.event_id == "walk", "which the model never knew"
     assert kept.weights == "count"
     for question in QUESTIONS:
