@@ -17,7 +17,9 @@ def main() -> None:
             event, MODEL, kernel="prior_mh", chains=8, iterations=iterations, seed=0, workers=1
         )
         found = post.diagnostics()
-        print(f"\n{iterations} iterations of 8 particles: {found['verdict']}")
+        print(f"\n{iterations} iterations of 8 particles: {found['answer']}")
+        for one in found["checks"]:
+            print(f"    {one['state']:<8}{one['name']:<22}{one['value']} ({one['limit']})")
         # moves change a hypothesis; between chains: how far each is from all, in total variation
         for name in ("acceptance_rate", "move_rate", "distinct_goal_pairs", "between_chain_tv"):
             print(f"    {name:<22}{found[name]}")

@@ -27,7 +27,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys: Capture) -> None:
     printed = told(capsys, "diagnose", folder)
     assert told(capsys, "diagnose", folder / "posterior.nc") == printed
-    for word in ("accepted", "windows", "log joint", "goal red", "scenario", "verdict"):
+    for word in ("accepted", "windows", "log joint", "goal red", "scenario", "checks"):
         assert f"\n{word}" in printed
     said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
     post = Posterior.load(folder / "posterior.nc", "likelihood")

@@ -159,7 +159,7 @@ def test_citation_and_changelog_are_of_this_version() -> None:
 SHOWN: dict[str, list[str]] = {
     "alternative_prior": ["sparse_social", "E[kindness] = "],
     "chain_diagnostics": [
-        "4 iterations of 8 particles: Not decided",
+        "fail    enough simulations",
         "move_rate",
         "diagnostics.png",
     ],

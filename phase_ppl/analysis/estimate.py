@@ -116,7 +116,7 @@ FEW_WHERE_TOLD, TOLD = 2.0, 2.0
 of so many standard errors on. In PHASE, which the suggestions know, answers on 2 to 10 effective
 draws are as right as others (``benchmarks/decided.py``), in worlds that they do not know, not."""
 
-LEARNT: Final = 1.7
+LEARNT: Final = 1.5
 """By how much errors grow where what was drawn decides what is drawn next, which groups of chains
 do not show (``benchmarks/estimates.py --only amis``)."""
 

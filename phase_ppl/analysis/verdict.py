@@ -58,6 +58,10 @@ def check(name: str, state: State, value: str, limit: str, says: str = "", do: s
     return Check(name, state, value, limit, says, do if state in ("fail", "doubt") else "")
 
 
+JUDGED: Final = ("trust", "answer", "checks", "next", "verdict")
+"""Keys that :func:`judged` makes."""
+
+
 def judged(
     leaders: Mapping[str, Mapping[str, Any]], checks: Sequence[Check], closing: str = ""
 ) -> dict[str, Any]:
@@ -104,26 +108,30 @@ def _probable(leader: Mapping[str, Any]) -> str:
 
 
 def verdict_lines(found: Mapping[str, Any]) -> list[str]:
-    """Return the answer, the checks and the next step as lines of a table."""
+    """Return the answer, the checks, what the worst one says, and the next step, as lines."""
     shown = list(wrapped("answer", found["answer"]))
     label = "checks"
     for one in found["checks"]:
         row = f"{one['name']:<{_NAME}}{one['value']:<{_VALUE}}{one['limit']}"
         shown.append(f"{label:<{LABEL}}{_MARKS[one['state']]} {row}".rstrip())
         label = ""
+    worst = min(found["checks"], key=lambda one: _WORST_FIRST.index(one["state"]), default=None)
+    if worst is not None and worst["state"] != "ok":
+        shown += wrapped("why", worst["says"] or worst["name"])
     return [*shown, *wrapped("next", found["next"])]
 
 
 def as_html(found: Mapping[str, Any]) -> str:
     """Return the answer, the checks as a coloured list, and the next step."""
-    rows = [
-        f'<li style="color:{_COLOURS[one["state"]]}" title="{html.escape(one["says"])}">'
-        f"<b>{html.escape(one['name'])}</b>: {html.escape(one['value'])} "
-        f"<small>({html.escape(one['limit'])})</small></li>"
-        for one in found["checks"]
-    ]
+    rows = []
+    for one in found["checks"]:
+        mark = f'<strong style="color:{_COLOURS[one["state"]]}">{_MARKS[one["state"]]}</strong>'
+        says = f"<br><small>{html.escape(one['says'])}</small>" if one["state"] != "ok" else ""
+        value, limit = html.escape(one["value"]), html.escape(one["limit"])
+        name = f"<strong>{html.escape(one['name'])}</strong>"
+        rows.append(f"<li>{mark} {name}: {value} <small>({limit})</small>{says}</li>")
     return (
-        f"<p><b>{html.escape(found['answer'])}</b></p><ul>{''.join(rows)}</ul>"
+        f"<p><strong>{html.escape(found['answer'])}</strong></p><ul>{''.join(rows)}</ul>"
         f"<p>Next: {html.escape(found['next'])}</p>"
     )
 

@@ -227,6 +227,8 @@ def _figures(post: Any, out: Path) -> list[str]:
 
 def table(event_id: str, found: Mapping[str, Any]) -> str:
     """Return diagnostics as a table of at most 88 columns."""
+    from phase_ppl.analysis.verdict import verdict_lines
+
     head = (
         f"{event_id}: {found['particles']} particles x {found['iterations']} iterations, "
         f"{found['kernel']} ({found['validity']}), weights {found['weights']}"
@@ -244,7 +246,7 @@ def table(event_id: str, found: Mapping[str, Any]) -> str:
         "",
         _row("", ("P", "draws", "MCSE", "ESS", "R-hat"), 7),
         *_categories(found),
-        *wrapped("verdict", found["verdict"]),
+        *verdict_lines(found),
     ]
     return "\n".join(lines)
 

@@ -225,8 +225,11 @@ def test_events_and_scenes_are_drawn() -> None:
 
 def test_posteriors_are_tables_and_figures_show_themselves() -> None:
     post = StepwisePosterior(reading())
-    assert post._repr_html_().startswith("<pre")
-    assert "verdict" in post._repr_html_()
+    shown = post._repr_html_()
+    found = post.diagnostics()
+    assert found["answer"] in shown
+    assert all(f"<strong>{one['name']}</strong>" in shown for one in found["checks"])
+    assert "<pre" in shown
     assert "simulated s" in str(post)
     assert ppl.plot.over_time(post)._repr_png_().startswith(b"\x89PNG")
 

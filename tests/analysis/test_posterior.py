@@ -340,8 +340,8 @@ def test_table_fits_a_terminal_and_shows_the_leading_goals() -> None:
     for name in ("goal_red", "goal_green"):
         goal, value = post.top(name, 1)[0]
         assert any(goal in line and str(value) in line for line in text.splitlines())
-    assert text.index("verdict") < text.index("relation  ")  # before the bars
-    for word in ("relation", "scenario", "strength", "cost", "verdict", "12 s on 2 workers"):
+    assert text.index("answer  ") < text.index("relation  ")  # before the bars
+    for word in ("relation", "scenario", "strength", "cost", "checks", "12 s on 2 workers"):
         assert word in text
     # d / beta, of x and y of four entities
     assert "beta = 0.05, as noise 160 units in a frame, wider" in " ".join(text.split())

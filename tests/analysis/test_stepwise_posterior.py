@@ -255,7 +255,9 @@ def test_the_verdict_leads_with_the_worst_sign(post: StepwisePosterior) -> None:
     for found in (lying, torn, odd, split):
         assert "Actions explain every frame" not in found["verdict"]
     text = str(post)
-    assert text.index("verdict") < text.index(fine["verdict"][-20:]) < text.index("relation  ")
+    assert text.index("answer  ") < text.index("checks  ") < text.index("relation  ")
+    assert fine["trust"] != "do not trust"
+    assert {found["trust"] for found in (lying, torn, odd)} == {"do not trust"}
     one = StepwisePosterior(FOUND.isel(time=slice(0, 1)))
     assert one.surprise().tolist() == [0.0]
     assert "Nothing was seen but the start" in one.diagnostics()["verdict"]

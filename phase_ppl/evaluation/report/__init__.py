@@ -24,6 +24,7 @@ from phase_ppl.analysis.figures.posterior import titles
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.verdict import JUDGED, as_html
 from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, PEOPLE, AnswerSet, label_of
 from phase_ppl.evaluation.arrays import titles_of, true_answers, true_scenario
 from phase_ppl.evaluation.cells import metric_tables, number
@@ -305,11 +306,11 @@ def run_page(folder: Path) -> str:
         bars=list(_bars(post)),
         strengths=[(agent, _strength(post, name)) for agent, name in post.strengths_of.items()],
         best=best_record,
-        verdict=found.pop("verdict"),
+        verdict=Markup(as_html(found)),
         posterior=figure_of(plots.posterior(post), alt),
         decided=_decided(post),
         few=few,
-        rest=found,
+        rest={name: value for name, value in found.items() if name not in JUDGED},
         cost=post.cost,
         settings=post.settings,
     )

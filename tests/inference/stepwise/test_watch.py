@@ -197,7 +197,7 @@ def test_impossible_videos_are_called_out(whole: ppl.StepwisePosterior) -> None:
     for frames in (torn, lying):
         post = infer(dataclasses.replace(short(), observation=Observation(frames)))
         found.append(post.diagnostics())
-        assert found[-1]["verdict"] in " ".join(str(post).split())
+        assert found[-1]["answer"] in " ".join(str(post).split())
     assert {4, 6} <= set(found[0]["unexplained_frames"])
     assert found[0]["verdict"].startswith("No action explains")
     assert found[1]["overlapping_frames"] == list(range(3, 9))
