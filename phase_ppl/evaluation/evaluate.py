@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import hashlib
 import itertools
-import json
 import os
 import sys
 import tempfile
@@ -45,7 +44,6 @@ from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.shards import SHARD, Shard
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
@@ -85,7 +83,6 @@ def evaluate(
     workers: int | None = None,
     executor: Executor | None = None,
     resume: bool = False,
-    shard: str | None = None,
     split: str | None = None,
     limit: int | None = None,
     seed: int = 0,
@@ -125,8 +122,6 @@ def evaluate(
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same, but there may
             be more events after those; truth and judgments may have changed.
-        shard: "2/8" asks about the second of eight shares of the events, each with an ``out`` of
-            its own, of which :func:`phase_ppl.merge` makes the whole.
         split: only the events of that split of a generated data set, such as "test".
         limit: only the first so many events.
         seed: a whole number >= 0.
@@ -164,8 +159,7 @@ def evaluate(
         ready_model = seen_through(ready_model, observer, world)
     if not ready_model.parallel:
         executor, slots = None, 1
-    settings = settings_of(ready_model, seed, chosen, shard)
-    chosen = [event for event in chosen if event.id in settings["events"]]
+    settings = settings_of(ready_model, seed, chosen)
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None
         done: dict[str, Prediction] = {}
@@ -221,28 +215,14 @@ def evaluate(
         return found
 
 
-def settings_of(
-    model: ReadyModel, seed: int, events: Sequence[Event], shard: str | None = None
-) -> dict[str, Any]:
-    """Return what determines the predictions of a shard of the events, in JSON's types."""
-    seen = {event.id: event_digest(event) for event in events}
-    of_shard = {}
-    if shard is not None:
-        share = Shard.named(shard)
-        of_shard = {SHARD: str(share), "whole": whole_digest(seen)}
-        seen = dict(share.of_all(list(seen.items())))
+def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[str, Any]:
+    """Return what determines the predictions of the events, in JSON's types."""
     return {
         **model.record,
         "seed": seed,
         "versions": stable(versions()),
-        "events": seen,
-        **of_shard,
+        "events": {event.id: event_digest(event) for event in events},
     }
-
-
-def whole_digest(events: Mapping[str, str]) -> str:
-    """Return a hash of the events that shards are of: ids and digests, in their order."""
-    return hashlib.sha256(json.dumps(list(events.items())).encode()).hexdigest()
 
 
 def event_seed(seed: int, digest: str) -> int:

@@ -72,9 +72,7 @@ FAILURES: Final = "failures.json"
 COMPARISON: Final = "comparison.json"
 """The file by which the folder of a comparison of models is known."""
 
-_DETERMINE: Final = (
-    *("model", "options", "model_settings", "function", "function_source", "seed", "shard"),
-)
+_DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
 """The settings that must be the same for an evaluation to go on, beside events and versions."""
 
 
