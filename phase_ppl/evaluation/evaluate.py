@@ -33,6 +33,7 @@ from phase_ppl.evaluation.registry import (
 from phase_ppl.simulator.contract import error_text
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
 from phase_ppl.world.errors import (
+    AnswerError,
     InvalidSettingError,
     SimulationError,
     UnknownNameError,
@@ -108,7 +109,7 @@ def evaluate(
         model: a name (:func:`phase_ppl.available_models`), by default the closed loop; a
             :class:`phase_ppl.Model`, explained as by :func:`phase_ppl.infer`, by the closed loop or
             with a ``kernel`` among the options; or a function ``(scene, observation, seed)``
-            that returns a :class:`phase_ppl.Prediction` or a mapping such as
+            that returns a :class:`phase_ppl.Prediction`, a posterior or a mapping such as
             ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In another
             world than PHASE the answers are to ``goal_<agent>`` and ``relation_<one>_<other>``,
             and models by name are "stepwise", "predicate", "last_frame" and what ``infer`` does.
@@ -141,9 +142,10 @@ def evaluate(
             evaluation with others, the message says which.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
         SimulationError: the executor takes no more work.
+        AnswerError: the model failed at every event; the message names the first.
         EvaluationInterrupted: Ctrl-C.
 
-    The last two carry what was finished as ``evaluation``.
+    The last three carry what was finished as ``evaluation``.
     """
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
@@ -212,6 +214,15 @@ def evaluate(
         found = evaluation()
         if folder is not None:
             write_json(folder.path / METRICS, found.metrics)
+        if failures and not done:
+            first = next(event.id for event in chosen if event.id in failures)
+            n = len(failures)
+            failed = AnswerError(
+                f"model {ready_model.name!r} failed at {n} of {n} events; event {first!r}: "
+                f"{failures[first]}"
+            )
+            failed.evaluation = found  # type: ignore[attr-defined]
+            raise failed
         return found
 
 
@@ -293,7 +304,7 @@ def _ask(predict: Predict, job: _Job) -> _Outcome:
     try:
         given = predict(job.scene, job.observation, job.seed)
         seconds, cpu = time.perf_counter() - clock, time.process_time() - used
-        answer = given if isinstance(given, Answer) else Answer(given)
+        answer = Answer.of(given)
         prediction = Prediction.of(answer.given, world=job.scene.world)
         cost = {**stable(plain(prediction.cost)), "seconds": seconds, "cpu_seconds": cpu}
         prediction = dataclasses.replace(prediction, cost=cost)
