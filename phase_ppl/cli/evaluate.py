@@ -245,7 +245,10 @@ def _evaluation(
             print("Go on with the same command and --resume", file=sys.stderr)
         return None
     except phase_ppl.PhasePPLError as error:
-        hint = "; --resume goes on" if out is not None and hasattr(error, "evaluation") else ""
+        kept: Evaluation | None = getattr(error, "evaluation", None)
+        if named and kept is not None and isinstance(error, phase_ppl.errors.AnswerError):
+            return kept  # other models may do better
+        hint = "; --resume goes on" if out is not None and kept is not None else ""
         raise type(error)(f"{named}{error}{hint}") from None
 
 
