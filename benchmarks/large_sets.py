@@ -1,13 +1,13 @@
-"""What memory do generated sets take, and is a set the same that two made, of whom one was killed?
+"""What memory do generated sets take, and is a set the same whose maker was killed?
 
     python benchmarks/large_sets.py [--events 100 500 2000] [--frames 101]
     python benchmarks/large_sets.py --killed [--events 2000]
 
 Each set is made in a process of its own by a simulator that takes no time, opened in another, and
 gone through in a third. What is measured is the most memory that the process ever had, beyond what
-it has after the imports. With ``--killed`` two processes, each with an executor, make the halves of
-a set and evaluate it; one of them is killed on the way and started again. What is merged has to
-have the same bytes as what one process makes, but for seconds; exits with 1 if it has not.
+it has after the imports. With ``--killed`` a process with an executor makes a set and evaluates it;
+it is killed on the way and started again. What it makes has to have the same bytes as what an
+undisturbed process makes, but for seconds; exits with 1 if it has not.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from phase_ppl.world.names import AGENTS
 
 STEPS: Final = ("made", "opened", "gone through")
 WORK: Final = {"make": "parts", "evaluate": "events"}
-"""What processes share, and the folder in that of a share where what is finished lies."""
+"""What a process does, and the folder within its own where what is finished lies."""
 
 
 def main() -> None:
@@ -44,11 +44,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=101)
     parser.add_argument("--killed", action="store_true")
     parser.add_argument("--step", choices=(*STEPS, *WORK), help="only this one, in --set")
-    parser.add_argument("--shard", metavar="I/N")
     parser.add_argument("--set", metavar="DIR", type=Path)
     options = parser.parse_args()
     if options.step in WORK:
-        work(options.step, options.set, options.events[0], options.frames, options.shard)
+        work(options.step, options.set, options.events[0], options.frames)
         return
     if options.step is not None:
         print(megabytes(options.step, options.set, options.events[0], options.frames))
@@ -109,13 +108,11 @@ def most() -> float:
     return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
 
 
-def work(what: str, folder: Path, n: int, frames: int, shard: str | None) -> None:
-    """Make a set in this process, or evaluate the one beside it; or do a share of that."""
+def work(what: str, folder: Path, n: int, frames: int) -> None:
+    """Make a set in this process, or evaluate the one beside it; go on with what is there."""
     making.record = instant
     making.reason_against = lambda *_: None
-    options: dict[str, Any] = {"progress": False}
-    if shard is not None:
-        options |= {"shard": shard, "resume": True}
+    options: dict[str, Any] = {"progress": False, "resume": True}
     with ThreadPoolExecutor(1) as executor:
         if what == "make":
             ppl.generate(folder, n, frames=frames, executor=executor, **options)
@@ -131,30 +128,23 @@ def killed(n: int, frames: int) -> bool:
     with tempfile.TemporaryDirectory() as root:
         for what, finished in WORK.items():
 
-            def start(name: str, *shard: str, what: str = what) -> subprocess.Popen[bytes]:
+            def start(name: str, what: str = what) -> subprocess.Popen[bytes]:
                 command = (sys.executable, __file__, "--step", what, "--set", f"{root}/{name}")
-                return subprocess.Popen(
-                    [*command, "--events", str(n), "--frames", str(frames), *shard]
-                )
+                return subprocess.Popen([*command, "--events", str(n), "--frames", str(frames)])
 
-            alone = start(what)
-            first, second = start("first", "--shard", "1/2"), start("second", "--shard", "2/2")
-            while second.poll() is None and len(entries(Path(root, "second", finished))) < n // 8:
+            undisturbed, other = start(what), start("other")
+            while other.poll() is None and len(entries(Path(root, "other", finished))) < n // 4:
                 time.sleep(0.1)
-            second.kill()
-            second.wait()
-            print(f"{what}: killed with {len(entries(Path(root, 'second', finished)))} finished")
-            second = start("second", "--shard", "2/2")
-            if any(process.wait() for process in (alone, first, second)):
+            other.kill()
+            other.wait()
+            print(f"{what}: killed with {len(entries(Path(root, 'other', finished)))} finished")
+            if any(process.wait() for process in (undisturbed, start("other"))):
                 return True
-            shares = [Path(root, name) for name in ("first", "second")]
-            ppl.merge(shares, Path(root, "merged"))
-            ours, theirs = (contents(Path(root, name)) for name in ("merged", what))
-            other = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
-            print(f"{what}: {len(theirs)} files of {n} events, {len(other)} differ {other[:3]}")
-            differs |= bool(other)
-            for done in (*shares, Path(root, "merged")):
-                shutil.rmtree(done)
+            ours, theirs = (contents(Path(root, name)) for name in ("other", what))
+            apart = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
+            print(f"{what}: {len(theirs)} files of {n} events, {len(apart)} differ {apart[:3]}")
+            differs |= bool(apart)
+            shutil.rmtree(Path(root, "other"))
     return differs
 
 

@@ -395,7 +395,7 @@ class Observed:
         if perception is not None:
             readings = perception.readings(scene, observation, seed)
         given = [self.model(scene, one, seed) for one in readings]
-        answers = [one if isinstance(one, ppl.Answer) else ppl.Answer(one) for one in given]
+        answers = [ppl.Answer.of(one) for one in given]
         told = [ppl.Prediction.of(answer.given) for answer in answers]
         made: list[Any] = [a.posterior or one for a, one in zip(answers, told, strict=True)]
         event = ppl.Event(scene, observation)

@@ -58,7 +58,6 @@ from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import all_events as all_events
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments
-from phase_ppl.evaluation.merge import merge as merge
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
 from phase_ppl.evaluation.metrics import human_accuracy as human_accuracy
 from phase_ppl.evaluation.metrics import paired_difference as paired_difference

@@ -51,7 +51,6 @@ COMMANDS: Final = {
                "comparison"),
     "diagnose": ("results", "say whether the chains of a posterior can be trusted"),
     "generate": ("generate", "make a data set of simulated social events"),
-    "merge": ("generate", "put the shards of a data set, an evaluation or a comparison together"),
     "verify": ("generate", "compare a generated data set with its checksums"),
     "describe": ("events", "print and draw the statistics of a set of events beside those of "
                  "PHASE"),
@@ -217,8 +216,6 @@ def add(
     to.add_argument(name, help=says, **more)
 
 
-MERGES: Final = "phase-ppl merge FOLDERS... --out OUT"
-
 SHARED: Final[Mapping[str, Mapping[str, Any]]] = {
     "seed": {"name": "--seed N", "says": "default 0", "type": whole(0), "default": 0},
     "planner": {"name": "--planner", "default": "fast", "choices": PLANNERS},
@@ -226,8 +223,6 @@ SHARED: Final[Mapping[str, Mapping[str, Any]]] = {
                 "type": whole(1)},
     "dask": {"name": "--dask ADDRESS", "says": "a dask scheduler, as in machine:8786, whose "
              "workers do the work; --workers then says how much they are given at a time"},
-    "shard": {"name": "--shard I/N", "says": "do only share I of N, in a folder of its own; then "
-              f"{MERGES}"},
     "other_versions": {"name": "--other-versions", "says": "go on although it was begun by other "
                        "versions; both are recorded"},
     "overwrite": {"name": "--overwrite", "says": "replace the results that are in DIR"},

@@ -31,7 +31,7 @@ _SHORT_FOR: Final = ("preset", "planner", *_OWN, "budget", "weights")
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
-    *("model", "observer", "resume", "shard", "split", "limit", "seed"),
+    *("model", "observer", "resume", "split", "limit", "seed"),
     *("judgments", "option", "stored"),
     *_SHORT_FOR,
 )
@@ -75,7 +75,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--observer NAME", says)
     cli.add(parser, "--split NAME", "of a generated set, such as test")
     cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
-    cli.share(parser, "workers", "dask", "shard")
+    cli.share(parser, "workers", "dask")
     cli.add(parser, "--seed N", "default 0", cli.whole(0))
     cli.add(parser, "--judgments FILE", _JUDGMENTS, Path)
     says = (
@@ -205,8 +205,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         else:
             print(evaluation)
         problems = []
-        drawable = not options.no_figures and options.shard is None
-        if evaluation.folder is not None and drawable:
+        if evaluation.folder is not None and not options.no_figures:
             problems = _draw(evaluation, evaluation.folder, options)
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
@@ -246,7 +245,10 @@ def _evaluation(
             print("Go on with the same command and --resume", file=sys.stderr)
         return None
     except phase_ppl.PhasePPLError as error:
-        hint = "; --resume goes on" if out is not None and hasattr(error, "evaluation") else ""
+        kept: Evaluation | None = getattr(error, "evaluation", None)
+        if named and kept is not None and isinstance(error, phase_ppl.errors.AnswerError):
+            return kept  # other models may do better
+        hint = "; --resume goes on" if out is not None and kept is not None else ""
         raise type(error)(f"{named}{error}{hint}") from None
 
 
@@ -279,7 +281,7 @@ def _check_several(
     for label, model in models.items():
         asked = ready(model, of_models[label])
         if options.resume and holds_predictions(options.out / label):
-            settings = settings_of(asked, options.seed or 0, chosen, options.shard)
+            settings = settings_of(asked, options.seed or 0, chosen)
             ResultsFolder.open(options.out / label).check_same(settings)
     references = chosen_references(named_references(options.stored), reference_predictions(chosen))
     known = [*models, *(reference_label(name, models) for name in references)]

@@ -1,4 +1,4 @@
-"""The commands ``generate``, ``verify``, ``merge`` and ``train``."""
+"""The commands ``generate``, ``verify`` and ``train``."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--replans K", says, cli.whole(0), 0)
     says = "which way agents can turn, before any reflection; default both"
     cli.add(parser, "--turning", says, choices=TURNINGS, default="both")
-    cli.share(parser, "workers", "dask", "shard")
+    cli.share(parser, "workers", "dask")
     cli.add(parser, "--keep-rejected", "keep the draws that were not good enough")
     says = "film every event, rejected draws too if they are kept, and draw all on one picture"
     cli.add(parser, "--videos", says)
@@ -70,17 +70,6 @@ def add_to(commands: Any) -> None:
 
     check = cli.command(commands, "verify", _verify, "phase-ppl verify events")
     cli.add(check, "folder DIR", type=Path)
-
-    merge = cli.command(
-        commands,
-        "merge",
-        _merge,
-        "phase-ppl merge shards/* --out events",
-        "Put the shards of a data set, an evaluation or a comparison together, to what one call "
-        "without --shard makes.",
-    )
-    cli.add(merge, "folders DIR", "of each shard, in any order", Path, nargs="+")
-    cli.add(merge, "--out DIR", "for the whole", Path, required=True)
 
     train = cli.command(
         commands,
@@ -121,9 +110,6 @@ def _generate(options: argparse.Namespace) -> int:
     except GenerationInterrupted as stopped:
         print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
         return cli.INTERRUPTED
-    if isinstance(made, Path):
-        print(f"Shard {options.shard} is in {made}; of all of them: {cli.MERGES}")
-        return 0
     _print(made)
     if options.videos:
         _film(made, options)
@@ -182,13 +168,6 @@ def _verify(options: argparse.Namespace) -> int:
         return cli.FAILED
     print(f"{options.folder}: all events are as they were made")
     return 0
-
-
-def _merge(options: argparse.Namespace) -> int:
-    merged = phase_ppl.merge(options.folders, options.out)
-    print(merged)
-    failed = isinstance(merged, phase_ppl.Evaluation) and merged.failures
-    return cli.FAILED if failed else 0
 
 
 def _family(cell: str) -> str:

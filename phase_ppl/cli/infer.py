@@ -382,7 +382,7 @@ def _add_compare(commands: Any) -> None:
     )
     cli.add(parser, "--reference R", says)
     cli.add(parser, "--weights NAME", "default count")
-    cli.share(parser, "workers", "dask", "shard")
+    cli.share(parser, "workers", "dask")
     cli.add(parser, "--checkpoint FILE", ".json; keeps and takes up finished runs", Path)
     cli.add(parser, "--out DIR", "for the runs and a figure", Path)
     cli.share(parser, "overwrite", "progress")

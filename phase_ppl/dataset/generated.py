@@ -12,8 +12,7 @@
       cost.json           what the last call took, and what it made anew
 
 A part is written whole or not at all, so interrupted generation goes on with the slots that are
-missing, or whose part was damaged since; the finished set is the same. The folder of a shard
-keeps its parts, for ``phase_ppl.merge``.
+missing, or whose part was damaged since; the finished set is the same.
 
 A set of more than 1000 slots has a folder for each thousand, ``blocks/00000`` and so on, with
 events.nc, rejected.nc and rejected.json of these, and entries.json in place of the manifest's
@@ -105,7 +104,7 @@ class GeneratedEvents(Printed, StoredEvents):
 
     @property
     def cost(self) -> dict[str, Any]:
-        """What the call that finished it took, ``seconds`` and ``workers``; {} where shards did."""
+        """What the call that finished it took, ``seconds`` and ``workers``; {}: it is not kept."""
         source = self.path / COST
         return read_json(source) if source.is_file() else {}
 

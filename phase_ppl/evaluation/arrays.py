@@ -103,6 +103,10 @@ class Said:
     # kind -> (event, question) probability of the answer given, which need not be the most probable
     sure: Mapping[str, FloatArray]
     scenario: IntArray  # (event,) index of the scenario of both goals answered, -1 where unknown
+    # kind -> (event, question) 1 where a posterior is sure that its answer leads, 0 where not, else
+    # NaN; and (event, 1) likewise whether all of the event is decided
+    leads: Mapping[str, FloatArray]
+    decided: FloatArray
 
     def where_known(self, other: Said) -> Said:
         """Return it without what is unknown of ``other``."""
@@ -171,6 +175,13 @@ def said(known: Facts, predictions: Mapping[str, Prediction]) -> Said:
         probabilities=probabilities,
         sure={kind: at_truth(probabilities[kind], given) for kind, given in answered.items()},
         scenario=_scenarios(one.scenario for one in made),
+        leads={  # None is NaN
+            kind: np.array(
+                [[one.sure.get(q) for q in questions] for one in made], np.float64
+            ).reshape(len(made), len(questions))
+            for kind, questions in kinds_of(known.world).items()
+        },
+        decided=np.array([one.decided for one in made], np.float64)[:, None],
     )
 
 

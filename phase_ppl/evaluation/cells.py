@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from phase_ppl.evaluation.answer_sets import PEOPLE
@@ -13,6 +13,7 @@ from phase_ppl.world.hypothesis import SCENARIOS
 
 NOTHING: Final = "-"  # what a table of a terminal has where there is no number
 WIDTH: Final = 100  # columns of a terminal
+LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
 KIND_WORDS: Final = {"goal": "goals", "relation": "relations"}
 INTERVALS: Final = (
@@ -73,6 +74,22 @@ class Table(NamedTuple):
         return ["", self.title, *aligned([self.headings, *body]), *wrapped(self.note)]
 
 
+def on_screen(tables: Iterable[Table], most: int) -> list[str]:
+    """Return the lines of those tables that fit, at least one; the last lines name the others."""
+    most -= 3  # which these may take
+    lines: list[str] = []
+    left_out = []
+    for table in tables:
+        more = table.lines()
+        if lines and len(lines) + len(more) > most:
+            left_out.append(table.title.partition(" (")[0])
+        else:
+            lines += more
+    if left_out:
+        lines += ["", *wrapped(f"not shown, but in .metrics and ppl.report: {'; '.join(left_out)}")]
+    return lines
+
+
 def _short(name: str, most: int) -> str:
     """Return a name; of a long one both ends, as one of them tells it from others."""
     return name if len(name) <= most else f"{name[: most // 2 - 1]}...{name[2 - most // 2 :]}"
@@ -121,7 +138,7 @@ def metric_tables(
 def _tables(
     models: Sequence[Row], people: Mapping[str, Any] | None
 ) -> Iterator[tuple[str, _Columns, Sequence[Row]]]:
-    """Yield title, columns and rows of the tables."""
+    """Yield title, columns and rows of the tables, what matters most first."""
     right = [*models]
     judged = people is not None and people["n_events"] > 0
     if people is not None and judged:
@@ -138,20 +155,9 @@ def _tables(
         right,
     )
     for kind, word in KIND_WORDS.items():
-        title, places = _by_part([metrics for _, metrics in models], kind)
-        columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
-        yield f"{word} right, {title}", columns, right
-    for kind, word in KIND_WORDS.items():
-        sure = dict.fromkeys(p for _, m in models for p in at(m, ("calibration", kind)) or ())
-        of_sure: dict[str, Place] = {
-            f"p >= {p}": ("calibration", kind, p) for p in sure if float(p) > 0
-        }
-        yield f"{word} right, by the least probability of the answer", of_sure, models
-    yield (
-        "mean log probability of the true answer, nats",
-        {word: f"{kind}_log_score_truth" for kind, word in KIND_WORDS.items()},
-        models,
-    )
+        verdicts = ("decided", "undecided", "sure")
+        of_verdict: dict[str, Place] = {name: ("verdict", kind, name) for name in verdicts}
+        yield f"{word} right, by whether the posterior decides the event", of_verdict, models
     among = (PEOPLE, _among_people(models))
     for kind, word in KIND_WORDS.items():
         prefix = PREFIX[kind]
@@ -165,6 +171,21 @@ def _tables(
             },
             [*models, among],
         )
+    for kind, word in KIND_WORDS.items():
+        title, places = _by_part([metrics for _, metrics in models], kind)
+        columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
+        yield f"{word} right, {title}", columns, right
+    yield (
+        "mean log probability of the true answer, nats",
+        {word: f"{kind}_log_score_truth" for kind, word in KIND_WORDS.items()},
+        models,
+    )
+    for kind, word in KIND_WORDS.items():
+        sure = dict.fromkeys(p for _, m in models for p in at(m, ("calibration", kind)) or ())
+        of_sure: dict[str, Place] = {
+            f"p >= {p}": ("calibration", kind, p) for p in sure if float(p) > 0
+        }
+        yield f"{word} right, by the least probability of the answer", of_sure, models
     yield (
         "doubt about relations (people: r of one with the rest)",
         {

@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import hashlib
 import itertools
-import json
 import os
 import sys
 import tempfile
@@ -34,6 +33,7 @@ from phase_ppl.evaluation.registry import (
 from phase_ppl.simulator.contract import error_text
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
 from phase_ppl.world.errors import (
+    AnswerError,
     InvalidSettingError,
     SimulationError,
     UnknownNameError,
@@ -45,7 +45,6 @@ from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.shards import SHARD, Shard
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
@@ -85,7 +84,6 @@ def evaluate(
     workers: int | None = None,
     executor: Executor | None = None,
     resume: bool = False,
-    shard: str | None = None,
     split: str | None = None,
     limit: int | None = None,
     seed: int = 0,
@@ -111,7 +109,7 @@ def evaluate(
         model: a name (:func:`phase_ppl.available_models`), by default the closed loop; a
             :class:`phase_ppl.Model`, explained as by :func:`phase_ppl.infer`, by the closed loop or
             with a ``kernel`` among the options; or a function ``(scene, observation, seed)``
-            that returns a :class:`phase_ppl.Prediction` or a mapping such as
+            that returns a :class:`phase_ppl.Prediction`, a posterior or a mapping such as
             ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In another
             world than PHASE the answers are to ``goal_<agent>`` and ``relation_<one>_<other>``,
             and models by name are "stepwise", "predicate", "last_frame" and what ``infer`` does.
@@ -125,8 +123,6 @@ def evaluate(
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same, but there may
             be more events after those; truth and judgments may have changed.
-        shard: "2/8" asks about the second of eight shares of the events, each with an ``out`` of
-            its own, of which :func:`phase_ppl.merge` makes the whole.
         split: only the events of that split of a generated data set, such as "test".
         limit: only the first so many events.
         seed: a whole number >= 0.
@@ -146,9 +142,10 @@ def evaluate(
             evaluation with others, the message says which.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
         SimulationError: the executor takes no more work.
+        AnswerError: the model failed at every event; the message names the first.
         EvaluationInterrupted: Ctrl-C.
 
-    The last two carry what was finished as ``evaluation``.
+    The last three carry what was finished as ``evaluation``.
     """
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
@@ -164,8 +161,7 @@ def evaluate(
         ready_model = seen_through(ready_model, observer, world)
     if not ready_model.parallel:
         executor, slots = None, 1
-    settings = settings_of(ready_model, seed, chosen, shard)
-    chosen = [event for event in chosen if event.id in settings["events"]]
+    settings = settings_of(ready_model, seed, chosen)
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None
         done: dict[str, Prediction] = {}
@@ -218,31 +214,26 @@ def evaluate(
         found = evaluation()
         if folder is not None:
             write_json(folder.path / METRICS, found.metrics)
+        if failures and not done:
+            first = next(event.id for event in chosen if event.id in failures)
+            n = len(failures)
+            failed = AnswerError(
+                f"model {ready_model.name!r} failed at {n} of {n} events; event {first!r}: "
+                f"{failures[first]}"
+            )
+            failed.evaluation = found  # type: ignore[attr-defined]
+            raise failed
         return found
 
 
-def settings_of(
-    model: ReadyModel, seed: int, events: Sequence[Event], shard: str | None = None
-) -> dict[str, Any]:
-    """Return what determines the predictions of a shard of the events, in JSON's types."""
-    seen = {event.id: event_digest(event) for event in events}
-    of_shard = {}
-    if shard is not None:
-        share = Shard.named(shard)
-        of_shard = {SHARD: str(share), "whole": whole_digest(seen)}
-        seen = dict(share.of_all(list(seen.items())))
+def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[str, Any]:
+    """Return what determines the predictions of the events, in JSON's types."""
     return {
         **model.record,
         "seed": seed,
         "versions": stable(versions()),
-        "events": seen,
-        **of_shard,
+        "events": {event.id: event_digest(event) for event in events},
     }
-
-
-def whole_digest(events: Mapping[str, str]) -> str:
-    """Return a hash of the events that shards are of: ids and digests, in their order."""
-    return hashlib.sha256(json.dumps(list(events.items())).encode()).hexdigest()
 
 
 def event_seed(seed: int, digest: str) -> int:
@@ -313,7 +304,7 @@ def _ask(predict: Predict, job: _Job) -> _Outcome:
     try:
         given = predict(job.scene, job.observation, job.seed)
         seconds, cpu = time.perf_counter() - clock, time.process_time() - used
-        answer = given if isinstance(given, Answer) else Answer(given)
+        answer = Answer.of(given)
         prediction = Prediction.of(answer.given, world=job.scene.world)
         cost = {**stable(plain(prediction.cost)), "seconds": seconds, "cpu_seconds": cpu}
         prediction = dataclasses.replace(prediction, cost=cost)

@@ -27,17 +27,20 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable, Collection, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
-from phase_ppl.evaluation.arrays import world_of
-from phase_ppl.evaluation.cells import INTERVALS, metric_tables, wrapped
+from phase_ppl.evaluation.arrays import true_answers, world_of
+from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
     human_accuracy,
@@ -45,6 +48,7 @@ from phase_ppl.evaluation.metrics import (
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -60,6 +64,9 @@ from phase_ppl.world.identity import differences, event_digest
 from phase_ppl.world.picture import Printed, plain
 from phase_ppl.world.scene import PHASE
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 SCHEMA: Final = "phase-ppl-evaluation-1"  # value of ``schema`` in settings.json
 SETTINGS: Final = "settings.json"
 EVENTS: Final = "events.json"
@@ -72,10 +79,19 @@ FAILURES: Final = "failures.json"
 COMPARISON: Final = "comparison.json"
 """The file by which the folder of a comparison of models is known."""
 
-_DETERMINE: Final = (
-    *("model", "options", "model_settings", "function", "function_source", "seed", "shard"),
-)
+_DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
 """The settings that must be the same for an evaluation to go on, beside events and versions."""
+
+_FEW: Final = 3  # failures and notes that are printed
+
+_COLUMNS: Final = {
+    **dict.fromkeys(("event", "question", "label", "model"), None),
+    **dict.fromkeys(("probability", "error"), "float64"),
+    "answer": "bool",
+    **dict.fromkeys(("truth", "sure", "decided"), "boolean"),
+    **{"people": "float64", "n": "int64"},
+}
+"""Column of the tidy table -> what kind of numbers it has, None: text."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -122,6 +138,47 @@ class Evaluation(Printed):
             "cost": self.cost,
         }
         return dict(plain(found))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a tidy table: a row per event, question and label that could be the answer.
+
+        What the model did not answer has no rows.
+
+        Returns:
+            Columns ``event``, ``question``, ``label`` and ``model`` (text); ``probability`` and
+            its Monte-Carlo ``error`` (NaN: none is known); ``answer``, whether the label is the
+            model's answer; ``truth``, whether it is true (NA: unknown); ``sure``, whether the
+            posterior is sure that the answer leads, and ``decided``, whether it decides the event
+            (NA: there is no posterior); ``people``, the share of people who said so (NaN: nobody
+            was asked), and ``n``, how many answered the question.
+        """
+        import pandas as pd
+
+        rows = [row for event in self.events for row in self._rows(event)]
+        table = pd.DataFrame(rows, columns=list(_COLUMNS))
+        return table.astype({name: kind for name, kind in _COLUMNS.items() if kind})
+
+    def _rows(self, event: Event) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows of an event."""
+        prediction = self.predictions.get(event.id)
+        if prediction is None:
+            return
+        truth, judgments = true_answers(event), Judgments.of(event)
+        for question, answer in prediction.answers.items():
+            labels = prediction.questions[question]
+            unknown = np.full(len(labels), np.nan)
+            counts = None if judgments is None else judgments.counts.get(question)
+            n = 0 if counts is None else int(counts.sum())
+            people = unknown if counts is None else counts / n
+            numbers = (given.get(question, unknown) for given in
+                       (prediction.probabilities, prediction.errors))  # fmt: skip
+            for label, p, error, share in zip(labels, *numbers, people, strict=True):
+                is_true = label == truth[question] if question in truth else None
+                verdict = prediction.sure.get(question), prediction.decided
+                yield (
+                    *(event.id, question, label, self.name, p, error),
+                    *(label == answer, is_true, *verdict, share, n),
+                )
 
     def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
         """Return the posterior of an event, read from the folder; None where none was kept."""
@@ -206,16 +263,17 @@ class Evaluation(Printed):
         metrics = self.metrics
         models = {self.name: metrics, **self._of_references(metrics["reference_models"])}
         head = f"{self.name}: {len(self.predictions)} of {len(self.events)} events"
+        failed = [f"failed: {event}: {failure}" for event, failure in self.failures.items()]
         told = [
             f"cost: {_cost(self.cost)}",
-            *(f"failed: {event}: {failure}" for event, failure in self.failures.items()),
-            *(f"note: {note}" for note in self.notes),
+            *_first(failed, "failures"),
+            *_first([f"note: {note}" for note in self.notes], "notes"),
         ]
         lines = wrapped(f"{head}, seed {self.settings['seed']}; {INTERVALS}")
-        for table in metric_tables(list(models.items()), metrics["people"]):
-            lines += table.lines()
-        lines.append("")
-        return "\n".join([*lines, *(line for text in told for line in wrapped(text))])
+        ending = ["", *(line for text in told for line in wrapped(text))]
+        tables = metric_tables(list(models.items()), metrics["people"])
+        lines += on_screen(tables, LINES - len(lines) - len(ending))
+        return "\n".join([*lines, *ending])
 
     def __repr__(self) -> str:
         return (
@@ -506,6 +564,12 @@ def difference_table(found: Mapping[str, Any]) -> str:
     )
     tables = (table.lines() for table in metric_tables([("difference", found)]))
     return "\n".join([*head, *itertools.chain(*tables)])
+
+
+def _first(texts: Sequence[str], what: str) -> list[str]:
+    """Return the first few texts, shortened; the last says where there are more."""
+    shown = [textwrap.shorten(text, 2 * WIDTH, placeholder=" ...") for text in texts[:_FEW]]
+    return [*shown, *([f"{len(texts)} in all, see .{what}"] if len(texts) > _FEW else ())]
 
 
 def _cost(cost: Mapping[str, Any]) -> str:

@@ -28,6 +28,10 @@ per question.
 ``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> of the
                                answers of at least that probability ``n``, ``probability``, its
                                mean, and ``accuracy``, the share that is true
+``verdict``                    "goal" and "relation" -> of the answers of posteriors, ``n`` and
+                               ``accuracy`` of those about events that are "decided", about
+                               others ("undecided"), and of those that are "sure" themselves; see
+                               :class:`~phase_ppl.evaluation.prediction.Prediction`
 ``confusion``                  true scenario -> scenario of the two goals answered -> events; None
                                in other worlds than PHASE
 ``human``                      see below
@@ -96,7 +100,7 @@ from phase_ppl.evaluation.prediction import (
     reference_predictions,
 )
 from phase_ppl.evaluation.ratings import Judgments
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
 from phase_ppl.world.scene import PHASE, World
@@ -198,6 +202,7 @@ class Scores:
         put(result, self._among_people[known.ids])
         count_scenarios(result, known.scenario)
         result["calibration"] = calibration(model)
+        result["verdict"] = verdict(model)
         result["confusion"] = confusion(known.scenario, model.scenario)
         result["doubt"] = doubt(known, model, self._seed, self._resamples)
         result["ties"] = count_ties([predictions[name] for name in known.ids], known.world)
@@ -365,10 +370,26 @@ def calibration(model: Said) -> dict[str, dict[str, Any]]:
         for least in SURE:
             chosen = (sure >= least) & ~np.isnan(right)
             if chosen.any():
-                accuracy = proportion(np.where(chosen, right, np.nan))
-                told = {"n": int(chosen.sum()), "probability": float(sure[chosen].mean())}
-                found[kind][f"{least:g}"] = {**told, "accuracy": accuracy}
+                told = {"probability": float(sure[chosen].mean()), **_right_among(right, chosen)}
+                found[kind][f"{least:g}"] = told
     return found
+
+
+def verdict(model: Said) -> dict[str, dict[str, Any]]:
+    """Return how often answers of posteriors are true, by what these say of them (``verdict``)."""
+    found: dict[str, dict[str, Any]] = {}
+    for kind, right in model.right.items():
+        decided = np.broadcast_to(model.decided, right.shape)
+        parts = {"decided": decided == 1, "undecided": decided == 0, "sure": model.leads[kind] == 1}
+        told = {name: _right_among(right, chosen) for name, chosen in parts.items()}
+        found[kind] = {name: one for name, one in told.items() if one["n"]}
+    return found
+
+
+def _right_among(right: FloatArray, chosen: BoolArray) -> dict[str, Any]:
+    """Return how many of the chosen answers are known to be true or not, and the share of true."""
+    known = np.where(chosen, right, np.nan)
+    return {"n": int(np.isfinite(known).sum()), "accuracy": proportion(known)}
 
 
 def count_ties(

@@ -15,15 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, check_name, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, check_name, instance_of, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
-from phase_ppl.world.picture import plain
+from phase_ppl.world.picture import Printed, bars, plain, wrapped
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import space_of
 
 _SUM_TOLERANCE: Final = 1e-3
+_COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries", "searches")
+_SHOWN: Final = 3  # answers to a question that are printed
+_MANY: Final = 8  # questions, beyond which only the answer itself is
 
 
 @functools.lru_cache(16)
@@ -67,8 +70,10 @@ GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(Printed):
     """Answers to the questions about one event. What is not given is absent, never guessed.
+
+    ``print`` shows the most probable ones.
 
     Attributes:
         event_id: of the event.
@@ -79,9 +84,13 @@ class Prediction:
             the most probable one, of equals the first in label order.
         cost: seconds, simulations and whatever else the model counts.
         world: of the event; it has the questions and their answers (:func:`questions_of`).
+        sure: question -> whether it is sure that the answer leads, as the posterior's
+            ``leaders()`` say; empty where the model has none.
+        decided: whether the event is, as the posterior's ``diagnostics()`` say; None likewise.
 
     Raises:
         UnknownNameError: there is no such question or answer; the message names close matches.
+        InvalidSettingError: ``sure`` or ``decided`` is neither true nor false.
         InvalidEventError: probabilities of another number, negative, not finite, or whose sum
             is not 1 (within 0.001; they are normalised exactly); errors that are not one number
             >= 0 or NaN for each probability.
@@ -93,10 +102,14 @@ class Prediction:
     cost: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     errors: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     world: World = PHASE
+    sure: Mapping[str, bool] = dataclasses.field(default_factory=dict)
+    decided: bool | None = None
 
     def __post_init__(self) -> None:
-        for question in {**self.probabilities, **self.answers, **self.errors}:
+        for question in {**self.probabilities, **self.answers, **self.errors, **self.sure}:
             labels_of(question, self.world)
+        for name, verdict in {**self.sure, **self._of_event}.items():
+            instance_of(name, verdict, bool, "True or False")
         probabilities, answers, errors = {}, {}, {}
         for question, labels in self.questions.items():
             if question in self.probabilities:
@@ -124,22 +137,36 @@ class Prediction:
         """Return what a model answered as a prediction of an event of a world.
 
         Args:
-            given: a prediction, or a mapping from questions to a label, to label -> probability,
-                or to probabilities in label order; None is no answer.
+            given: a prediction; the posterior of an event; or a mapping from questions to a label,
+                to label -> probability, or to probabilities in label order; None is no answer.
             event_id: of the event.
             world: of the event.
 
         Raises:
-            InvalidEventError, UnknownNameError: as for the class; it is neither, it is empty, or
-                of another world.
+            InvalidEventError, UnknownNameError: as for the class; it is none of these, it is empty,
+                or of another world.
         """
+        from phase_ppl.analysis.event_posterior import EventPosterior
+
+        if isinstance(given, cls | EventPosterior) and given.world != world:
+            raise InvalidEventError(
+                f"the answer is about an event of the world {given.world.name!r}, not "
+                f"{world.name!r}"
+            )
         if isinstance(given, cls):
-            if given.world != world:
-                raise InvalidEventError(
-                    f"the answer is about an event of the world {given.world.name!r}, not "
-                    f"{world.name!r}"
-                )
             found = dataclasses.replace(given, event_id=event_id)
+        elif isinstance(given, EventPosterior):
+            marginals = {question: given.marginal(question) for question in questions_of(world)}
+            leaders = given.leaders()
+            found = cls(
+                event_id,
+                probabilities={question: one.values for question, one in marginals.items()},
+                cost={name: given.cost[name] for name in _COUNTED if name in given.cost},
+                errors={question: one["error"].values for question, one in marginals.items()},
+                world=world,
+                sure={question: leaders[question]["sure"] for question in marginals},
+                decided=bool(given.diagnostics()["decided"]),
+            )
         elif isinstance(given, Mapping):
             answered = {q: answer for q, answer in given.items() if answer is not None}
             labels = {q: answer for q, answer in answered.items() if isinstance(answer, str)}
@@ -151,12 +178,17 @@ class Prediction:
             found = cls(event_id, probabilities, labels, world=world)
         else:
             raise InvalidEventError(
-                f"the answer is {shown(given)}, expected a Prediction or a mapping with "
-                f"{_one_of(world)}"
+                f"the answer is {shown(given)}, expected a Prediction, a posterior or a "
+                f"mapping with {_one_of(world)}"
             )
         if not found.answers:
             raise InvalidEventError(f"the answer is empty: {_one_of(world)} is needed")
         return found
+
+    @property
+    def _of_event(self) -> dict[str, bool]:
+        """What is known of the event as a whole, by name."""
+        return {} if self.decided is None else {"decided": self.decided}
 
     @property
     def questions(self) -> Mapping[str, tuple[str, ...]]:
@@ -205,6 +237,8 @@ class Prediction:
             **({"errors": errors} if errors else {}),
             "answers": dict(self.answers),
             "cost": dict(self.cost),
+            **({"sure": dict(self.sure)} if self.sure else {}),
+            **self._of_event,
         }
 
     @classmethod
@@ -217,9 +251,9 @@ class Prediction:
             InvalidEventError, UnknownNameError: as for the class; or a field is missing or of
                 another type.
         """
-        given = {**record, **{name: record.get(name) or {} for name in ("cost", "errors")}}
+        given = {**record, **{name: record.get(name) or {} for name in ("cost", "errors", "sure")}}
         of_kind("event of a prediction", given.get("event"), str)
-        for name in ("probabilities", "errors", "answers", "cost"):
+        for name in ("probabilities", "errors", "answers", "cost", "sure"):
             of_kind(f"{name} of a prediction", given.get(name), dict)
         return cls(
             event_id=record["event"],
@@ -234,7 +268,27 @@ class Prediction:
                 for question, errors in given["errors"].items()
             },
             world=world,
+            sure=given["sure"],
+            decided=given.get("decided"),
         )
+
+    def __str__(self) -> str:
+        told = "" if self.decided is None else ", decided" if self.decided else ", not decided"
+        lines = wrapped("prediction", f"{self.event_id}{told}")
+        for question, answer in self.answers.items():
+            label = question.removeprefix("goal_").removeprefix("relation_")
+            if question not in self.probabilities:
+                lines += wrapped(label, answer)
+                continue
+            others = [one for one in self.top(question, _SHOWN) or () if one != answer]
+            each = [(name, self.estimate(question, name)) for name in (answer, *others)]
+            n = _SHOWN if len(self.answers) <= _MANY else 1
+            lines += bars(label, [(name, p) for name, p in each[:n] if p or name == answer])
+        unsure = ", ".join(question for question, sure in self.sure.items() if not sure)
+        return "\n".join([*lines, *(wrapped("not sure", unsure) if unsure else ())])
+
+    def __repr__(self) -> str:
+        return f"<Prediction of {self.event_id}: {', '.join(self.answers.values())}>"
 
 
 def _one_of(world: World) -> str:
@@ -303,7 +357,7 @@ def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> Flo
 # --- of other models, as files of events carry them -----------------------------------------------
 
 _FIELDS: Final = ("goals", "relation", "goal_probs", "relation_probs")
-_OWN_FIELDS: Final = ("event", "probabilities", "errors", "answers", "cost")
+_OWN_FIELDS: Final = ("event", "probabilities", "errors", "answers", "cost", "sure", "decided")
 
 
 def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Prediction]]:

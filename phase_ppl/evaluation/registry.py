@@ -19,9 +19,11 @@ import inspect
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self, TypeAlias
 
 import phase_ppl
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.evaluation.evaluation import POSTERIOR
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Observation
@@ -34,8 +36,8 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.hypotheses import Hypotheses
     from phase_ppl.models.model import Model
 
-Given: TypeAlias = Prediction | Mapping[str, Any]
-"""An answer: a prediction, whose event id does not matter; or a mapping from questions
+Given: TypeAlias = Prediction | EventPosterior | Mapping[str, Any]
+"""An answer: a prediction, whose event id does not matter; a posterior; or a mapping from questions
 ("goal_red", "goal_green", "relation"; in other worlds than PHASE those of
 :func:`~phase_ppl.evaluation.prediction.questions_of`) to a label, to label -> probability, or to
 probabilities in label order. What the model does not answer is absent, or None."""
@@ -53,6 +55,15 @@ class Answer(NamedTuple):
     given: Given
     artefacts: Mapping[str, Callable[[Path], object]] = {}
     posterior: Hypotheses | None = None
+
+    @classmethod
+    def of(cls, given: object) -> Self:
+        """Return what a model gave as an answer; a posterior is kept as a file."""
+        if isinstance(given, cls):
+            return given
+        if isinstance(given, EventPosterior):
+            return cls(given, {POSTERIOR: given.save}, given)
+        return cls(given)  # type: ignore[arg-type]
 
 
 Predict: TypeAlias = Callable[[Scene, Observation, int], Given | Answer]

@@ -52,6 +52,7 @@ from phase_ppl.evaluation.paper import (
 from phase_ppl.evaluation.registry import model_info, not_installed
 from phase_ppl.inference.settings import simulations
 from phase_ppl.world.errors import (
+    AnswerError,
     InvalidSettingError,
     OutputError,
     check_name,
@@ -215,10 +216,14 @@ def reproduce(
         found: dict[str, Evaluation] = {}
         for place, (label, one) in enumerate(chosen.items(), 1):
             say(f"{place} of {len(chosen)}: {label}")
-            found[label] = evaluate(
-                events, one.model, out=folder / MODELS / label, workers=slots, resume=True,
-                seed=seed, progress=progress, **one.options,
-            )  # fmt: skip
+            try:
+                found[label] = evaluate(
+                    events, one.model, out=folder / MODELS / label, workers=slots, resume=True,
+                    seed=seed, progress=progress, **one.options,
+                )  # fmt: skip
+            except AnswerError as error:  # other models may do better
+                say(str(error))
+                found[label] = error.evaluation  # type: ignore[attr-defined]
         comparison = compare_models(found, stored="all")
         comparison.save(folder / COMPARED)
         cells = list(_cells(comparison, asked, missing, labels, rated, played))

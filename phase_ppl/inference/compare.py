@@ -75,7 +75,6 @@ from phase_ppl.world.identity import stable, versions, versions_so_far
 from phase_ppl.world.picture import plain
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import PHASE, check_is_phase
-from phase_ppl.world.shards import SHARD, Shard
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -480,7 +479,6 @@ def compare(
     settings: SimpleSettings | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
-    shard: str | None = None,
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
 ) -> Comparison:
@@ -523,8 +521,6 @@ def compare(
         workers: processes; by default one per usable core. With an ``executor``, how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
-        shard: "2/8" does only the second of eight shares of the runs, of which
-            :func:`phase_ppl.merge` makes the whole; each makes the reference for itself.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         checkpoint: a .json file that is rewritten after every run. If it exists, the runs in it
             are not repeated; more kernels and more repeats may be asked for. It is a comparison
@@ -558,9 +554,7 @@ def compare(
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights, chosen)
     for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
         entry.check(event, model, budget)
-    share = None if shard is None else Shard.named(shard)
     runs = [(repeat, entry) for repeat in range(repeats) for entry in chosen]
-    runs = runs if share is None else share.of_all(runs)
     with locked(checkpoint):
         record = _Record(
             {
@@ -577,7 +571,6 @@ def compare(
                 "weights": weights,
                 "reference": {"asked": wanted.record()},
                 **({} if read is None else {"read": read.settings}),
-                **({} if share is None else {SHARD: str(share)}),
             },
             checkpoint,
         )
@@ -664,9 +657,6 @@ class _Record:
         old, new = dict(stored.settings), self.settings
         pairs = [(name, old.get(name), new[name]) for name in new
                  if name not in _MAY_DIFFER]  # fmt: skip
-        pairs.append((SHARD, old.get(SHARD), new.get(SHARD)))
-        if SHARD in new:  # of which kernels and repeats a share is decides what is in it
-            pairs += [(name, old[name], new[name]) for name in ("kernels", "repeats")]
         pairs.append(("reference", old["reference"].get("asked"), new["reference"]["asked"]))
         shared = old["kernels"].keys() & new["kernels"].keys()
         pairs += [(f"kernel {k!r}", old["kernels"][k], new["kernels"][k]) for k in sorted(shared)]
@@ -683,21 +673,6 @@ class _Record:
         new["reference"] = old["reference"]
         self.runs = stored.runs.to_dict("records")
         self.curves = [stored.curve] if len(stored.curve) else []
-
-
-def runs_left(shard: Comparison) -> int:
-    """Return how many runs of a shard's comparison are not finished."""
-    settings = shard.settings
-    runs = [None] * (settings["repeats"] * len(settings["kernels"]))
-    return len(Shard.named(settings[SHARD]).of_all(runs)) - len(shard.runs)
-
-
-def together(shards: Sequence[Comparison]) -> Comparison:
-    """Return the comparison whose shards are given, all of them."""
-    settings = {name: value for name, value in shards[0].settings.items() if name != SHARD}
-    frames = ([one.runs for one in shards], [one.curve for one in shards])
-    runs, curves = (pd.concat(each, ignore_index=True) for each in frames)
-    return _in_order(runs, curves, settings)
 
 
 def _in_order(runs: pd.DataFrame, curves: pd.DataFrame, settings: Mapping[str, Any]) -> Comparison:

@@ -138,6 +138,17 @@ class Observation:
         """(time, entity): radians."""
         return self.trajectory[..., 2]
 
+    @property
+    def duration(self) -> str:
+        """How long it is, in words."""
+        seconds = (self.n_frames - 1) / FRAMES_PER_SECOND
+        return f"{self.n_frames} frames, {seconds:.1f} s simulated"
+
+    def __repr__(self) -> str:
+        (x0, y0), (x1, y1) = self.positions.min(axis=(0, 1)), self.positions.max(axis=(0, 1))
+        bodies = f"{self.positions.shape[1]} bodies, x {x0:.1f} to {x1:.1f}, y {y0:.1f} to {y1:.1f}"
+        return f"<observation: {self.duration}; {bodies}>"
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Thoughts:
@@ -236,8 +247,7 @@ class Event:
         return f"<event {self._words()}>"
 
     def _words(self) -> str:
-        seconds = (self.observation.n_frames - 1) / FRAMES_PER_SECOND
-        words = f"{self.id}: {self.observation.n_frames} frames, {seconds:.1f} s simulated"
+        words = f"{self.id}: {self.observation.duration}"
         if isinstance(self.truth, Roles):
             words += f"; {self.truth}"
         elif self.truth is not None:

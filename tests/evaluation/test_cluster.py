@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
 import os
-import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
-from tests.evaluation.toys import FailsAt, evaluate, guesses, raises, several
+from phase_ppl.world.errors import SimulationError
+from tests.evaluation.toys import evaluate, guesses, several
 from tests.simulator.clusters import local_cluster, note, the_third_killed
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills a process")
@@ -93,57 +93,14 @@ def test_the_command_works_on_a_cluster_and_one_that_is_closed_leaves_what_can_b
     assert "--dask nonsense://1: no scheduler answers" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("model", [guesses, FailsAt(5, raises)], ids=["guesses", "fails"])
-def test_shards_make_the_evaluation_of_one_process(model: Any, tmp_path: Path) -> None:
-    folders = [tmp_path / f"{i}" for i in (1, 2, 3)]
-    for i, folder in enumerate(folders, 1):
-        evaluate(EVENTS, model, out=folder, shard=f"{i}/3")
-    merged = ppl.merge(folders[::-1], tmp_path / "merged")
-    whole = evaluate(EVENTS, model, out=tmp_path / "whole")
-    assert isinstance(merged, ppl.Evaluation)
-    assert bool(merged.failures) == (model is not guesses)
-    for found in (merged, ppl.Evaluation.load(tmp_path / "merged")):
-        assert [event.id for event in found.events] == [event.id for event in EVENTS]
-        assert found.settings == whole.settings
-        same(found, whole)
-    of_merged, of_whole = (
-        {path.name for path in (tmp_path / name / "events").iterdir()}
-        for name in ("merged", "whole")
-    )
-    assert of_merged == of_whole
-
-
-def test_the_commands_make_shards_of_several_models(
+def test_one_call_does_all_the_work_as_executors_share_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ppl.save_events(EVENTS, tmp_path / "events.json")
-    given = ["evaluate", str(tmp_path / "events.json"), "--no-figures", "--quiet"]
-    given += ["--model", "one=last_frame", "--model", "two=last_frame", "--workers", "1"]
-    for number in (1, 2):
-        command = [*given, "--shard", f"{number}/2", "--out", str(tmp_path / f"{number}")]
-        assert main(command) == 0
-        assert main([*command, "--resume"]) == 0
-    capsys.readouterr()
-    folders = [str(tmp_path / number / "two") for number in "12"]
-    assert main(["merge", *folders, "--out", str(tmp_path / "two")]) == 0
-    assert "8 of 8 events" in capsys.readouterr().out
-
-
-def test_shards_that_do_not_fit_together_are_refused(tmp_path: Path) -> None:
-    def shard(name: str, share: str, events: Any = EVENTS, **more: Any) -> Path:
-        evaluate(events, guesses, shard=share, out=tmp_path / name, **more)
-        return tmp_path / name
-
-    def refused(folders: Any, match: str, kind: type[Exception] = InvalidSettingError) -> None:
-        with pytest.raises(kind, match=match):
-            ppl.merge(folders, tmp_path / "out")
-
-    one, two = shard("one", "1/2"), shard("two", "2/2")
-    refused([one], "the shard 2/2 is missing")
-    refused([one, two, one], "the shard 1/2 is there twice")
-    refused([one, shard("other", "2/2", seed=1)], "different requests: seed is 1, was 0")
-    refused([one, shard("fewer", "2/2", EVENTS[:6])], "different requests: whole is")
-    shutil.rmtree(next((two / "events").iterdir()))
-    refused([one, two], "two is not finished: 3 of 4 events", InvalidEventError)
-    with pytest.raises(InvalidSettingError, match="shard is '1/2', was '2/2'"):
-        shard("two", "1/2", resume=True)
+    for call in (ppl.evaluate, ppl.generate, ppl.compare):
+        taken = inspect.signature(call).parameters
+        assert "executor" in taken
+        assert "shard" not in taken
+    assert not hasattr(ppl, "merge")
+    with pytest.raises(SystemExit):
+        main(["evaluate", "collaborate", "--shard", "1/2", "--out", str(tmp_path)])
+    assert "unrecognized arguments: --shard" in capsys.readouterr().err

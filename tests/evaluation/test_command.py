@@ -44,6 +44,7 @@ def _models(own_models: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
         "right": lambda size=1: right,
         "wrong": lambda: wrong,
         "fails": lambda: FailsAt(4, raises),
+        "broken": lambda: lambda scene, observation, seed: raises(),
         "stops": lambda: FailsAt(4, stops),
         "stops_once": lambda: stops_once,
         "any": lambda **options: right,
@@ -95,6 +96,17 @@ def test_there_is_a_bar_only_where_it_is_asked_for_and_without_a_folder_nothing_
     assert "Nothing was saved" in printed.out
     assert main([*command, "--progress"]) == 0
     assert "predicting" in capsys.readouterr().err
+
+
+def test_a_model_that_fails_at_every_event_is_one_error_and_others_go_on(capsys: Capture) -> None:
+    error = refused(capsys, "--model", "broken", *QUICK)
+    assert "'broken' failed at 3 of 3 events; event 'a': ValueError: not today" in error
+    assert "--resume goes on" in error
+    assert evaluate(EVENTS, "--model", "broken", "--model", "right", "--out", "two") == 1
+    written = capsys.readouterr()
+    assert "broken: failed: a: ValueError: not today" in written.err
+    assert "right" in written.out
+    assert len(read("metrics.json", Path("two", "right"))["cost"]["events"]) == 3
 
 
 def test_a_failing_event_is_told_by_the_exit_code(capsys: Capture) -> None:

@@ -18,6 +18,7 @@ from phase_ppl.evaluation.evaluate import EventProgress
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.registry import Predict
 from phase_ppl.world.errors import (
+    AnswerError,
     InvalidEventError,
     InvalidSettingError,
     OutputError,
@@ -104,7 +105,7 @@ def test_what_an_answer_cost_is_kept_as_plain_data(tmp_path: Path) -> None:
         (lambda: {"goal_red": "Get blue item to red landmark"}, "'Get blue item to red lm'"),
         (lambda: {"goal_blue": RED_TO_RED}, "unknown question 'goal_blue'"),
         (lambda: {"relation": None}, "the answer is empty"),
-        (lambda: None, "the answer is None, expected a Prediction or a mapping"),
+        (lambda: None, "the answer is None, expected a Prediction, a posterior or a mapping"),
         (lambda: exit(3), "SystemExit: 3"),
     ],
 )
@@ -137,6 +138,104 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(tmp_path:
     assert list(found.failures) == ["d"]
     text = "tests.evaluation.toys.raises"
     assert found.settings["options"] == {"a": None, "b": text, "c": [1, 2.0]}
+
+
+def test_a_posterior_is_an_answer_and_what_it_says_of_itself_is_kept(tmp_path: Path) -> None:
+    made: dict[int, ppl.StepwisePosterior] = {}
+
+    def reads(scene: Any, observation: Any, seed: int) -> Any:
+        if observation.n_frames == 5:
+            return right(scene, observation, seed)  # which says nothing of itself
+        post = made[observation.n_frames] = ppl.infer(ppl.Event(scene, observation), seed=seed)
+        return post
+
+    found = evaluate(EVENTS[:3], reads, out=tmp_path)
+    assert not found.failures
+    for one in (found, ppl.Evaluation.load(tmp_path)):
+        for event in EVENTS[:3]:
+            said, post = one.predictions[event.id], made.get(event.observation.n_frames)
+            if post is None:
+                assert (said.sure, said.decided, one.posterior(event.id)) == ({}, None, None)
+                continue
+            kept = one.posterior(event.id)
+            assert kept is not None
+            assert kept.event_id == event.id
+            assert (
+                said.probabilities["goal_red"].tolist() == post.marginal("goal_red").values.tolist()
+            )
+            assert said.sure == {name: it["sure"] for name, it in post.leaders().items()}
+            assert said.decided == post.diagnostics()["decided"]
+    table = found.to_dataframe().groupby("event")[["sure", "decided"]].first()
+    assert table.loc["c"].isna().all()
+    assert table.drop("c").notna().all(axis=None)
+    scene = ppl.worlds.TRIO.random_scene(1)
+    elsewhere = ppl.Event(scene, ppl.Observation(np.repeat(scene.start[None], 3, axis=0)))
+    with pytest.raises(AnswerError, match="world 'PHASE', not 'trio'"):
+        evaluate(elsewhere, saying(made[3]))
+
+
+def test_accuracies_of_decided_and_undecided_answers_stand_side_by_side(tmp_path: Path) -> None:
+    def told(scene: Any, observation: Any, seed: int) -> Any:
+        n = observation.n_frames
+        sure = {"goal_red": n != 4, "goal_green": n != 4, "relation": True}
+        given = right if n > 4 else wrong
+        answers = given(scene, observation, seed)
+        return ppl.Prediction("", answers=answers, sure=sure, decided=n != 4) if n < 6 else answers
+
+    found = evaluate(model=told, out=tmp_path)
+    for one in (found, ppl.Evaluation.load(tmp_path)):
+        verdict = one.metrics["verdict"]["relation"]
+        assert {name: (it["n"], it["accuracy"]["value"]) for name, it in verdict.items()} == {
+            "decided": (2, 0.5), "undecided": (1, 0), "sure": (3, 1 / 3),
+        }  # fmt: skip
+        words = str(one).split("relations right, by whether the posterior decides the event\n")[1]
+        assert words.split("\n")[0].split() == ["decided", "undecided", "sure"]
+        assert all(
+            n in words.split("\n")[1] for n in ("0.50 [0.01, 0.99] of 2", "0.00 of 1", "of 3")
+        )
+    changed(tmp_path / "events" / "0000-a" / "prediction.json", sure={"goal_red": "yes"})
+    with pytest.raises(InvalidEventError, match="goal_red='yes', expected True or False"):
+        ppl.Evaluation.load(tmp_path)
+    assert "verdict" in (without := evaluate().metrics)
+    assert without["verdict"] == {"goal": {}, "relation": {}}
+    assert "decides" not in str(evaluate())
+
+
+def test_the_tidy_table_has_a_row_per_event_question_and_label() -> None:
+    votes = {"relation_counts": {"friendly": 1, "neutral": 3}}
+    events = [
+        dataclasses.replace(EVENTS[0], judgments=votes),
+        dataclasses.replace(EVENTS[1], truth=None),
+    ]
+    errors = {"relation": [0.1, 0.2, np.nan]}
+    shares = {"relation": [0.25, 0.75, 0]}
+    said = ppl.Prediction("", shares, {"goal_red": RED_TO_RED}, errors=errors)
+    table = evaluate([*events, EVENTS[3]], FailsAt(6, raises), seed=2).to_dataframe()
+    assert table["event"].unique().tolist() == ["a", "b"]
+    table = evaluate(events, saying(said)).to_dataframe()
+    assert len(table) == 2 * (36 + 3)
+    assert table.dtypes.astype(str).to_dict() == {
+        **dict.fromkeys(("event", "question", "label", "model"), table["event"].dtype.name),
+        **{"probability": "float64", "error": "float64", "answer": "bool"},
+        **dict.fromkeys(("truth", "sure", "decided"), "boolean"),
+        **{"people": "float64", "n": "int64"},
+    }
+    relation = table[(table["event"] == "a") & (table["question"] == "relation")]
+    assert relation["label"].tolist() == ["friendly", "neutral", "adversarial"]
+    assert relation["probability"].tolist() == shares["relation"]
+    assert np.array_equal(relation["error"], errors["relation"], equal_nan=True)
+    assert relation["answer"].tolist() == relation["truth"].tolist() == [False, True, False]
+    assert relation["people"].tolist() == [0.25, 0.75, 0]
+    assert set(relation["n"]) == {4}
+    other = table[table["event"] == "b"]
+    assert other["truth"].isna().all()
+    assert other["people"].isna().all()
+    assert set(other["n"]) == {0}
+    goals = table[table["question"] == "goal_red"]
+    assert goals["probability"].isna().all()
+    assert goals.loc[goals["answer"], "label"].tolist() == [RED_TO_RED] * 2
+    given = table[table["answer"]]
+    assert given.groupby("question")["truth"].mean().to_dict() == {"goal_red": 1, "relation": 1}
 
 
 # --- what a model gets to know -----------------------------------------------------------------
@@ -173,10 +272,11 @@ def test_longest_events_come_first_and_a_model_cannot_change_what_others_see() -
         order.append(observation.n_frames)
         observation.trajectory[:] = 0
 
-    found = evaluate([EVENTS[1], EVENTS[3], EVENTS[0], EVENTS[2]], vandal)
+    with pytest.raises(
+        AnswerError, match=r"'vandal' failed at 4 of 4 events; event 'b': .*read-only"
+    ):
+        evaluate([EVENTS[1], EVENTS[3], EVENTS[0], EVENTS[2]], vandal)
     assert order == [6, 5, 4, 3]
-    assert len(found.failures) == 4
-    assert all("read-only" in failure for failure in found.failures.values())
 
 
 def test_workers_let_go_of_compiled_programs_and_the_callers_process_keeps_its_own(
@@ -318,8 +418,33 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     found = evaluate(events, FailsAt(3, raises), out=tmp_path / ("long" * 30))
     printed = str(found)
     assert max(map(len, printed.splitlines())) <= 100
+    assert len(printed.splitlines()) <= 40
+    more = str(evaluate(events, guesses))
+    assert len(more.splitlines()) <= 40
+    assert "agreement with people on relations" in more
+    assert "not shown, but in .metrics and ppl.report: " in more
     names = [f"g_name_{i}" for i in range(4)]
     assert all(w in printed for w in ("people", *names, "1.00 [0.29, 1.00]", "independent (4)"))
+
+
+def test_a_prediction_and_an_observation_fit_a_screen() -> None:
+    said = {"goal_red": {RED_TO_RED: 0.9, GREEN_TO_RED: 0.1}, "relation": "neutral"}
+    prediction = ppl.Prediction.of(said, "walk")
+    told = dataclasses.replace(prediction, sure={"goal_red": False}, decided=False)
+    lines = str(told).splitlines()
+    assert [line.split("  ")[0] for line in lines] == [
+        "prediction",
+        "red",
+        "",
+        "relation",
+        "not sure",
+    ]
+    assert all(w in str(told) for w in ("walk, not decided", RED_TO_RED, "0.9", "goal_red"))
+    assert "decided" not in str(prediction)
+    assert repr(told) == f"<Prediction of walk: {RED_TO_RED}, neutral>"
+    assert "5 frames" in str(still(n_frames=5).observation)
+    assert "4 bodies, x 8.0 to 24.0, y 12.0 to 12.0" in str(still().observation)
+    assert len(str(still(n_frames=500).observation)) <= 100
 
 
 def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture[str]) -> None:
@@ -429,10 +554,16 @@ def test_other_versions_are_refused_while_there_is_something_left(tmp_path: Path
 def test_while_nothing_is_finished_there_are_no_figures_and_settings_may_change(
     tmp_path: Path,
 ) -> None:
-    found = evaluate(model=lambda *_: raises(), out=tmp_path)
-    assert (len(found.failures), found.metrics["n_events"]) == (4, 0)
-    assert found.metrics["goal_accuracy"] is None
+    with pytest.raises(
+        AnswerError, match="failed at 4 of 4 events; event 'a': ValueError"
+    ) as caught:
+        evaluate(model=lambda *_: raises(), out=tmp_path)
+    for found in (caught.value.evaluation, ppl.Evaluation.load(tmp_path)):
+        assert (len(found.failures), found.metrics["n_events"]) == (4, 0)
+        assert found.metrics["goal_accuracy"] is None
     assert "0 of 4 events" in str(found)
+    assert "4 in all, see .failures" in str(found)
+    assert json.loads((tmp_path / "metrics.json").read_text())["failures"] == found.failures
     assert evaluate(out=tmp_path, seed=3, resume=True).settings["seed"] == 3
     assert not (tmp_path / "failures.json").exists()
 

@@ -81,31 +81,6 @@ def assert_same_runs(one: ppl.Comparison, other: ppl.Comparison) -> None:
         pd.testing.assert_frame_equal(*untimed)
 
 
-def test_shards_make_the_comparison_of_one_process(
-    found: ppl.Comparison, reference: ppl.Posterior, tmp_path: Path
-) -> None:
-    def shard(which: str, **options: Any) -> Path:
-        folder = tmp_path / which[0]
-        folder.mkdir(exist_ok=True)
-        compare(reference, checkpoint=folder / "comparison.json", shard=which, **options)
-        return folder
-
-    folders = [shard(f"{i}/3") for i in (1, 2, 3)]
-    merged = ppl.merge(folders[::-1], tmp_path / "all")
-    assert isinstance(merged, ppl.Comparison)
-    assert merged.settings == found.settings
-    for one in (merged, ppl.Comparison.load(tmp_path / "all" / "comparison.json")):
-        assert_same_runs(one, found)
-    with pytest.raises(InvalidSettingError, match="the shard 2/3 is missing"):
-        ppl.merge(folders[::2], tmp_path / "less")
-    with pytest.raises(InvalidSettingError, match="made with another repeats: 2, not 3"):
-        shard("1/3", repeats=3)
-    kept = ppl.Comparison.load(folders[0] / "comparison.json")
-    dataclasses.replace(kept, runs=kept.runs[:1]).save(folders[0] / "comparison.json")
-    with pytest.raises(InvalidEventError, match="1 is not finished: 1 of 2 runs"):
-        ppl.merge(folders, tmp_path / "less")
-
-
 def test_every_kernel_runs_every_repeat_within_the_budget(found: ppl.Comparison) -> None:
     expected = list(itertools.product(KERNELS, range(2)))
     assert list(zip(found.runs["kernel"], found.runs["repeat"], strict=True)) == expected
@@ -302,7 +277,6 @@ def test_a_checkpoint_of_other_settings_or_damaged_is_refused(
         ("another budget", {"budget": ppl.simulations(28)}),
         ("kernel 'early'", {"kernels": {"early": KERNELS["whole"]}}),
         ("another reference", {"reference": "single_site_mh"}),
-        ("another shard: None, not '1/3'", {"shard": "1/3"}),
     ]
     for message, change in changes:
         with pytest.raises(InvalidSettingError, match=message):

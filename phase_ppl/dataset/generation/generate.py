@@ -8,10 +8,10 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import Any, Final
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.documents import read_json
@@ -52,7 +52,6 @@ from phase_ppl.world.files import locked, writable_folder, write_bytes, write_js
 from phase_ppl.world.identity import differences, versions_so_far
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.shards import SHARD, Shard
 from phase_ppl.world.worlds import named
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
@@ -102,13 +101,11 @@ def assemble(
     plan: Mapping[str, Any],
     made_by: Sequence[Mapping[str, Any]],
     slots: Sequence[Slot],
-    folder_of: Callable[[Slot], Path],
 ) -> None:
     """Write the data set of a plan, of which each slot has a part; the manifest comes last.
 
     A block of slots is in memory at a time. A set of one block has its events in one file, and its
-    entries in the manifest. It was ``made_by`` these versions, the last ones last; the part of each
-    slot is in a folder of its own, or the same.
+    entries in the manifest. It was ``made_by`` these versions, the last ones last.
     """
     # of simulations, and of those of re-planned copies
     tally: dict[bool, dict[str, dict[str, Any]]] = {
@@ -124,7 +121,7 @@ def assemble(
         entries = []
         rejected: list[dict[str, Any]] = []
         for slot in slots[start : start + BLOCK]:
-            part = read_part(folder_of(slot), slot)
+            part = read_part(out, slot)
             events += part["events"]
             entries += part["entries"]
             tally[False][slot.cell]["kept"] += bool(part["events"])
@@ -233,15 +230,7 @@ class GenerationInterrupted(KeyboardInterrupt):
     """The generation was interrupted; what was finished is kept and can be resumed."""
 
 
-@overload
 def generate(
-    out: str | os.PathLike[str], n: int | None = None, *, shard: None = None, **options: Any
-) -> GeneratedEvents: ...
-@overload
-def generate(
-    out: str | os.PathLike[str], n: int | None = None, *, shard: str, **options: Any
-) -> Path: ...
-def generate(  # type: ignore[misc]
     out: str | os.PathLike[str],
     n: int | None = None,
     *,
@@ -261,11 +250,10 @@ def generate(  # type: ignore[misc]
     keep_rejected: bool = False,
     resume: bool = False,
     other_versions: bool = False,
-    shard: str | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
     progress: bool | None = None,
-) -> GeneratedEvents | Path:
+) -> GeneratedEvents:
     """Make a data set like PHASE: draw situations, simulate them, keep those that show something.
 
     Each event follows from ``seed`` and its number in the plan: the set is the same for any number
@@ -305,8 +293,6 @@ def generate(  # type: ignore[misc]
         resume: go on with what ``out`` holds.
         other_versions: also where that was made by other versions of this package, or of what it
             builds on; the manifest keeps both.
-        shard: "2/8" makes only the second of eight shares, each in a folder of its own, of which
-            :func:`phase_ppl.merge` makes the set.
         workers: processes; by default one per usable core. With an ``executor``, how many events
             to give it at a time; by default up to 1000.
         executor: any PEP 3148 executor to make events in, such as that of a ``dask.distributed``
@@ -314,8 +300,7 @@ def generate(  # type: ignore[misc]
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
     Returns:
-        The events, a sequence; ``.manifest`` and ``.entries`` say how each was made. Of a shard its
-        folder.
+        The events, a sequence; ``.manifest`` and ``.entries`` say how each was made.
 
     Raises:
         UnknownNameError, InvalidSettingError: a setting that is not allowed.
@@ -349,9 +334,6 @@ def generate(  # type: ignore[misc]
     at_once = slots_of(workers, executor)
     folder, slots = Path(out), plan.slots()
     record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
-    if shard is not None:
-        share = Shard.named(shard)
-        slots, record[SHARD] = share.of_all(slots), str(share)
     with locked(writable_folder(out)):
         made_by: list[dict[str, Any]] = []
         if (folder / PLAN).exists():
@@ -371,10 +353,8 @@ def generate(  # type: ignore[misc]
         clock = time.perf_counter()
         _make_missing(folder, plan, missing, len(slots), keep_rejected, at_once, executor, progress)
         seconds = time.perf_counter() - clock
-        if shard is not None:
-            return folder
         if not finished:
-            assemble(folder, plan.to_dict(), made_by, slots, lambda _: folder)
+            assemble(folder, plan.to_dict(), made_by, slots)
             cost = {
                 "seconds": seconds,
                 "workers": at_once,

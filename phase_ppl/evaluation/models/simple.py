@@ -11,17 +11,15 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.evaluation.evaluation import POSTERIOR
-from phase_ppl.evaluation.prediction import Prediction, questions_of
-from phase_ppl.evaluation.registry import Answer, MoreOptions, Predict, register_model
+from phase_ppl.evaluation.registry import MoreOptions, Predict, register_model
 from phase_ppl.world.errors import InvalidSettingError, check_name, unknown_name
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
+    from phase_ppl.analysis.event_posterior import EventPosterior
     from phase_ppl.models.model import Model
 
-_COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries", "searches")
 _NOT_OPTIONS: Final = ("checkpoint", "event", "executor", "progress", "seed", "workers")
 
 
@@ -33,21 +31,12 @@ class Simple:
     # for ``infer``, kernel options included
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
-    def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
-        """Return the marginals of the effective goals and of the relations."""
+    def __call__(self, scene: Scene, observation: Observation, seed: int) -> EventPosterior:
+        """Return the posterior."""
         from phase_ppl.inference.infer import infer
 
         event = Event(scene, observation)
-        post = infer(event, self.model, seed=seed, workers=1, progress=False, **self.options)
-        marginals = {question: post.marginal(question) for question in questions_of(scene.world)}
-        prediction = Prediction(
-            "",
-            probabilities={question: found.values for question, found in marginals.items()},
-            cost={name: post.cost[name] for name in _COUNTED if name in post.cost},
-            errors={question: found["error"].values for question, found in marginals.items()},
-            world=scene.world,
-        )
-        return Answer(prediction, {POSTERIOR: post.save}, post)
+        return infer(event, self.model, seed=seed, workers=1, progress=False, **self.options)
 
     def warm_up(self) -> None:
         """Compile what the model needs, for all processes."""
