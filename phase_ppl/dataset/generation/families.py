@@ -11,6 +11,7 @@ Families with variants take the variant's name as second argument.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 from collections import deque
@@ -22,17 +23,12 @@ import numpy as np
 from phase_ppl.dataset.generation.situation import (
     LAYOUTS,
     NARROW,
-    NUMBER,
     SIZES,
     SPOTS,
     CannotDraw,
-    Choice,
     Draw,
     Option,
     Situation,
-    agent_to,
-    approach,
-    item_to,
     tables_of,
 )
 from phase_ppl.world.arrays import FloatArray
@@ -45,14 +41,8 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.geometry import deepest_overlap
 from phase_ppl.world.goals import goal_literal, is_true
-from phase_ppl.world.hypothesis import (
-    RELATION_OF_SCENARIO,
-    SCENARIOS,
-    Hypothesis,
-    Roles,
-    scenario,
-)
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, GREEN, PINK_ITEM, RED
+from phase_ppl.world.hypothesis import SCENARIOS, Hypothesis, Roles, scenario
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.registry import Registry
 from phase_ppl.world.rooms import ROOMS_OF_RAY
 from phase_ppl.world.scene import PHASE, Scene, World
@@ -69,7 +59,7 @@ class Drawn(NamedTuple):
     roles: Roles
     layout: int  # number of the layout
     # that its family made, in order; places and angles are not among them
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[tuple[Any, bool], ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,11 +77,6 @@ class Family:
     world: World | None  # whose it is; None: any with enough of the following
     needs: Mapping[str, int]  # least number of "agents", "items" and "landmarks"
     variant: str | None = None
-
-    @property
-    def relation(self) -> str:
-        """What its events show."""
-        return RELATION_OF_SCENARIO[self.scenario]
 
     def lacks(self, world: World) -> str:
         """Return why a world cannot have it; "" where it can."""
@@ -264,6 +249,9 @@ def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
 
 # --- the paper's, in PHASE ------------------------------------------------------------------------
 # Rooms and sizes are those of red and green agent, blue and pink item, strengths of the agents.
+# Rooms have the numbers of the landmarks in them.
+
+_RED, _GREEN, _BLUE, _ = ENTITIES
 
 
 @register_family("chasing", scenario="opposing")
@@ -273,8 +261,8 @@ def chasing(draw: Draw) -> Situation:
     chased = draw.room(but=[chaser])
     way = chaser, chased
     return draw.situation(
-        (approach(RED), None),
-        {AGENTS[::-1]: "hinder"},
+        {_RED: f"get to {_GREEN}"},
+        {(_GREEN, _RED): "hinder"},
         rooms=(chaser, chased, draw.room(), draw.room()),
         size=(draw.size(way), draw.size(way), draw.size(), draw.size()),
         strength=(draw.strength(300), draw.strength(300)),
@@ -285,7 +273,7 @@ def chasing(draw: Draw) -> Situation:
 def collab(draw: Draw) -> Situation:
     """Both want the same item at a landmark and fetch it from the same or from two sides."""
     item = draw.room()
-    landmark = draw.room(but=[item])
+    landmark = draw.landmark(but=[item])
     first = draw.room(but=[item])
     place = draw.chain.index(item)
     sides = draw.chain[:place], draw.chain[place + 1 :]
@@ -293,7 +281,7 @@ def collab(draw: Draw) -> Situation:
     second = draw.one_of([first, draw.one_of(across)] if across else [first])
     force, way = draw.strength(), (item, landmark)
     return draw.situation(
-        item_to(BLUE_ITEM, landmark),
+        f"{_BLUE} to {landmark}",
         rooms=(first, second, item, draw.room()),
         size=(
             draw.size((first, item), way),
@@ -309,12 +297,12 @@ def collab(draw: Draw) -> Situation:
 def compete(draw: Draw) -> Situation:
     """Both want the same item, at landmarks of their own."""
     item = draw.room()
-    red = draw.room(but=[item])
-    green = draw.room(but=[item, red])
+    red = draw.landmark(but=[item])
+    green = draw.landmark(but=[item, red])
     ways = (item, red), (item, green)
     rooms = draw.room(), draw.room()
     return draw.situation(
-        (item_to(BLUE_ITEM, red), item_to(BLUE_ITEM, green)),
+        (f"{_BLUE} to {red}", f"{_BLUE} to {green}"),
         rooms=(*rooms, item, draw.room()),
         size=(
             *(draw.size((room, item), way) for room, way in zip(rooms, ways, strict=True)),
@@ -334,11 +322,11 @@ def help_blocked(draw: Draw) -> Situation:
     sides = draw.sides_of(draw.narrow_door())
     near = draw.one_of((0, 1))
     helpee = draw.one_of(sides[near])
-    landmark = draw.one_of(sides[near])
+    landmark = LANDMARKS[draw.one_of(sides[near])]
     item = draw.one_of(sides[1 - near])
     return draw.situation(
-        (None, item_to(BLUE_ITEM, landmark)),
-        {AGENTS: "help"},
+        {_GREEN: f"{_BLUE} to {landmark}"},
+        {(_RED, _GREEN): "help"},
         rooms=(draw.room(), helpee, item, draw.room()),
         size=(SIZES[0], draw.size(but=SIZES[:1]), SIZES[0], draw.size()),
         strength=(draw.strength(300), draw.strength(300)),
@@ -349,11 +337,11 @@ def help_blocked(draw: Draw) -> Situation:
 def help_lift(draw: Draw) -> Situation:
     """A weak agent is with the item, a stronger one comes; both want the item at a landmark."""
     item = draw.room()
-    landmark = draw.room(but=[item])
+    landmark = draw.landmark(but=[item])
     helper = draw.room(but=[item])
     way = item, landmark
     return draw.situation(
-        item_to(BLUE_ITEM, landmark),
+        f"{_BLUE} to {landmark}",
         rooms=(helper, item, item, draw.room()),
         size=(draw.size((helper, item), way), SIZES[0], draw.size(way), draw.size()),
         strength=(draw.strength(300), draw.strength(high=150)),
@@ -371,8 +359,8 @@ def help_move(draw: Draw) -> Situation:
     away = [np.linalg.norm(draw.rooms.door_position[door] - spot) for spot in SPOTS[before_door]]
     nearest = SPOTS[before_door][int(np.argmin(away))]
     return draw.situation(
-        (None, agent_to(GREEN, draw.one_of(beyond))),
-        {AGENTS: "help"},
+        {_GREEN: f"{_GREEN} to {LANDMARKS[draw.one_of(beyond)]}"},
+        {(_RED, _GREEN): "help"},
         rooms=(draw.one_of(beyond), draw.one_of(sides[near]), nearest, draw.room()),
         size=(draw.size(), SIZES[0], SIZES[2], draw.size()),
         strength=(draw.strength(600), draw.strength(high=300)),
@@ -388,11 +376,11 @@ def hinder(draw: Draw, variant: str) -> Situation:
     hinderer, hindered, item = draw.room(), draw.room(), draw.room()
     of_item = variant == "LMO"
     mover = item if of_item else hindered
-    landmark = draw.room(but=[mover])
+    landmark = draw.landmark(but=[mover])
     way = mover, landmark
     return draw.situation(
-        (None, item_to(BLUE_ITEM, landmark) if of_item else agent_to(GREEN, landmark)),
-        {AGENTS: "hinder"},
+        {_GREEN: f"{_BLUE if of_item else _GREEN} to {landmark}"},
+        {(_RED, _GREEN): "hinder"},
         rooms=(hinderer, hindered, item, draw.room()),
         size=(
             draw.size((hinderer, mover), way),
@@ -407,18 +395,17 @@ def hinder(draw: Draw, variant: str) -> Situation:
 @register_family("independent", scenario="independent", variants=("LMO+LMO", "LMO+LMA", "LMA+LMA"))
 def independent(draw: Draw, variant: str) -> Situation:
     """Each agent takes an item of its own (LMO), or itself (LMA), to a landmark."""
-    rooms = [draw.room() for _ in draw.world.entities]
+    rooms = [draw.room() for _ in ENTITIES]
     goals, sizes, item_sizes = [], [], [draw.size(), draw.size()]
     for agent, kind in enumerate(variant.split("+")):
         moved = agent + len(AGENTS) * (kind == "LMO")
-        landmark = draw.room(but=[rooms[moved]])
+        landmark = draw.landmark(but=[rooms[moved]])
         way = rooms[moved], landmark
+        goals.append(f"{ENTITIES[moved]} to {landmark}")
         if kind == "LMO":
-            goals.append(item_to((BLUE_ITEM, PINK_ITEM)[agent], landmark))
             sizes.append(draw.size((rooms[agent], rooms[moved]), way))
             item_sizes[agent] = draw.size(way)
         else:
-            goals.append(agent_to(agent, landmark))
             sizes.append(draw.size(way))
     return draw.situation(
         goals,
@@ -481,7 +468,7 @@ def chasing_of_any(draw: Draw) -> Situation:
 # strength one id further. Where it was not offered such a choice, its rules do not hold, and there
 # is none.
 
-_STEPS: Final = (1, -1)
+_STEPS: Final = {"up": 1, "down": -1}
 """How far ids of sizes and strengths are moved; ids are not turned over at the ends."""
 
 
@@ -492,80 +479,64 @@ def most_changes(world: World) -> int:
 
 
 class Change(NamedTuple):
-    """What differs from the situation that was drawn first."""
+    """A situation that is another one but for what is said."""
 
-    layout: int  # number of the layout
-    ids: int = 0  # by how much all ids of sizes and strengths are moved: 0, 1 or -1
-
-    @property
-    def name(self) -> str:
-        """A short name, such as "layout-17" or "ids-up"."""
-        return {0: f"layout-{self.layout}", 1: "ids-up", -1: "ids-down"}[self.ids]
-
-    def described(self, before: Drawn) -> dict[str, Any]:
-        """Return as plain data how it differs from the situation that was drawn first."""
-        return {"ids_moved_by": self.ids} if self.ids else {"layout_before": before.layout}
+    name: str  # a short one, such as "layout-17" or "ids-up"
+    told: dict[str, int]  # how it differs, as plain data
+    situation: Drawn
 
 
-def changed(family: Family, first: Drawn) -> list[tuple[Change, Drawn]]:
+def changed(family: Family, first: Drawn) -> list[Change]:
     """Return all situations that are a situation in another layout, or with ids moved by one.
 
     Goals, relations and all places and angles at the start are those of the first.
     """
     kinds = [kind for kind in tables_of(first.scene.world).alike if first.layout in kind]
-    changes = [
-        *(Change(layout) for kind in kinds for layout in kind
-          if layout != first.layout and layout in family.layouts),
-        *(Change(first.layout, step) for step in _STEPS),
-    ]  # fmt: skip
-    found = ((change, _redrawn(family, first, change)) for change in changes)
-    return [(change, other) for change, other in found if other is not None]
+    layouts = {*family.layouts} - {first.layout}
+    changes = {f"layout-{n}": (n, 0) for kind in kinds for n in kind if n in layouts}
+    changes |= {f"ids-{way}": (first.layout, by) for way, by in _STEPS.items()}
+    found = []
+    for name, (layout, by) in changes.items():
+        with contextlib.suppress(CannotDraw):
+            other = family.drawn_with(_Redraw(first, layout, by))
+            if _is_same(first, other, by):
+                told = {"ids_moved_by": by} if by else {"layout_before": first.layout}
+                found.append(Change(name, told, other))
+    return found
 
 
-def _redrawn(family: Family, first: Drawn, change: Change) -> Drawn | None:
-    world = first.scene.world
-    sizes = _moved(first.scene.radius.tolist(), SIZES, change.ids)
-    strengths = _moved(first.roles.strengths, tables_of(world).strengths, change.ids)
-    if sizes is None or strengths is None:
-        return None
-    try:
-        found = family.drawn_with(_Redraw(first, change))
-    except CannotDraw:
-        return None
-    # what a family fixes is not moved, and what it draws elsewhere than from a Draw is drawn anew
-    same = (
-        found.roles == dataclasses.replace(first.roles, strengths=tuple(strengths))
-        and np.array_equal(found.scene.start, first.scene.start)
-        and found.scene.radius.tolist() == sizes
+def _is_same(first: Drawn, other: Drawn, by: int) -> bool:
+    """Whether all is the same, but sizes and strengths so many ids further.
+
+    What a family fixes is not moved, and what it draws elsewhere than from a Draw is drawn anew.
+    """
+
+    def moved(values: Sequence[float], levels: Sequence[float]) -> list[float | None]:
+        further = dict(zip(levels[max(0, -by) :], levels[max(0, by) :], strict=False))
+        return [further.get(value, None if by else value) for value in values]
+
+    forces = moved(first.roles.strengths, tables_of(first.scene.world).strengths)
+    return (
+        (first.roles.stated, first.roles.towards) == (other.roles.stated, other.roles.towards)
+        and forces == list(other.roles.strengths)
+        and np.array_equal(first.scene.start, other.scene.start)
+        and moved(first.scene.radius.tolist(), SIZES) == other.scene.radius.tolist()
     )
-    return found if same else None
-
-
-def _moved(values: Sequence[float], levels: Sequence[float], by: int) -> list[float] | None:
-    """Return values so many ids further; None where one is not a level, or there is none."""
-    if not by:
-        return list(values)
-    ids = [levels.index(value) + by if value in levels else -1 for value in values]
-    return [levels[i] for i in ids] if all(0 <= i < len(levels) for i in ids) else None
 
 
 class _Redraw(Draw):
     """A draw that makes the choices of an earlier one, but for a change."""
 
-    def __init__(self, earlier: Drawn, change: Change) -> None:
-        super().__init__(earlier.scene.world, np.random.default_rng(0), change.layout)
-        self._left = deque(earlier.choices)
-        self._start = earlier.scene.start
-        self._ids = change.ids
+    def __init__(self, earlier: Drawn, layout: int, by: int) -> None:
+        super().__init__(earlier.scene.world, np.random.default_rng(0), layout)
+        self._left, self._start, self._by = deque(earlier.choices), earlier.scene.start, by
 
-    def _value(self, kind: str, options: Sequence[Option]) -> Option:
-        if not self._left or self._left[0].kind != kind:
+    def _value(self, options: Sequence[Option], is_id: bool) -> Option:
+        if not self._left or self._left[0][1] != is_id:
             self.refuse()
-        earlier = self._left.popleft().value
-        value = earlier if kind == NUMBER else earlier + self._ids
-        if value not in options:
-            self.refuse()
-        return options[options.index(value)]
+        value, _ = self._left.popleft()
+        value = value + self._by if is_id else value
+        return value if value in options else self.refuse()
 
     def _arrangements(self, places: Sequence[Any]) -> Iterator[FloatArray]:
         for spots, (x, y, _) in zip(places, self._start.tolist(), strict=True):

@@ -75,8 +75,6 @@ def read_part(folder: Path, slot: Slot) -> Part:
         for draw in part["rejected"]:
             if "event" in draw:
                 draw["event"] = event_from_record(draw["event"])
-        if [event.id for event in part["events"]] != [entry["id"] for entry in part["entries"]]:
-            raise InvalidEventError("its events and entries are not the same")
         return part
     except (KeyError, TypeError, PhasePPLError) as error:
         raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.dataset.events_json import event_record
-from phase_ppl.dataset.generation.families import Drawn, changed, pairs_showing
-from phase_ppl.dataset.generation.plan import (
-    MOST_TRIES,
-    REFLECTION_SHARES,
-    UNCHANGED,
-    Look,
-    Plan,
-    Slot,
-    is_as_before,
-)
+from phase_ppl.dataset.generation.families import Change, Drawn, changed, pairs_showing
+from phase_ppl.dataset.generation.plan import MOST_TRIES, UNCHANGED, Look, Plan, Slot, is_as_before
 from phase_ppl.dataset.generation.situation import tables_of
 from phase_ppl.dataset.motion import last_motion
 from phase_ppl.physics.actions import DIRECTIONS
@@ -31,7 +23,7 @@ from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, all_ways
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, NOTHING, Predicate
 from phase_ppl.world.scene import Scene, Turning, World
 
 AFTER_MOTION: Final = 8
@@ -131,10 +123,7 @@ def reflected(recording: Recording, name: str) -> Recording:
 
 def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
     """Return the recording with the colours of the agents, of the items or of both exchanged."""
-    order = list(range(len(ENTITIES)))
-    for swap, first in ((agents, 0), (items, BLUE_ITEM)):
-        if swap:
-            order[first], order[first + 1] = order[first + 1], order[first]
+    order = [*((1, 0) if agents else (0, 1)), *((3, 2) if items else (2, 3))]
     agent_order, scene = order[: len(AGENTS)], recording.scene
     return dataclasses.replace(
         recording,
@@ -300,59 +289,110 @@ def make(plan: Plan, slot: Slot) -> Part:
     A situation is one of a family, which shows its scenario, or a random scene with roles, in which
     an agent reaches a goal of its own. Its event has copies where the plan wants them.
     """
-    part: Part = {"name": slot.name, "cell": slot.cell, "events": [], "entries": [], "rejected": []}
+    making = _Making(plan, slot)
     for attempt in range(plan.max_tries):
-        _try(plan, slot, part, attempt)
-        if part["events"]:
+        making.attempt(attempt)
+        if making.part["events"]:
             break
-    return part
+    return making.part
 
 
-def _try(plan: Plan, slot: Slot, part: Part, attempt: int) -> None:
-    """Draw a situation; keep its recording, and copies of it, if it is good."""
-    family = plan.families.get(slot.cell)
-    simulator = JointSimulator(plan.planner)
-    before = is_as_before(plan.world)
-    seed = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt
-    rng = np.random.default_rng([plan.seed, 0, slot.number, attempt] if before else seed)
+class _Making:
+    """The making of a slot's event and its copies."""
 
-    def reject(id: str, reason: str, event: Event | None, found: Measures, replanned: bool) -> None:
-        told = {"id": id, "reason": reason, "replanned": replanned, "measures": found}
-        part["rejected"].append(told if event is None else {**told, "event": event_record(event)})
+    def __init__(self, plan: Plan, slot: Slot) -> None:
+        self.plan, self.slot = plan, slot
+        self.family = plan.families.get(slot.cell)
+        self.simulator = JointSimulator(plan.planner)
+        self.part: Part = {"name": slot.name, "cell": slot.cell}
+        self.part |= {"events": [], "entries": [], "rejected": []}
 
-    def simulated(what: Drawn, id: str, replanned: bool = False) -> Recording | None:
-        scene = dataclasses.replace(what.scene, turning=plan.turning)
-        steps = np.random.default_rng(rng.integers(2**31)) if before else random_generator(seed)
-        recording = record(what._replace(scene=scene), simulator, plan.frames, steps)
-        found = measures(recording)
-        if family is not None:
-            reason = reason_against(family.scenario, recording.hypothesis, found)
+    def attempt(self, attempt: int) -> None:
+        """Draw a situation; keep its recording, and copies of it, if it is good."""
+        plan, id = self.plan, f"{self.slot.name}-{attempt}"
+        seed = (plan.seed * _SLOTS + self.slot.number) * MOST_TRIES + attempt
+        rng, steps = np.random.default_rng(seed), random_generator(seed)
+        if is_as_before(plan.world):
+            rng = np.random.default_rng([plan.seed, 0, self.slot.number, attempt])
+        if self.family is not None:
+            drawn = self.family.draw(plan.world, rng)
         else:
-            reason = None if any(_reached(what.roles, found)) else "no goal is reached"
-        if reason is not None:
-            reject(id, reason, event_of(recording, id), found, replanned)
-        return recording if reason is None else None
+            roles = _drawn_roles(plan, seed)
+            if isinstance(roles, str):
+                self.reject(id, roles)
+                return
+            drawn = Drawn(plan.world.random_scene(seed), roles, 0)
+        if is_as_before(plan.world):
+            steps = np.random.default_rng(rng.integers(2**31))
+        recording = self.simulated(drawn, steps, id)
+        if recording is None:
+            return
+        found = {"attempt": attempt, "seed": seed, "replanned": None}
+        for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
+            self.keep(recording, plan.looks[index], found)
+        if plan.replans and self.family is not None:
+            self.replan(changed(self.family, drawn))
 
-    def keep(
-        recording: Recording, attempt: int, look: Look, replanned: dict[str, Any] | None = None
-    ) -> None:
-        shown = recording
+    def replan(self, changes: Sequence[Change]) -> None:
+        """Keep recordings of changed situations that are good, as many as the plan wants."""
+        plan, kept = self.plan, 0
+        # numbers of their own: the event and its other copies are the same without them
+        rng = np.random.default_rng([plan.seed, 2, self.slot.number])
+        for place in rng.permutation(len(changes)):
+            if kept == plan.replans:
+                break
+            name, told, drawn = changes[place]
+            for again in range(REPLAN_TRIES):
+                steps = np.random.default_rng(rng.integers(2**31))
+                id = f"{self.slot.name}-{name}-{again}"
+                recording = self.simulated(drawn, steps, id, replanned=True)
+                if recording is not None:
+                    look = plan.looks[int(rng.choice(len(plan.looks), p=plan.shares))]
+                    self.keep(recording, look, {"attempt": again, "replanned": told})
+                    kept += 1
+                    break
+
+    def simulated(
+        self, drawn: Drawn, rng: np.random.Generator, id: str, replanned: bool = False
+    ) -> Recording | None:
+        """Return the recording of a situation if it is good."""
+        scene = dataclasses.replace(drawn.scene, turning=self.plan.turning)
+        recording = record(drawn._replace(scene=scene), self.simulator, self.plan.frames, rng)
+        found = measures(recording)
+        if self.family is not None:
+            reason = reason_against(self.family.scenario, recording.hypothesis, found)
+        else:
+            reason = None if any(_reached(drawn.roles, found)) else "no goal is reached"
+        if reason is None:
+            return recording
+        event = event_record(event_of(recording, id))
+        self.reject(id, reason, replanned, measures=found, event=event)
+        return None
+
+    def reject(self, id: str, reason: str, replanned: bool = False, **found: Any) -> None:
+        """Keep of a draw why it is not good."""
+        told = {"id": id, "reason": reason, "replanned": replanned, "measures": {}}
+        self.part["rejected"].append({**told, **found})
+
+    def keep(self, shown: Recording, look: Look, made: Mapping[str, Any]) -> None:
+        """Keep a recording in a look, and how it was made."""
+        slot, events = self.slot, self.part["events"]
         if look.reflection != UNCHANGED:
             shown = reflected(shown, look.reflection)
-        if tables_of(plan.world).has_looks:
+        if tables_of(self.plan.world).has_looks:
             shown = recoloured(shown, agents=look.agents, items=look.items)
-        id = f"{slot.name}.{len(part['events'])}" if part["events"] else slot.name
-        part["events"].append(event_record(event_of(shown, id)))
-        told = {"id": id, "group": slot.name, "split": slot.split, "attempt": attempt}
-        if family is not None:
-            told |= {"family": family.name, "variant": family.variant}
+        id = f"{slot.name}.{len(events)}" if events else slot.name
+        events.append(event_record(event_of(shown, id)))
+        entry = {"id": id, "group": slot.name, "split": slot.split, "attempt": made["attempt"]}
+        if self.family is not None:
+            entry |= {"family": self.family.name, "variant": self.family.variant}
         wanted = shown.hypothesis
         if isinstance(wanted, Roles):
-            told |= {"world": plan.world.name, "seed": seed, "roles": wanted.to_dict()}
+            entry |= {"world": wanted.world.name, "seed": made["seed"], "roles": wanted.to_dict()}
         else:
-            told |= {
+            entry |= {
                 "layout": shown.layout,
-                "replanned": replanned,
+                "replanned": made["replanned"],
                 "reflection": look.reflection,
                 "agents_exchanged": look.agents,
                 "items_exchanged": look.items,
@@ -360,39 +400,7 @@ def _try(plan: Plan, slot: Slot, part: Part, attempt: int) -> None:
                 "scenario": wanted.scenario,
                 "relation": wanted.relation,
             }
-        part["entries"].append({**told, "measures": measures(shown)})
-
-    if family is not None:
-        situation = family.draw(plan.world, rng)
-    else:
-        roles = _drawn_roles(plan, seed)
-        if isinstance(roles, str):
-            reject(f"{slot.name}-{attempt}", roles, None, {}, False)
-            return
-        situation = Drawn(plan.world.random_scene(seed), roles, 0)
-    recording = simulated(situation, f"{slot.name}-{attempt}")
-    if recording is None:
-        return
-    shares = np.array([REFLECTION_SHARES[look.reflection] for look in plan.looks])
-    shares /= shares.sum()
-    for index in rng.choice(len(shares), 1 + plan.copies, replace=False, p=shares):
-        keep(recording, attempt, plan.looks[index])
-    if not plan.replans or family is None:
-        return
-    # numbers of their own: the event and its other copies are the same without them
-    rng = np.random.default_rng([plan.seed, 2, slot.number])
-    changes = changed(family, situation)
-    wanted = len(part["events"]) + plan.replans
-    for place in rng.permutation(len(changes)):
-        if len(part["events"]) == wanted:
-            break
-        change, other = changes[place]
-        for again in range(REPLAN_TRIES):
-            recording = simulated(other, f"{slot.name}-{change.name}-{again}", replanned=True)
-            if recording is not None:
-                look = plan.looks[int(rng.choice(len(shares), p=shares))]
-                keep(recording, again, look, change.described(situation))
-                break
+        self.part["entries"].append({**entry, "measures": measures(shown)})
 
 
 def event_of(recording: Recording, id: str) -> Event:

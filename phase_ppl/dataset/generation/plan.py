@@ -21,6 +21,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.families import Family, family_of, most_changes
 from phase_ppl.dataset.generation.situation import PHASE500, tables_of
 from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     check_memory,
@@ -44,8 +45,6 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 }  # fmt: skip
 """How often the original test videos are reflected, and how."""
 
-FRAMES: Final = 101
-
 BLOCK: Final = 1000
 """Slots whose events are put together at a time, in memory and in a file."""
 
@@ -53,7 +52,7 @@ _SLOT_BYTES: Final = 400
 _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
 """Of memory that a slot takes; an event that is put together with others, and each frame of it."""
-MAX_TRIES: Final = 200
+
 MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
 
 DrawRoles = Callable[[World, int], Roles | None]
@@ -98,10 +97,10 @@ class Plan:
     reflect: bool = True
     recolour: bool = True
     turning: Turning = "both"  # the original events have only "ccw", before any reflection
-    frames: int = FRAMES
+    frames: int = 101
     planner: str | PlannerConfig = "fast"
     seed: int = 0
-    max_tries: int = MAX_TRIES
+    max_tries: int = 200
     world: World = PHASE
     roles: DrawRoles | None = None
 
@@ -159,12 +158,18 @@ class Plan:
         own = cell_of(self.world)
         return {cell: family_of(cell, self.world) for cell in self.cells if cell != own}
 
-    @property
+    @functools.cached_property
     def looks(self) -> list[Look]:
         """What events can look like."""
         swaps = (False, True) if self.recolour else (False,)
         reflections = REFLECTION_SHARES if self.reflect else (UNCHANGED,)
         return [Look(*look) for look in itertools.product(reflections, swaps, swaps)]
+
+    @functools.cached_property
+    def shares(self) -> FloatArray:
+        """How often events look so."""
+        shares = np.array([REFLECTION_SHARES[look.reflection] for look in self.looks])
+        return np.asarray(shares / shares.sum())
 
     def slots(self) -> list[Slot]:
         """Return the events to be made; in each split about the same shares of every cell."""

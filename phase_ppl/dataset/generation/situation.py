@@ -12,9 +12,9 @@ import numpy as np
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.geometry import is_agent, overlaps
-from phase_ppl.world.goals import goal_literal, literal_goal, possible_goals
+from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE, Roles, scenario
-from phase_ppl.world.names import AGENTS, Literal, Predicate
+from phase_ppl.world.names import Predicate
 from phase_ppl.world.rooms import N_ROOMS, RAY_DIRECTIONS, ROOMS_OF_RAY, Rooms
 from phase_ppl.world.scene import ARENA, PHASE, Scene, World
 
@@ -115,17 +115,7 @@ def tables_of(world: World) -> Tables:
 
 
 _ARRANGEMENTS: Final = 50  # tries at places and angles without an overlap before a draw is given up
-NUMBER: Final = "number"
-SIZE: Final = "size"
-STRENGTH: Final = "strength"
 Option = TypeVar("Option")
-
-
-class Choice(NamedTuple):
-    """One of the choices that a situation is made of."""
-
-    kind: str  # ``NUMBER`` (of a room, or anything else), ``SIZE`` or ``STRENGTH``
-    value: Any  # what was chosen, or the original id of the size or strength
 
 
 class Situation(NamedTuple):
@@ -154,7 +144,8 @@ class Draw:
         self.tables = tables_of(world)
         self.walls = self.tables.layouts[layout]
         self.rooms = Rooms.from_walls(self.walls, world.arena, world.quadrants)
-        self.choices: list[Choice] = []
+        # what was chosen, and whether that is the original id of a size or strength
+        self.choices: list[tuple[Any, bool]] = []
 
     def refuse(self, reason: str = "") -> NoReturn:
         """End this draw: another is made. If all are refused, the last reason is told."""
@@ -162,15 +153,15 @@ class Draw:
 
     def one_of(self, options: Iterable[Option]) -> Option:
         """Return one of some, all equally likely; the draw is refused where there is none."""
-        return self._choice(NUMBER, options)
+        return self._choice(options)
 
-    def _choice(self, kind: str, options: Iterable[Option]) -> Option:
+    def _choice(self, options: Iterable[Option], is_id: bool = False) -> Option:
         allowed = list(options)
-        value = self._value(kind, allowed) if allowed else self.refuse()
-        self.choices.append(Choice(kind, value))
+        value = self._value(allowed, is_id) if allowed else self.refuse()
+        self.choices.append((value, is_id))
         return value
 
-    def _value(self, kind: str, options: Sequence[Option]) -> Option:
+    def _value(self, options: Sequence[Option], is_id: bool) -> Option:
         """Return one of the options."""
         return options[int(self.rng.integers(len(options)))]
 
@@ -182,9 +173,11 @@ class Draw:
         """Return the name of an item other than ``but``."""
         return self.one_of(name for name in self.world.items if name not in but)
 
-    def landmark(self, *, but: Sequence[str] = ()) -> str:
-        """Return the name of a landmark other than ``but``."""
-        return self.one_of(name for name in self.world.landmark_names if name not in but)
+    def landmark(self, *, but: Sequence[str | int] = ()) -> str:
+        """Return the name of a landmark other than some, by name or by a room that they are in."""
+        return self.one_of(
+            name for name in self.world.landmark_names if not {name, self._room_of(name)} & {*but}
+        )
 
     def room(self, *, but: Sequence[str | int] = ()) -> int:
         """Return the number of a room other than some, by number or by a landmark that is there."""
@@ -206,16 +199,8 @@ class Draw:
         An arena without a closed wall is cut at the upper one.
         """
         closed = next((ray for ray in range(N_ROOMS) if not self.rooms.door_width[ray]), 0)
-        order = [ROOMS_OF_RAY[closed][0]]
-        while len(order) < N_ROOMS:
-            order += [
-                room
-                for ray, pair in enumerate(ROOMS_OF_RAY)
-                if ray != closed and order[-1] in pair
-                for room in pair
-                if room not in order
-            ]
-        return tuple(order)
+        first, last = ROOMS_OF_RAY[closed]
+        return tuple((first + i * (first - last)) % N_ROOMS for i in range(N_ROOMS))
 
     def sides_of(self, door: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return the rooms on either side of a door, which is the only way between them."""
@@ -239,7 +224,7 @@ class Draw:
         """Return a size other than ``but``, the smallest where not all ways of rooms are free."""
         free = all(self.is_free(*way) for way in ways)
         allowed = (i for i, size in enumerate(SIZES) if size not in but and (free or not i))
-        return SIZES[self._choice(SIZE, allowed)]
+        return SIZES[self._choice(allowed, is_id=True)]
 
     def strength(self, low: float = STRENGTH_RANGE[0], high: float = STRENGTH_RANGE[1]) -> float:
         """Return a force between two, newtons; in PHASE one of the four that there are."""
@@ -247,31 +232,25 @@ class Draw:
         if not levels:
             return float(self.rng.uniform(low, high))
         allowed = (i for i, level in enumerate(levels) if low <= level <= high)
-        return levels[self._choice(STRENGTH, allowed)]
+        return levels[self._choice(allowed, is_id=True)]
 
     def errand(self, agent: str, *, of_item: bool = False) -> str:
         """Return a goal to get the agent itself, or an item, somewhere: a landmark or a room.
 
         With ``of_item`` only to get an item somewhere.
         """
-        return self.one_of(
-            goal
-            for goal in self._errands(agent)
-            if not of_item or goal_literal(goal, 0, self.world).subject >= len(self.world.agents)
-        )
+        return self.one_of(self._errands(agent, of_item))
 
-    def _errands(self, agent: str) -> list[str]:
-        """Return the goals that agents have for themselves, and not about each other."""
-        holder, n_agents = self.world.agent(agent), len(self.world.agents)
-        goals = possible_goals(holder, self.world)
-        literals = (goal_literal(goal, holder, self.world) for goal in goals)
-        return [
-            self.world.goals[goal]
-            for goal, literal in zip(goals, literals, strict=True)
-            if literal.positive
-            and literal.predicate is not Predicate.TOUCH
-            and (literal.subject == holder or literal.subject >= n_agents)
-        ]
+    def _errands(self, agent: str, of_item: bool = False) -> Iterator[str]:
+        """Yield the goals that agents have for themselves, and not about each other."""
+        world, holder = self.world, self.world.agent(agent)
+        for goal in possible_goals(holder, world):
+            literal = goal_literal(goal, holder, world)
+            own = literal.subject >= len(world.agents) or (
+                literal.subject == holder and not of_item
+            )
+            if own and literal.positive and literal.predicate is not Predicate.TOUCH:
+                yield world.goals[goal]
 
     def situation(
         self,
@@ -359,18 +338,3 @@ def _by_name(given: Any, names: Sequence[str]) -> dict[str, Any]:
     if len(each) != len(names):
         raise InvalidSettingError(f"{shown(given)}: expected one for each of {', '.join(names)}")
     return {name: one for name, one in zip(names, each, strict=True) if one is not None}
-
-
-def item_to(item: int, landmark: int) -> int:
-    """Return the goal to get an item (2 or 3) to a landmark."""
-    return literal_goal(Literal(Predicate.ON, item, landmark))
-
-
-def agent_to(agent: int, landmark: int) -> int:
-    """Return the goal to get an agent to a landmark."""
-    return literal_goal(Literal(Predicate.ON, agent, landmark))
-
-
-def approach(agent: int) -> int:
-    """Return the goal of an agent to get to the other one."""
-    return literal_goal(Literal(Predicate.TOUCH, agent, len(AGENTS) - 1 - agent))

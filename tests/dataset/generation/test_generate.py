@@ -35,7 +35,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import goal_literal, is_true
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, STRENGTH_LEVELS
 
 QUICK: dict[str, Any] = {
     "planner": PlannerConfig(particles=5, simulations=2, rollout_length=1),
@@ -88,7 +88,7 @@ def test_the_preset_and_its_splits_are_the_papers() -> None:
     goals: Counter[str] = Counter()
     for cell, n in PHASE500.items():
         family = family_of(cell)
-        relations[family.relation] += n
+        relations[RELATION_OF_SCENARIO[family.scenario]] += n
         drawn = family.draw(ppl.worlds.PHASE, np.random.default_rng(0))
         for goal in drawn.roles.effective_goals:
             goals[goal_type(goal)] += n

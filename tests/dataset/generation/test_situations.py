@@ -113,7 +113,7 @@ def test_situations_show_the_scenario_of_their_family_and_nothing_overlaps(cell:
     family = family_of(cell)
     for situation in situations(cell):
         wanted, scene, rooms = hypothesis(situation), situation.scene, rooms_of(situation)
-        assert (wanted.scenario, wanted.relation) == (family.scenario, family.relation)
+        assert wanted.scenario == family.scenario
         assert situation.layout in family.layouts
         assert not overlaps(scene.start, scene.radius, scene.walls)
         for agent, goal in enumerate(wanted.effective_goals):
@@ -323,7 +323,7 @@ STRENGTH_ID = {force: number for number, force in enumerate(STRENGTH_LEVELS)}
 def changes(cell: str, situation: Drawn) -> dict[str, Drawn]:
     found = changed(family_of(cell), situation)
     assert len(found) <= most_changes(PHASE)
-    return {change.name: other for change, other in found}
+    return {change.name: change.situation for change in found}
 
 
 def ids(situation: Drawn) -> list[int]:
