@@ -264,8 +264,8 @@ def generate(  # type: ignore[misc]
 
     A situation is one of a family, as of :func:`phase_ppl.draw_situation`, or a random scene with
     roles, ``world.random_scene(seed)`` and ``roles(world, seed)``; of these kept are events in
-    which an agent with a goal of its own reaches it. But in PHASE all are made of one number, the
-    ``seed`` of their entry, which ``phase_ppl.simulate`` takes too.
+    which an agent with a goal of its own reaches it. Elsewhere than in PHASE all are made of one
+    number, the ``seed`` of their entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.dataset.generated`).

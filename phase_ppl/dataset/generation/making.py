@@ -311,9 +311,8 @@ class _Making:
         """Draw a situation; keep its recording, and copies of it, if it is good."""
         plan, id = self.plan, f"{self.slot.name}-{attempt}"
         seed = (plan.seed * _SLOTS + self.slot.number) * MOST_TRIES + attempt
-        rng, steps = np.random.default_rng(seed), random_generator(seed)
-        if is_as_before(plan.world):
-            rng = np.random.default_rng([plan.seed, 0, self.slot.number, attempt])
+        before = is_as_before(plan.world)
+        rng = np.random.default_rng([plan.seed, 0, self.slot.number, attempt] if before else seed)
         if self.family is not None:
             drawn = self.family.draw(plan.world, rng)
         else:
@@ -322,8 +321,7 @@ class _Making:
                 self.reject(id, roles)
                 return
             drawn = Drawn(plan.world.random_scene(seed), roles, 0)
-        if is_as_before(plan.world):
-            steps = np.random.default_rng(rng.integers(2**31))
+        steps = np.random.default_rng(rng.integers(2**31)) if before else random_generator(seed)
         recording = self.simulated(drawn, steps, id)
         if recording is None:
             return

@@ -63,18 +63,10 @@ def walls_of_lengths(lengths: Sequence[float]) -> FloatArray:
 
 
 PHASE500: Final[Mapping[str, int]] = {
-    "collab": 55,
-    "help_lift": 35,
-    "help_blocked": 104,
-    "help_move": 6,
-    "compete": 54,
-    "hinder:LMA": 68,
-    "hinder:LMO": 7,
-    "chasing": 63,
-    "independent:LMO+LMO": 15,
-    "independent:LMO+LMA": 51,
-    "independent:LMA+LMA": 42,
-}
+    "collab": 55, "help_lift": 35, "help_blocked": 104, "help_move": 6, "compete": 54,
+    "hinder:LMA": 68, "hinder:LMO": 7, "chasing": 63,
+    "independent:LMO+LMO": 15, "independent:LMO+LMA": 51, "independent:LMA+LMA": 42,
+}  # fmt: skip
 """Cell, FAMILY or FAMILY:VARIANT -> number of events of the paper's 500.
 
 200 friendly, 192 adversarial, 108 neutral; goals: item to a landmark 584, agent to a landmark 215,
@@ -245,11 +237,9 @@ class Draw:
         """Yield the goals that agents have for themselves, and not about each other."""
         world, holder = self.world, self.world.agent(agent)
         for goal in possible_goals(holder, world):
-            literal = goal_literal(goal, holder, world)
-            own = literal.subject >= len(world.agents) or (
-                literal.subject == holder and not of_item
-            )
-            if own and literal.positive and literal.predicate is not Predicate.TOUCH:
+            predicate, subject, _, positive = goal_literal(goal, holder, world)
+            is_own = subject >= len(world.agents) or (subject == holder and not of_item)
+            if is_own and positive and predicate is not Predicate.TOUCH:
                 yield world.goals[goal]
 
     def situation(

@@ -313,6 +313,9 @@ ODD: list[tuple[Any, str]] = [
     (lambda draw: (SOLO.scene({"red agent": (4, 4), "ball": (20, 4), "box": (8, 16)}),
                    Roles.of(SOLO, {"red agent": "red agent to home"})),
      "since 'Get red agent to home' is true at the start"),
+    (lambda draw: (SOLO.scene({"red agent": (20, 14), "ball": (20, 14), "box": (8, 16)}),
+                   Roles.of(SOLO, {"red agent": "red agent to home"})),
+     "since the red agent and the ball overlap"),
 ]  # fmt: skip
 
 
