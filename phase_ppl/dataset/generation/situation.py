@@ -244,13 +244,13 @@ class Draw:
 
     def situation(
         self,
-        goals: Any = None,
+        goals: Mapping[str, str | int] | Sequence[str | int | None] | str | int | None = None,
         relation: Mapping[tuple[str, str], str] | None = None,
-        strength: Any = None,
+        strength: Mapping[str, float] | Sequence[float | None] | float | None = None,
         *,
         rooms: Any = None,
         near: Mapping[str, str] | None = None,
-        size: Any = None,
+        size: Mapping[str, float] | Sequence[float | None] | float | None = None,
     ) -> Situation:
         """Return a situation with all drawn that is not given.
 
