@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from strength_training import draw_scene, in_processes
 from tqdm.auto import tqdm
 
-from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
 from phase_ppl.inference.tables import (
     FEATURES,
     GOALS_ABOUT,
@@ -42,9 +41,9 @@ from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.simulator.joint import simulate
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Observation
-from phase_ppl.world.goals import N_GOALS, goal_literal, opposed_goal
+from phase_ppl.world.goals import N_GOALS, goal_index, goal_literal, opposed_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, LANDMARKS, PINK_ITEM
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, PINK_ITEM
 from phase_ppl.world.scene import Scene
 
 Array = jax.Array | NDArray[Any]
@@ -99,21 +98,27 @@ def draw_goals(rng: np.random.Generator) -> tuple[str, tuple[int, int]]:
         if about == 0:
             goal = _item_goal(rng)
         else:
-            goal = _self_goal(rng, first) if about == 1 else approach(first)
+            other = AGENTS[1 - first]
+            goal = _self_goal(rng, first) if about == 1 else goal_index(f"get to {other}")
         against = opposed_goal(goal, first)
         return scenario, (goal, against) if first == 0 else (against, goal)
     item = int(rng.choice((BLUE_ITEM, PINK_ITEM)))
-    red, green = (item_to(item, int(landmark)) for landmark in rng.permutation(len(LANDMARKS))[:2])
+    red, green = (_to(item, int(landmark)) for landmark in rng.permutation(len(LANDMARKS))[:2])
     return scenario, (red, green)
 
 
 def _item_goal(rng: np.random.Generator) -> int:
     item = int(rng.choice((BLUE_ITEM, PINK_ITEM)))
-    return item_to(item, int(rng.integers(len(LANDMARKS))))
+    return _to(item, int(rng.integers(len(LANDMARKS))))
 
 
 def _self_goal(rng: np.random.Generator, agent: int) -> int:
-    return agent_to(agent, int(rng.integers(len(LANDMARKS))))
+    return _to(agent, int(rng.integers(len(LANDMARKS))))
+
+
+def _to(entity: int, landmark: int) -> int:
+    """Return the goal to get an entity to a landmark."""
+    return goal_index(f"{ENTITIES[entity]} to {LANDMARKS[landmark]}")
 
 
 def draw_event(seed: int, index: int) -> Drawn | None:

@@ -28,8 +28,8 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_ppl.dataset.generation import making
+from phase_ppl.dataset.generation.families import Drawn
 from phase_ppl.dataset.generation.making import Recording
-from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.names import AGENTS
 
@@ -164,16 +164,17 @@ def contents(folder: Path) -> dict[str, Any]:
     return {str(Path(name).relative_to(folder)): value for name, value in found.items()}
 
 
-def instant(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
+def instant(
+    situation: Drawn, simulator: JointSimulator, frames: int, rng: np.random.Generator
+) -> Recording:
     """Return a recording in which everything makes for one place."""
     start = situation.scene.start
-    there = np.append(np.reshape(situation.scene.arena, (2, 2)).mean(axis=1), seed % np.pi)
+    there = np.append(np.reshape(situation.scene.arena, (2, 2)).mean(axis=1), rng.uniform(0, np.pi))
     gone = np.linspace(0, 0.5, frames)[:, None, None]
     nothing = np.zeros((frames, len(AGENTS)), bool)
     track = start + gone * (there - start)
-    return Recording(
-        situation.scene, situation.hypothesis, situation.layout, track, nothing, nothing
-    )
+    hypothesis = situation.roles.of_its_world()
+    return Recording(situation.scene, hypothesis, situation.layout, track, nothing, nothing)
 
 
 if __name__ == "__main__":

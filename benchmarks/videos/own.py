@@ -15,30 +15,30 @@ from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
 from phase_ppl.world.event import Event, Observation, State, Truth
-from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
+from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, is_self_referring
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
+from phase_ppl.world.scene import PHASE
 
 ALPHA_PROBABILITIES = (1 / 3, *[1 / 6] * 4)
 """Of the uniform prior, in the order of ``ALPHAS``."""
 
 
 def drawn_from_prior(rng: np.random.Generator) -> Situation:
-    """Return a scene of any layout with a hypothesis from the uniform prior over levels."""
+    """Return a scene of any layout with roles from the uniform prior over levels."""
     goals = [
         int(rng.choice([g for g in range(N_GOALS) if not is_self_referring(g, agent)]))
         for agent in range(len(AGENTS))
     ]
     alpha = ALPHAS[int(rng.choice(len(ALPHAS), p=ALPHA_PROBABILITIES))]
     while True:
-        draw = Draw(rng, int(rng.choice(list(LAYOUTS))))
+        draw = Draw(PHASE, rng, int(rng.choice(list(LAYOUTS))))
         try:
             return draw.situation(
-                (goals[0], goals[1]),
-                alpha,
-                [draw.room() for _ in ENTITIES],
-                [draw.any_size() for _ in ENTITIES],
-                (draw.strength(), draw.strength()),
+                effective_goals(goals[0], goals[1], alpha),
+                rooms=[draw.room() for _ in ENTITIES],
+                size=[draw.size() for _ in ENTITIES],
+                strength=(draw.strength(), draw.strength()),
             )
         except CannotDraw:
             continue
@@ -52,8 +52,8 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     """
     rng = np.random.default_rng([7, number])
     drawn = drawn_from_prior(rng)
-    scene, goals = drawn.scene, drawn.hypothesis.effective_goals
-    strengths = drawn.hypothesis.strengths
+    scene, goals = drawn.scene, drawn.roles.effective_goals
+    strengths = drawn.roles.strengths
     planner, tracking = PlannerConfig.fast(), likelihood.tracking
     world_model = WorldModel.of(scene, strengths, planner)
     agents = [

@@ -47,7 +47,7 @@ def add_to(commands: Any) -> None:
     cli.add(size, "--cell FAMILY=N", says, _cell, action="append")
     cli.add(parser, "--out DIR", type=Path, required=True)
     says = f"{', '.join(phase_ppl.worlds.available())} (default PHASE); without --cell events of "
-    says += f"others than PHASE are random scenes with roles; {own.FILE}"
+    says += f"others than PHASE, or with --prior, are random scenes with roles; {own.FILE}"
     cli.add(parser, "--world NAME", says)
     says = f"over who wants what in random scenes, default uniform; {own.FILE}"
     cli.add(parser, "--prior NAME", says)

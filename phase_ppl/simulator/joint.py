@@ -28,7 +28,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import MIN_FRAMES, Event, Observation, State, Thoughts, Truth
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, deepest_overlap
 from phase_ppl.world.hypothesis import STRENGTH, Hypothesis, Roles
-from phase_ppl.world.scene import PHASE, Scene
+from phase_ppl.world.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -249,9 +249,8 @@ def simulate(
             f"the hypothesis is of the world {hypothesis.world.name}, the scene of "
             f"{scene.world.name}: give goals="
         )
-    if isinstance(hypothesis, Roles) and scene.world == PHASE:
-        (red, green), (one, other) = hypothesis.effective_goals, hypothesis.strengths
-        hypothesis = Hypothesis(red, green, (0, 0), one, other)
+    if isinstance(hypothesis, Roles):
+        hypothesis = hypothesis.of_its_world()
     seed = whole_number("seed", seed, 0)
     frames = whole_number("frames", frames, MIN_FRAMES)
     check_memory(f"frames={frames}", _FRAME_BYTES * frames)

@@ -28,6 +28,7 @@ from phase_ppl.world.goals import (
     goal_index,
     goal_literal,
     is_self_referring,
+    shared_goal,
     shared_literal,
 )
 from phase_ppl.world.names import AGENTS, GREEN, RED
@@ -386,6 +387,20 @@ class Roles:
             return bool(self.effective_goals)
         except UnknownNameError:
             return False
+
+    def of_its_world(self) -> Hypothesis | Roles:
+        """Return it in the form that its world has: in PHASE a hypothesis.
+
+        In that whoever helps or hinders would want for itself what it would want as a helper.
+        """
+        if self.world != PHASE:
+            return self
+        red, green = (
+            own if one is None else shared_goal(self.stated[one[0]] or 0, one[0])
+            for own, one in zip(self.stated, self.towards, strict=True)
+        )
+        to_green, to_red = (0 if one is None else one[1] for one in self.towards)
+        return Hypothesis(red or 0, green or 0, (to_green, to_red), *self.strengths)
 
     def effective(self) -> Roles:
         """Return the same with effective goals as stated ones, and nobody who helps or hinders."""

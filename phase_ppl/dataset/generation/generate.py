@@ -29,15 +29,8 @@ from phase_ppl.dataset.generated import (
     GeneratedEvents,
 )
 from phase_ppl.dataset.generation.making import Part, make
-from phase_ppl.dataset.generation.plan import (
-    BLOCK,
-    PHASE500,
-    DrawRoles,
-    Plan,
-    Slot,
-    cell_of,
-    scaled,
-)
+from phase_ppl.dataset.generation.plan import BLOCK, DrawRoles, Plan, Slot, cell_of, scaled
+from phase_ppl.dataset.generation.situation import PHASE500, tables_of
 from phase_ppl.simulator.processes import Failure, results, slots_of
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -81,8 +74,6 @@ def read_part(folder: Path, slot: Slot) -> Part:
         for draw in part["rejected"]:
             if "event" in draw:
                 draw["event"] = event_from_record(draw["event"])
-        if [event.id for event in part["events"]] != [entry["id"] for entry in part["entries"]]:
-            raise InvalidEventError("its events and entries are not the same")
         return part
     except (KeyError, TypeError, PhasePPLError) as error:
         raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
@@ -259,23 +250,22 @@ def generate(
     Each event follows from ``seed`` and its number in the plan: the set is the same for any number
     of workers, and after any interruption.
 
-    In another world than PHASE a situation is one of a family, drawn as by
-    :func:`phase_ppl.draw_situation`, or by default a random scene with roles,
-    ``world.random_scene(seed)`` and ``roles(world, seed)``; of these kept are events in which an
-    agent with a goal of its own reaches it. All are made of one number, the ``seed`` of their
-    entry, which ``phase_ppl.simulate`` takes too.
+    A situation is one of a family, as of :func:`phase_ppl.draw_situation`, or a random scene with
+    roles, ``world.random_scene(seed)`` and ``roles(world, seed)``; of these kept are events in
+    which an agent with a goal of its own reaches it. Elsewhere than in PHASE all are made of one
+    number, the ``seed`` of their entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.dataset.generated`).
         n: number of events in the proportions of ``cells``; None: the numbers of ``cells``. Needed
-            in another world than PHASE where no cells are given.
+            for random scenes where no cells are given.
         world: the world, or the name of a ready-made one.
-        roles: of random scenes in another world than PHASE: function ``(world, seed)`` that draws
-            who wants what, such as :func:`phase_ppl.roles.draw`, or that of a prior of one's own,
+        roles: of random scenes: function ``(world, seed)`` that draws who wants what, such as
+            :func:`phase_ppl.roles.draw`, or that of a prior of one's own,
             ``functools.partial(phase_ppl.roles.draw, prior=...)``; where it returns None, scene and
             roles are drawn anew. By default all goals are alike, and all ways to help or hinder.
-        cells: FAMILY or FAMILY:VARIANT -> number; by default the paper's 500, in another world
-            random scenes with roles (``available_families`` lists the families of a world).
+        cells: FAMILY or FAMILY:VARIANT -> number; by default PHASE has the paper's 500, any other
+            world, or with ``roles``, random scenes (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
         copies: further copies of each event with other reflections and colours, in its split.
         replans: further copies of each event at most, in its split: the same situation simulated
@@ -284,8 +274,7 @@ def generate(
         planner: "fast", "paper" or a ``PlannerConfig``.
         seed: of everything random.
         turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
-        frames: length before the cut after the last motion; default 101, as in PHASE. In another
-            world nothing is cut.
+        frames: length, in PHASE before the cut after the last motion; default 101.
         max_tries: draws after which an event is given up; default 200.
         reflect, recolour: whether events are reflected, and colours exchanged, at random; by
             default those of PHASE. Like copies and replans they are of PHASE only.
@@ -311,13 +300,14 @@ def generate(
     """
     given = {"splits": splits, "frames": frames, "max_tries": max_tries}
     world = named(world)
-    of_phase = world == PHASE
+    tables = tables_of(world)
     if cells is None:
-        if n is None and not of_phase:
+        cells = {} if roles is not None else tables.cells
+        if n is None and not cells:
             raise InvalidSettingError(
                 f"n, the number of events, is needed in the world {world.name!r}"
             )
-        cells = PHASE500 if of_phase else {cell_of(world): 1}
+        cells = cells or {cell_of(world): 1}
     plan = Plan(
         world=world,
         roles=roles,
@@ -327,8 +317,8 @@ def generate(
         planner=planner,
         seed=seed,
         turning=turning,
-        reflect=of_phase if reflect is None else reflect,
-        recolour=of_phase if recolour is None else recolour,
+        reflect=tables.has_looks if reflect is None else reflect,
+        recolour=tables.has_looks if recolour is None else recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
     at_once = slots_of(workers, executor)

@@ -4,33 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.dataset.events_json import event_record
-from phase_ppl.dataset.generation.families import changed, pairs_showing
-from phase_ppl.dataset.generation.plan import (
-    MOST_TRIES,
-    REFLECTION_SHARES,
-    UNCHANGED,
-    Look,
-    Plan,
-    Slot,
-)
-from phase_ppl.dataset.generation.situation import Situation
+from phase_ppl.dataset.generation.families import Change, Drawn, changed, pairs_showing
+from phase_ppl.dataset.generation.plan import MOST_TRIES, UNCHANGED, Look, Plan, Slot, is_as_before
+from phase_ppl.dataset.generation.situation import tables_of
 from phase_ppl.dataset.motion import last_motion
 from phase_ppl.physics.actions import DIRECTIONS
-from phase_ppl.simulator.joint import JointSimulator, simulate
+from phase_ppl.simulator.contract import random_generator
+from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, all_ways
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING, Predicate
-from phase_ppl.world.scene import PHASE, Scene, Turning, World
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, NOTHING, Predicate
+from phase_ppl.world.scene import Scene, Turning, World
 
 AFTER_MOTION: Final = 8
 """Frames kept after the last motion, as in the original recordings: 2 s of video."""
@@ -43,7 +37,7 @@ class Recording:
     """A simulated situation."""
 
     scene: Scene  # what was known at the start
-    hypothesis: Hypothesis  # stated goals, alpha, strengths
+    hypothesis: Hypothesis | Roles  # in the form of its world
     layout: int  # number of the layout, before any reflection
     trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
     # (time, agent) whether the action that led to the frame pushes, and whether the agent held an
@@ -52,18 +46,20 @@ class Recording:
     holds: BoolArray
 
 
-def record(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
-    """Simulate a situation for ``frames``, 12 per simulated second; cut after the last motion."""
-    scene, hypothesis = situation.scene, situation.hypothesis
-    steps = simulator.steps(scene, hypothesis, np.random.default_rng(seed))
+def record(
+    situation: Drawn, simulator: JointSimulator, frames: int, rng: np.random.Generator
+) -> Recording:
+    """Simulate a situation for ``frames``, 12 per simulated second."""
+    scene, hypothesis = situation.scene, situation.roles.of_its_world()
+    steps = simulator.steps(scene, hypothesis, rng)
     taken = list(itertools.islice(steps, frames))
     trajectory = np.array([frame for frame, _ in taken], np.float64)
-    at_start = [(False, False)] * len(AGENTS)
+    at_start = [(False, False)] * len(scene.world.agents)
     doing = [
-        [(one.action in PUSHES, one.held != NOTHING) for one in pair] or at_start
-        for _, pair in taken
+        [(one.action in PUSHES, one.held != NOTHING) for one in each] or at_start
+        for _, each in taken
     ]
-    length = after_motion(trajectory)
+    length = after_motion(trajectory) if tables_of(scene.world).is_cut else len(trajectory)
     pushes, holds = np.moveaxis(np.array(doing[:length]), 2, 0)
     return Recording(scene, hypothesis, situation.layout, trajectory[:length], pushes, holds)
 
@@ -127,10 +123,7 @@ def reflected(recording: Recording, name: str) -> Recording:
 
 def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
     """Return the recording with the colours of the agents, of the items or of both exchanged."""
-    order = list(range(len(ENTITIES)))
-    for swap, first in ((agents, 0), (items, BLUE_ITEM)):
-        if swap:
-            order[first], order[first + 1] = order[first + 1], order[first]
+    order = [*((1, 0) if agents else (0, 1)), *((3, 2) if items else (2, 3))]
     agent_order, scene = order[: len(AGENTS)], recording.scene
     return dataclasses.replace(
         recording,
@@ -142,8 +135,8 @@ def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
     )
 
 
-def _renamed(hypothesis: Hypothesis, entity: list[int], landmark: list[int]) -> Hypothesis:
-    """Return the hypothesis with other entities (entity -> entity, in pairs) and landmarks."""
+def _renamed(hypothesis: Any, entity: list[int], landmark: list[int]) -> Hypothesis:
+    """Return PHASE's hypothesis with other entities (entity -> entity, in pairs) and landmarks."""
     goals, alpha, strengths = [0, 0], [0, 0], [0.0, 0.0]
     for agent, goal in enumerate((hypothesis.goal_red, hypothesis.goal_green)):
         literal = goal_literal(goal, agent)
@@ -172,43 +165,20 @@ Measures = Mapping[str, Any]
 def measures(recording: Recording) -> dict[str, Any]:
     """Return facts about a recording, as plain numbers and lists.
 
-    Keys; those in brackets are lists over agents, red first:
+    Keys; those in brackets are lists over agents, or over agents, then items:
 
     * ``frames``.
     * ``at_start``, ``ever``, ``at_end`` [agent]: whether its effective goal is true then.
-    * ``closest``: least distance between the agents, in units of the sum of their sizes.
-    * ``met``: frames in which the agents touch.
+    * ``closest``: least distance between two agents, in units of the sum of their sizes; by pair,
+      such as "red & green", in PHASE of the only one.
+    * ``met``: frames in which they touch, likewise.
     * ``touched`` [agent]: items that it touched.
-    * ``held`` [agent]: share of frames in which it holds something.
     * ``moved`` [entity]: length of its way, units.
     * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
+    * ``held`` [agent], in PHASE: share of frames in which it holds something.
+    * ``reached`` [agent], elsewhere: whether it has a goal of its own that became true.
     """
-    found = _measured(
-        recording.trajectory, recording.scene, recording.hypothesis, recording.pushes[1:]
-    )
-    for of_the_pair in ("closest", "met"):
-        (found[of_the_pair],) = found[of_the_pair].values()
-    return {**found, "held": recording.holds.mean(axis=0).tolist()}
-
-
-def measures_elsewhere(event: Event) -> dict[str, Any]:
-    """Return facts about a simulated event of another world than PHASE, as :func:`measures`.
-
-    ``closest`` and ``met`` are by pair, such as "red & green"; ``held`` is missing; and there is
-    ``reached`` [agent]: whether it has a goal of its own that became true.
-    """
-    assert event.thoughts is not None
-    pushes = np.isin(event.thoughts.actions, PUSHES)
-    found = _measured(event.observation.trajectory, event.scene, event.truth, pushes)
-    own = zip(event.truth.stated, found["at_start"], found["at_end"], strict=True)
-    reached = [goal is not None and end and not start for goal, start, end in own]
-    return {**found, "reached": reached}
-
-
-def _measured(
-    track: FloatArray, scene: Scene, wanted: Hypothesis | Roles, pushes: BoolArray
-) -> dict[str, Any]:
-    """Return :func:`measures_elsewhere` but for ``reached``; pushes are (step, agent)."""
+    track, scene, wanted = recording.trajectory, recording.scene, recording.hypothesis
     world = scene.world
     n_agents, n = len(world.agents), len(world.entities)
     literals = [
@@ -216,7 +186,7 @@ def _measured(
     ]
     truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
     steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
-    in_vain = pushes & (steps[:, :n_agents] < STILL)
+    in_vain = recording.pushes[1:] & (steps[:, :n_agents] < STILL)
 
     def touching(one: int, other: int) -> Iterator[bool]:
         return (touches(one, other, frame, scene.radius, n_agents) for frame in track)
@@ -227,7 +197,7 @@ def _measured(
         apart = np.linalg.norm(track[:, one, :2] - track[:, other, :2], axis=1)
         closest[name] = float((apart / scene.radius[[one, other]].sum()).min())
         met[name] = sum(touching(one, other))
-    return {
+    found: dict[str, Any] = {
         "frames": len(track),
         "at_start": truth[0].tolist(),
         "ever": truth.any(axis=0).tolist(),
@@ -244,6 +214,16 @@ def _measured(
             for of_agent in in_vain.T.tolist()
         ],
     }
+    if isinstance(wanted, Roles):
+        return {**found, "reached": _reached(wanted, found)}
+    (found["closest"],), (found["met"],) = closest.values(), met.values()
+    return {**found, "held": recording.holds.mean(axis=0).tolist()}
+
+
+def _reached(roles: Roles, found: Measures) -> list[bool]:
+    """Return (agent,) whether it has a goal of its own that became true."""
+    own = zip(roles.stated, found["at_start"], found["at_end"], strict=True)
+    return [goal is not None and end and not start for goal, start, end in own]
 
 
 def _named(world: World, pair: tuple[int, int]) -> str:
@@ -277,7 +257,8 @@ def reason_against(scenario: str, wanted: Hypothesis | Roles, found: Measures) -
             return "not both touch the item"
         if scenario == "collaborative" and not all(found["at_end"][agent] for agent in pair):
             return "a goal is not reached"
-        closest = found["closest"] if world == PHASE else found["closest"][_named(world, pair)]
+        near = found["closest"]
+        closest = near[_named(world, pair)] if isinstance(near, Mapping) else near
         if scenario == "opposing" and closest >= NEAR:
             return "the agents never come near each other"
         return None
@@ -305,145 +286,126 @@ the one that was kept, and failed attempts at re-planned copies (``replanned``):
 def make(plan: Plan, slot: Slot) -> Part:
     """Draw and simulate situations of a slot until one shows what it should.
 
-    In PHASE a situation is one of a family, and its event has copies; in another world it is one of
-    a family, or a random scene with roles.
+    A situation is one of a family, which shows its scenario, or a random scene with roles, in which
+    an agent reaches a goal of its own. Its event has copies where the plan wants them.
     """
-    part: Part = {"name": slot.name, "cell": slot.cell, "events": [], "entries": [], "rejected": []}
-    tried = _tried_in_phase if plan.world == PHASE else _tried_elsewhere
+    making = _Making(plan, slot)
     for attempt in range(plan.max_tries):
-        tried(plan, slot, part, attempt)
-        if part["events"]:
+        making.attempt(attempt)
+        if making.part["events"]:
             break
-    return part
+    return making.part
 
 
-def _tried_in_phase(plan: Plan, slot: Slot, part: Part, attempt: int) -> None:
-    """Draw a situation of a family; keep its recording, and copies of it, if it is good."""
-    family = plan.families[slot.cell]
-    rng = np.random.default_rng([plan.seed, 0, slot.number, attempt])
-    situation = family.draw(rng, plan.turning)
-    simulator = JointSimulator(plan.planner)
+class _Making:
+    """The making of a slot's event and its copies."""
 
-    def simulated(what: Situation, id: str, replanned: bool = False) -> Recording | None:
-        recording = record(what, simulator, plan.frames, int(rng.integers(2**31)))
+    def __init__(self, plan: Plan, slot: Slot) -> None:
+        self.plan, self.slot = plan, slot
+        self.family = plan.families.get(slot.cell)
+        self.simulator = JointSimulator(plan.planner)
+        self.part: Part = {"name": slot.name, "cell": slot.cell}
+        self.part |= {"events": [], "entries": [], "rejected": []}
+
+    def attempt(self, attempt: int) -> None:
+        """Draw a situation; keep its recording, and copies of it, if it is good."""
+        plan, id = self.plan, f"{self.slot.name}-{attempt}"
+        seed = (plan.seed * _SLOTS + self.slot.number) * MOST_TRIES + attempt
+        before = is_as_before(plan.world)
+        rng = np.random.default_rng([plan.seed, 0, self.slot.number, attempt] if before else seed)
+        if self.family is not None:
+            drawn = self.family.draw(plan.world, rng)
+        else:
+            roles = _drawn_roles(plan, seed)
+            if isinstance(roles, str):
+                self.reject(id, roles)
+                return
+            drawn = Drawn(plan.world.random_scene(seed), roles, 0)
+        steps = np.random.default_rng(rng.integers(2**31)) if before else random_generator(seed)
+        recording = self.simulated(drawn, steps, id)
+        if recording is None:
+            return
+        found = {"attempt": attempt, "seed": seed, "replanned": None}
+        for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
+            self.keep(recording, plan.looks[index], found)
+        if plan.replans and self.family is not None:
+            self.replan(changed(self.family, drawn))
+
+    def replan(self, changes: Sequence[Change]) -> None:
+        """Keep recordings of changed situations that are good, as many as the plan wants."""
+        plan, kept = self.plan, 0
+        # numbers of their own: the event and its other copies are the same without them
+        rng = np.random.default_rng([plan.seed, 2, self.slot.number])
+        for place in rng.permutation(len(changes)):
+            if kept == plan.replans:
+                break
+            name, told, drawn = changes[place]
+            for again in range(REPLAN_TRIES):
+                steps = np.random.default_rng(rng.integers(2**31))
+                id = f"{self.slot.name}-{name}-{again}"
+                recording = self.simulated(drawn, steps, id, replanned=True)
+                if recording is not None:
+                    look = plan.looks[int(rng.choice(len(plan.looks), p=plan.shares))]
+                    self.keep(recording, look, {"attempt": again, "replanned": told})
+                    kept += 1
+                    break
+
+    def simulated(
+        self, drawn: Drawn, rng: np.random.Generator, id: str, replanned: bool = False
+    ) -> Recording | None:
+        """Return the recording of a situation if it is good."""
+        scene = dataclasses.replace(drawn.scene, turning=self.plan.turning)
+        recording = record(drawn._replace(scene=scene), self.simulator, self.plan.frames, rng)
         found = measures(recording)
-        reason = reason_against(family.scenario, recording.hypothesis, found)
-        if reason is not None:
-            _reject(part, id, reason, event_of(recording, id), found, replanned)
-        return recording if reason is None else None
+        if self.family is not None:
+            reason = reason_against(self.family.scenario, recording.hypothesis, found)
+        else:
+            reason = None if any(_reached(drawn.roles, found)) else "no goal is reached"
+        if reason is None:
+            return recording
+        event = event_record(event_of(recording, id))
+        self.reject(id, reason, replanned, measures=found, event=event)
+        return None
 
-    def keep(
-        recording: Recording, attempt: int, look: Look, replanned: dict[str, Any] | None = None
-    ) -> None:
+    def reject(self, id: str, reason: str, replanned: bool = False, **found: Any) -> None:
+        """Keep of a draw why it is not good."""
+        told = {"id": id, "reason": reason, "replanned": replanned, "measures": {}}
+        self.part["rejected"].append({**told, **found})
+
+    def keep(self, shown: Recording, look: Look, made: Mapping[str, Any]) -> None:
+        """Keep a recording in a look, and how it was made."""
+        slot, events = self.slot, self.part["events"]
         if look.reflection != UNCHANGED:
-            recording = reflected(recording, look.reflection)
-        shown = recoloured(recording, agents=look.agents, items=look.items)
-        id = f"{slot.name}.{len(part['events'])}" if part["events"] else slot.name
-        part["events"].append(event_record(event_of(shown, id)))
-        part["entries"].append(
-            {
-                "id": id,
-                "group": slot.name,
-                "split": slot.split,
-                "family": family.name,
-                "variant": family.variant,
+            shown = reflected(shown, look.reflection)
+        if tables_of(self.plan.world).has_looks:
+            shown = recoloured(shown, agents=look.agents, items=look.items)
+        id = f"{slot.name}.{len(events)}" if events else slot.name
+        events.append(event_record(event_of(shown, id)))
+        entry = {"id": id, "group": slot.name, "split": slot.split, "attempt": made["attempt"]}
+        if self.family is not None:
+            entry |= {"family": self.family.name, "variant": self.family.variant}
+        wanted = shown.hypothesis
+        if isinstance(wanted, Roles):
+            entry |= {"world": wanted.world.name, "seed": made["seed"], "roles": wanted.to_dict()}
+        else:
+            entry |= {
                 "layout": shown.layout,
-                "attempt": attempt,
-                "replanned": replanned,
+                "replanned": made["replanned"],
                 "reflection": look.reflection,
                 "agents_exchanged": look.agents,
                 "items_exchanged": look.items,
-                "hypothesis": shown.hypothesis.to_dict(),
-                "scenario": shown.hypothesis.scenario,
-                "relation": shown.hypothesis.relation,
-                "measures": measures(shown),
+                "hypothesis": wanted.to_dict(),
+                "scenario": wanted.scenario,
+                "relation": wanted.relation,
             }
-        )
-
-    recording = simulated(situation, f"{slot.name}-{attempt}")
-    if recording is None:
-        return
-    shares = np.array([REFLECTION_SHARES[look.reflection] for look in plan.looks])
-    shares /= shares.sum()
-    for index in rng.choice(len(shares), 1 + plan.copies, replace=False, p=shares):
-        keep(recording, attempt, plan.looks[index])
-    if not plan.replans:
-        return
-    # numbers of their own: the event and its other copies are the same without them
-    rng = np.random.default_rng([plan.seed, 2, slot.number])
-    changes = changed(family, situation)
-    wanted = len(part["events"]) + plan.replans
-    for place in rng.permutation(len(changes)):
-        if len(part["events"]) == wanted:
-            break
-        change, other = changes[place]
-        for again in range(REPLAN_TRIES):
-            recording = simulated(other, f"{slot.name}-{change.name}-{again}", replanned=True)
-            if recording is not None:
-                look = plan.looks[int(rng.choice(len(shares), p=shares))]
-                keep(recording, again, look, change.described(situation))
-                break
+        self.part["entries"].append({**entry, "measures": measures(shown)})
 
 
 def event_of(recording: Recording, id: str) -> Event:
     """Return a recording as an event with its truth."""
-    truth = Truth.of(recording.hypothesis)
+    wanted = recording.hypothesis
+    truth = wanted if isinstance(wanted, Roles) else Truth.of(wanted)
     return Event(recording.scene, Observation(recording.trajectory), id=id, truth=truth)
-
-
-def _reject(
-    part: Part,
-    id: str,
-    reason: str,
-    event: Event | None,
-    found: Measures,
-    replanned: bool = False,
-) -> None:
-    told = {"id": id, "reason": reason, "replanned": replanned, "measures": found}
-    part["rejected"].append(told if event is None else {**told, "event": event_record(event)})
-
-
-def _tried_elsewhere(plan: Plan, slot: Slot, part: Part, attempt: int) -> None:
-    """Draw a situation; keep its event if it is good.
-
-    Of a family it is one that shows its scenario, of random scenes with roles one in which an agent
-    reaches a goal of its own.
-    """
-    world, id = plan.world, f"{slot.name}-{attempt}"
-    seed = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt
-    family = plan.families.get(slot.cell)
-    if family is not None:
-        scene, roles = family.draw_in(world, seed)
-    else:
-        drawn = _drawn_roles(plan, seed)
-        if isinstance(drawn, str):
-            _reject(part, id, drawn, None, {})
-            return
-        scene, roles = world.random_scene(seed), drawn
-    scene = dataclasses.replace(scene, turning=plan.turning)
-    event = simulate(scene, roles, frames=plan.frames, seed=seed, planner=plan.planner, id=id)
-    found = measures_elsewhere(event)
-    reason = None if any(found["reached"]) else "no goal is reached"
-    if family is not None:
-        reason = reason_against(family.scenario, roles, found)
-    if reason is not None:
-        _reject(part, id, reason, event, found)
-        return
-    of_family = {} if family is None else {"family": family.name, "variant": family.variant}
-    part["events"].append(event_record(dataclasses.replace(event, id=slot.name)))
-    part["entries"].append(
-        {
-            "id": slot.name,
-            "group": slot.name,
-            "split": slot.split,
-            "world": world.name,
-            **of_family,
-            "attempt": attempt,
-            "seed": seed,
-            "roles": roles.to_dict(),
-            "measures": found,
-        }
-    )
 
 
 def _drawn_roles(plan: Plan, seed: int) -> Roles | str:

@@ -18,8 +18,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.dataset.generation.families import MOST_CHANGES, Family, family_of
+from phase_ppl.dataset.generation.families import Family, family_of, most_changes
+from phase_ppl.dataset.generation.situation import PHASE500, tables_of
 from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     check_memory,
@@ -33,25 +35,6 @@ from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
 
-PHASE500: Final[Mapping[str, int]] = {
-    "collab": 55,
-    "help_lift": 35,
-    "help_blocked": 104,
-    "help_move": 6,
-    "compete": 54,
-    "hinder:LMA": 68,
-    "hinder:LMO": 7,
-    "chasing": 63,
-    "independent:LMO+LMO": 15,
-    "independent:LMO+LMA": 51,
-    "independent:LMA+LMA": 42,
-}
-"""Cell, FAMILY or FAMILY:VARIANT -> number of events of the paper's 500.
-
-200 friendly, 192 adversarial, 108 neutral; goals: item to a landmark 584, agent to a landmark 215,
-agent away from one 68, to and away from the other agent 63 each, item away from a landmark 7. The
-shares of the collaborative families are about those of the original test videos."""
-
 SPLITS: Final[Mapping[str, int]] = {"train": 320, "validation": 80, "test": 100}
 """Shares of the splits, the paper's."""
 
@@ -62,8 +45,6 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 }  # fmt: skip
 """How often the original test videos are reflected, and how."""
 
-FRAMES: Final = 101
-
 BLOCK: Final = 1000
 """Slots whose events are put together at a time, in memory and in a file."""
 
@@ -71,11 +52,16 @@ _SLOT_BYTES: Final = 400
 _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
 """Of memory that a slot takes; an event that is put together with others, and each frame of it."""
-MAX_TRIES: Final = 200
+
 MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
 
 DrawRoles = Callable[[World, int], Roles | None]
 """``(world, seed)`` -> who wants what, such as :func:`phase_ppl.roles.draw`; None: draw anew."""
+
+
+def is_as_before(world: World) -> bool:
+    """Whether numbers are drawn, and files written, as by versions that knew no other world."""
+    return world == PHASE
 
 
 class Look(NamedTuple):
@@ -90,7 +76,7 @@ class Slot(NamedTuple):
     """An event to be made, with its copies."""
 
     number: int  # of the slot, from 0
-    # FAMILY or FAMILY:VARIANT, or ``cell_of`` another world than PHASE: random scenes with roles
+    # FAMILY or FAMILY:VARIANT, or ``cell_of`` the world: random scenes with roles
     cell: str
     split: str  # name of the split that it and its copies belong to
 
@@ -104,7 +90,6 @@ class Slot(NamedTuple):
 class Plan:
     """What is to be generated, in the settings of :func:`phase_ppl.generate`."""
 
-    # in another world than PHASE also ``cell_of`` it, of random scenes with roles
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
     copies: int = 0
@@ -112,10 +97,10 @@ class Plan:
     reflect: bool = True
     recolour: bool = True
     turning: Turning = "both"  # the original events have only "ccw", before any reflection
-    frames: int = FRAMES
+    frames: int = 101
     planner: str | PlannerConfig = "fast"
     seed: int = 0
-    max_tries: int = MAX_TRIES
+    max_tries: int = 200
     world: World = PHASE
     roles: DrawRoles | None = None
 
@@ -124,13 +109,11 @@ class Plan:
             instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
         for cell, n in self.cells.items():
             whole_number(cell, n, 0)
-        if self.world != PHASE:
-            self._check_elsewhere()
-        elif self.roles is not None:
-            raise InvalidSettingError("roles are for other worlds: families draw those of PHASE")
-        for family in self.families.values():
-            if self.world != PHASE:  # what functions of others do is found out now
-                family.draw_in(self.world, self.seed)
+        if self.roles is not None and not callable(self.roles):
+            raise InvalidSettingError(
+                f"roles={shown(self.roles)}, expected a function (world, seed) such as "
+                "phase_ppl.roles.draw"
+            )
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
         for name, share in self.splits.items():
@@ -142,15 +125,26 @@ class Plan:
         least = {"copies": 0, "replans": 0, "frames": 2, "seed": 0, "max_tries": 1}
         for name, minimum in least.items():
             whole_number(name, getattr(self, name), minimum)
-        if self.replans > MOST_CHANGES:
+        if not is_as_before(self.world):
+            whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
+        for family in self.families.values():  # what functions of others do is found out now
+            family.draw(self.world, np.random.default_rng(self.seed))
+        most = most_changes(self.world)
+        if self.replans > most:
             raise InvalidSettingError(
-                f"replans={self.replans}, but a situation has at most {MOST_CHANGES} changes"
+                f"replans={self.replans}, but situations of {self.world.name!r} have at most "
+                f"{most} changes"
             )
         n, each = sum(self.cells.values()), 1 + self.copies + self.replans
         together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
         what = f"a plan of {n * each} events of {self.frames} frames"
         check_memory(what, n * _SLOT_BYTES + together)
         object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
+        for name in ("reflect", "recolour"):
+            if getattr(self, name) and not tables_of(self.world).has_looks:
+                raise InvalidSettingError(
+                    f"{name}=True: events of {self.world.name!r} have one look"
+                )
         most = len(self.looks) - 1
         if self.copies > most:
             raise InvalidSettingError(
@@ -158,33 +152,24 @@ class Plan:
                 f"recolour={self.recolour} an event has only {most} other looks"
             )
 
-    def _check_elsewhere(self) -> None:
-        """Refuse what knows PHASE only."""
-        for name in ("copies", "replans", "reflect", "recolour"):
-            if getattr(self, name):
-                raise InvalidSettingError(
-                    f"{name}={getattr(self, name)} is for the world PHASE only, not "
-                    f"{self.world.name!r}"
-                )
-        whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
-        if self.roles is not None and not callable(self.roles):
-            raise InvalidSettingError(
-                f"roles={shown(self.roles)}, expected a function (world, seed) such as "
-                "phase_ppl.roles.draw"
-            )
-
     @functools.cached_property
     def families(self) -> Mapping[str, Family]:
         """Cell -> family, with its variant; kept, since worker processes know none of others."""
-        own = None if self.world == PHASE else cell_of(self.world)
+        own = cell_of(self.world)
         return {cell: family_of(cell, self.world) for cell in self.cells if cell != own}
 
-    @property
+    @functools.cached_property
     def looks(self) -> list[Look]:
         """What events can look like."""
         swaps = (False, True) if self.recolour else (False,)
         reflections = REFLECTION_SHARES if self.reflect else (UNCHANGED,)
         return [Look(*look) for look in itertools.product(reflections, swaps, swaps)]
+
+    @functools.cached_property
+    def shares(self) -> FloatArray:
+        """How often events look so."""
+        shares = np.array([REFLECTION_SHARES[look.reflection] for look in self.looks])
+        return np.asarray(shares / shares.sum())
 
     def slots(self) -> list[Slot]:
         """Return the events to be made; in each split about the same shares of every cell."""
@@ -199,10 +184,10 @@ class Plan:
         record = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         record["planner"] = self.planner.to_dict()  # type: ignore[union-attr]
         del record["world"], record["roles"]
-        if self.world != PHASE:
+        if self.roles is not None:
+            record["roles"] = _function_record(self.roles)
+        if not is_as_before(self.world):
             record["world"] = self.world.to_dict()
-            if self.roles is not None:
-                record["roles"] = _function_record(self.roles)
             if self.families:
                 record["families"] = {
                     family.name: _function_record(family.function)
@@ -236,7 +221,7 @@ def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def cell_of(world: World) -> str:
-    """Return what stands for a world of one's own where PHASE has the name of a family."""
+    """Return the cell of random scenes with roles of a world."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", world.name).strip("-") or "world"
 
 

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.geometry import is_agent, overlaps
-from phase_ppl.world.goals import goal_literal, literal_goal, possible_goals
-from phase_ppl.world.hypothesis import (
-    STRENGTH_LEVELS,
-    STRENGTH_RANGE,
-    Hypothesis,
-    Roles,
-    scenario,
-)
-from phase_ppl.world.names import AGENTS, ENTITIES, Literal, Predicate
+from phase_ppl.world.goals import goal_literal, possible_goals
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE, Roles, scenario
+from phase_ppl.world.names import Predicate
 from phase_ppl.world.rooms import N_ROOMS, RAY_DIRECTIONS, ROOMS_OF_RAY, Rooms
-from phase_ppl.world.scene import ARENA, Scene, Turning, World
+from phase_ppl.world.scene import ARENA, PHASE, Scene, World
 
 LAYOUTS: Final[Mapping[int, tuple[float, float, float, float]]] = {
     0: (0, 0, 0, 0), 2: (10, 5, 0, 0), 4: (10, 7.5, 0, 0), 6: (10, 0, 5, 0), 7: (10, 5, 5, 0),
@@ -66,194 +62,82 @@ def walls_of_lengths(lengths: Sequence[float]) -> FloatArray:
     return np.array(walls, np.float64).reshape(-1, 2, 2)
 
 
-_ARRANGEMENTS: Final = 50  # tries at places and angles without an overlap before a draw is given up
-NUMBER: Final = "number"
-SIZE: Final = "size"
-STRENGTH: Final = "strength"
+PHASE500: Final[Mapping[str, int]] = {
+    "collab": 55, "help_lift": 35, "help_blocked": 104, "help_move": 6, "compete": 54,
+    "hinder:LMA": 68, "hinder:LMO": 7, "chasing": 63,
+    "independent:LMO+LMO": 15, "independent:LMO+LMA": 51, "independent:LMA+LMA": 42,
+}  # fmt: skip
+"""Cell, FAMILY or FAMILY:VARIANT -> number of events of the paper's 500.
 
-
-class Choice(NamedTuple):
-    """One of the choices that a situation is made of."""
-
-    kind: str  # ``NUMBER`` (of a room, landmark or the like), ``SIZE`` or ``STRENGTH``
-    value: int  # the number, or the original id of the size or strength
+200 friendly, 192 adversarial, 108 neutral; goals: item to a landmark 584, agent to a landmark 215,
+agent away from one 68, to and away from the other agent 63 each, item away from a landmark 7. The
+shares of the collaborative families are about those of the original test videos."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Situation:
-    """What is to be simulated."""
+class Tables:
+    """What the makers of a world fixed for its events, beside the world itself."""
 
-    scene: Scene  # layout, sizes and start
-    hypothesis: Hypothesis  # stated goals, alpha, strengths
-    layout: int  # number of the layout
-    # that its family made, in order; places and angles are not among them
-    choices: tuple[Choice, ...] = ()
-
-
-class CannotDraw(Exception):  # control flow within this package, never seen by users
-    """The layout does not allow what the family wants: draw again."""
+    layouts: Mapping[int, FloatArray]  # number -> inner walls (n, 2, 2), units
+    alike: Sequence[Sequence[int]] = ()  # layouts in which a situation of one can be planned
+    spots: Sequence[Sequence[tuple[float, float]]] = ()  # by room; none: everywhere
+    strengths: Sequence[float] = ()  # newtons; none: all of ``STRENGTH_RANGE``
+    cells: Mapping[str, int] = dataclasses.field(default_factory=dict)  # of a set by default
+    has_looks: bool = False  # whether events can be reflected, and colours exchanged
+    is_cut: bool = False  # whether events end soon after the last motion
 
 
-class Draw:
-    """One draw of a situation in a layout, with the choices that families are made of.
-
-    Rooms and landmarks share their numbers 0..3. Agents are red 0 and green 1, items blue 2 and
-    pink 3; the colours are shuffled later.
-    """
-
-    def __init__(self, rng: np.random.Generator, layout: int, turning: Turning = "both") -> None:
-        self.rng = rng
-        self.layout = layout
-        self.turning: Turning = turning
-        self.walls = walls_of(layout)
-        self.rooms = Rooms.from_walls(self.walls, ARENA, quadrants=True)
-        self._choices: list[Choice] = []
-
-    def one_of(self, options: Iterable[int]) -> int:
-        """Return one of some numbers, all equally likely (CannotDraw: there is none)."""
-        return self._choice(NUMBER, options)
-
-    def _choice(self, kind: str, options: Iterable[int]) -> int:
-        allowed = list(options)
-        if not allowed:
-            raise CannotDraw
-        value = self._value(kind, allowed)
-        self._choices.append(Choice(kind, value))
-        return value
-
-    def _value(self, kind: str, options: Sequence[int]) -> int:
-        """Return one of the options."""
-        return options[int(self.rng.integers(len(options)))]
-
-    def room(self, *, but: Sequence[int] = ()) -> int:
-        """Return a room (or landmark) other than ``but``."""
-        return self.one_of(room for room in range(N_ROOMS) if room not in but)
-
-    @property
-    def chain(self) -> tuple[int, ...]:
-        """The rooms in a row, from one side of the closed wall to the other.
-
-        An arena without a closed wall is cut at the upper one.
-        """
-        closed = next((ray for ray in range(N_ROOMS) if not self.rooms.door_width[ray]), 0)
-        order = [ROOMS_OF_RAY[closed][0]]
-        while len(order) < N_ROOMS:
-            order += [
-                room
-                for ray, pair in enumerate(ROOMS_OF_RAY)
-                if ray != closed and order[-1] in pair
-                for room in pair
-                if room not in order
-            ]
-        return tuple(order)
-
-    def sides_of(self, door: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the rooms on either side of a door, which is the only way between them."""
-        chain = self.chain
-        cut = sorted(chain.index(room) for room in ROOMS_OF_RAY[door])
-        if cut[1] - cut[0] != 1 or self.rooms.door_width.all():
-            raise CannotDraw
-        return chain[: cut[1]], chain[cut[1] :]
-
-    def narrow_door(self) -> int:
-        """Return a door through which only the smallest agents drive."""
-        width = self.rooms.door_width
-        return self.one_of(ray for ray in range(N_ROOMS) if 0 < width[ray] <= NARROW)
-
-    def is_free(self, start: int, end: int) -> bool:
-        """Whether bodies of any size can pass between two rooms; not so of a room and itself."""
-        return start != end and self.rooms.narrowest(start, end) > NARROW
-
-    def size(self, *ways: tuple[int, int]) -> float:
-        """Return any size where all ways between rooms are free, else the smallest."""
-        free = all(self.is_free(*way) for way in ways)
-        return SIZES[self._choice(SIZE, range(len(SIZES)) if free else (0,))]
-
-    def any_size(self, *, but: Sequence[float] = ()) -> float:
-        """Return a size other than ``but``."""
-        return SIZES[self._choice(SIZE, (i for i, size in enumerate(SIZES) if size not in but))]
-
-    def strength(self, *levels: int) -> float:
-        """Return the force of one of some levels 0..3, newtons; of any if none is given."""
-        return STRENGTH_LEVELS[self._choice(STRENGTH, levels or range(len(STRENGTH_LEVELS)))]
-
-    def situation(
-        self,
-        goals: tuple[int, int],
-        alpha: tuple[int, int],
-        rooms: Sequence[int],
-        sizes: Sequence[float],
-        strengths: tuple[float, float],
-        *,
-        at: Mapping[int, tuple[float, float]] | None = None,
-    ) -> Situation:
-        """Return the situation with places and angles drawn, nothing overlapping.
-
-        Goals are stated ones; ``rooms`` say where each of the four entities starts, ``sizes`` are
-        their R [units], ``strengths`` in newtons; ``at`` fixes the places [units] of some entities.
-        """
-        radius = np.array(sizes, np.float64)
-        for start in self._arrangements(rooms, at or {}):
-            if not overlaps(start, radius, self.walls):
-                return Situation(
-                    Scene(start, radius, self.walls, self.turning),
-                    Hypothesis(*goals, alpha, *strengths),
-                    self.layout,
-                    tuple(self._choices),
-                )
-        raise CannotDraw
-
-    def _arrangements(
-        self, rooms: Sequence[int], at: Mapping[int, tuple[float, float]]
-    ) -> Iterator[FloatArray]:
-        """Yield (entity, coord) starts in the rooms, for as long as it is worth trying."""
-        for _ in range(_ARRANGEMENTS):
-            start = np.zeros((len(ENTITIES), 3))
-            for entity, room in enumerate(rooms):
-                places = SPOTS[room]
-                spot = at.get(entity) or places[int(self.rng.integers(len(places)))]
-                angle = self.rng.uniform(-2 * np.pi, 2 * np.pi) if is_agent(entity) else 0.0
-                start[entity] = *spot, round(angle, 2)
-            yield start
+_TABLES: Final = {
+    PHASE: Tables(
+        {number: walls_of(number) for number in LAYOUTS},
+        LAYOUTS_OF_A_KIND,
+        SPOTS,
+        STRENGTH_LEVELS,
+        PHASE500,
+        has_looks=True,
+        is_cut=True,
+    )
+}
 
 
-def item_to(item: int, landmark: int) -> int:
-    """Return the goal to get an item (2 or 3) to a landmark."""
-    return literal_goal(Literal(Predicate.ON, item, landmark))
+@functools.lru_cache(16)
+def tables_of(world: World) -> Tables:
+    """Return what is fixed in a world: but in the paper's, one layout, its own."""
+    return _TABLES.get(world) or Tables({0: np.array(world.walls, float).reshape(-1, 2, 2)})
 
 
-def agent_to(agent: int, landmark: int) -> int:
-    """Return the goal to get an agent to a landmark."""
-    return literal_goal(Literal(Predicate.ON, agent, landmark))
-
-
-def approach(agent: int) -> int:
-    """Return the goal of an agent to get to the other one."""
-    return literal_goal(Literal(Predicate.TOUCH, agent, len(AGENTS) - 1 - agent))
-
-
-# --- in worlds of any cast ------------------------------------------------------------------------
-
+_ARRANGEMENTS: Final = 50  # tries at places and angles without an overlap before a draw is given up
 Option = TypeVar("Option")
 
 
-class CastSituation(NamedTuple):
-    """What is to be simulated in another world than PHASE."""
+class Situation(NamedTuple):
+    """What is to be simulated."""
 
     scene: Scene
     roles: Roles
 
 
-class CastDraw:
-    """One draw of a situation in a world of any cast, in the names of that world.
+class CannotDraw(Exception):  # control flow within this package, never seen by users
+    """What the family wants is not possible here: draw again."""
+
+
+class Draw:
+    """One draw of a situation in a world, in its names, with the choices families are made of.
 
     Attributes:
         world: the world.
         rng: of everything that is drawn.
+        layout: number of the floor plan; of worlds that have only one 0.
+        rooms: of the floor plan. In PHASE rooms and landmarks share their numbers 0..3.
     """
 
-    def __init__(self, world: World, rng: np.random.Generator) -> None:
-        self.world, self.rng = world, rng
+    def __init__(self, world: World, rng: np.random.Generator, layout: int = 0) -> None:
+        self.world, self.rng, self.layout = world, rng, layout
+        self.tables = tables_of(world)
+        self.walls = self.tables.layouts[layout]
+        self.rooms = Rooms.from_walls(self.walls, world.arena, world.quadrants)
+        # what was chosen, and whether that is the original id of a size or strength
+        self.choices: list[tuple[Any, bool]] = []
 
     def refuse(self, reason: str = "") -> NoReturn:
         """End this draw: another is made. If all are refused, the last reason is told."""
@@ -261,8 +145,17 @@ class CastDraw:
 
     def one_of(self, options: Iterable[Option]) -> Option:
         """Return one of some, all equally likely; the draw is refused where there is none."""
+        return self._choice(options)
+
+    def _choice(self, options: Iterable[Option], is_id: bool = False) -> Option:
         allowed = list(options)
-        return allowed[int(self.rng.integers(len(allowed)))] if allowed else self.refuse()
+        value = self._value(allowed, is_id) if allowed else self.refuse()
+        self.choices.append((value, is_id))
+        return value
+
+    def _value(self, options: Sequence[Option], is_id: bool) -> Option:
+        """Return one of the options."""
+        return options[int(self.rng.integers(len(options)))]
 
     def agents(self) -> list[str]:
         """Return the names of all agents in random order."""
@@ -272,75 +165,114 @@ class CastDraw:
         """Return the name of an item other than ``but``."""
         return self.one_of(name for name in self.world.items if name not in but)
 
-    def landmark(self, *, but: Sequence[str] = ()) -> str:
-        """Return the name of a landmark other than ``but``."""
-        return self.one_of(name for name in self.world.landmark_names if name not in but)
+    def landmark(self, *, but: Sequence[str | int] = ()) -> str:
+        """Return the name of a landmark other than some, by name or by a room that they are in."""
+        return self.one_of(
+            name for name in self.world.landmark_names if not {name, self._room_of(name)} & {*but}
+        )
 
     def room(self, *, but: Sequence[str | int] = ()) -> int:
         """Return the number of a room other than some, by number or by a landmark that is there."""
-        rooms = Rooms.from_walls(np.array(self.world.walls), self.world.arena, self.world.quadrants)
-        centre = {one.name: np.array([one.x, one.y]) for one in self.world.landmarks}
-        others = [int(rooms.room_of(centre[one])) if one in centre else one for one in but]
-        return self.one_of(room for room in range(len(rooms)) if room not in others)
+        others = [self._room_of(one) for one in but]
+        return self.one_of(room for room in range(len(self.rooms)) if room not in others)
+
+    def _room_of(self, room: str | int) -> int:
+        """Return the number of a room, by it or by a landmark that is there."""
+        if not isinstance(room, str):
+            return room
+        check_name("landmark", room, self.world.landmark_names)
+        one = self.world.landmarks[self.world.landmark_names.index(room)]
+        return int(self.rooms.room_of(np.array([one.x, one.y])))
+
+    @property
+    def chain(self) -> tuple[int, ...]:
+        """PHASE's rooms in a row, from one side of the closed wall to the other.
+
+        An arena without a closed wall is cut at the upper one.
+        """
+        closed = next((ray for ray in range(N_ROOMS) if not self.rooms.door_width[ray]), 0)
+        first, last = ROOMS_OF_RAY[closed]
+        return tuple((first + i * (first - last)) % N_ROOMS for i in range(N_ROOMS))
+
+    def sides_of(self, door: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the rooms on either side of a door, which is the only way between them."""
+        chain = self.chain
+        cut = sorted(chain.index(room) for room in ROOMS_OF_RAY[door])
+        if cut[1] - cut[0] != 1 or self.rooms.door_width.all():
+            self.refuse()
+        return chain[: cut[1]], chain[cut[1] :]
+
+    def narrow_door(self) -> int:
+        """Return a door through which only the smallest agents drive."""
+        width = self.rooms.door_width
+        return self.one_of(ray for ray in range(len(width)) if 0 < width[ray] <= NARROW)
+
+    def is_free(self, start: int | str, end: int | str) -> bool:
+        """Whether bodies of any size can pass between two rooms; not so of a room and itself."""
+        one, other = self._room_of(start), self._room_of(end)
+        return one != other and self.rooms.narrowest(one, other) > NARROW
+
+    def size(self, *ways: tuple[int | str, int | str], but: Sequence[float] = ()) -> float:
+        """Return a size other than ``but``, the smallest where not all ways of rooms are free."""
+        free = all(self.is_free(*way) for way in ways)
+        allowed = (i for i, size in enumerate(SIZES) if size not in but and (free or not i))
+        return SIZES[self._choice(allowed, is_id=True)]
 
     def strength(self, low: float = STRENGTH_RANGE[0], high: float = STRENGTH_RANGE[1]) -> float:
-        """Return a force between two, newtons."""
-        return float(self.rng.uniform(low, high))
+        """Return a force between two, newtons; in PHASE one of the four that there are."""
+        levels = self.tables.strengths
+        if not levels:
+            return float(self.rng.uniform(low, high))
+        allowed = (i for i, level in enumerate(levels) if low <= level <= high)
+        return levels[self._choice(allowed, is_id=True)]
 
     def errand(self, agent: str, *, of_item: bool = False) -> str:
         """Return a goal to get the agent itself, or an item, somewhere: a landmark or a room.
 
         With ``of_item`` only to get an item somewhere.
         """
-        return self.one_of(
-            goal
-            for goal in self._errands(agent)
-            if not of_item or goal_literal(goal, 0, self.world).subject >= len(self.world.agents)
-        )
+        return self.one_of(self._errands(agent, of_item))
 
-    def _errands(self, agent: str) -> list[str]:
-        """Return the goals that agents have for themselves, and not about each other."""
-        holder, n_agents = self.world.agent(agent), len(self.world.agents)
-        goals = possible_goals(holder, self.world)
-        literals = (goal_literal(goal, holder, self.world) for goal in goals)
-        return [
-            self.world.goals[goal]
-            for goal, literal in zip(goals, literals, strict=True)
-            if literal.positive
-            and literal.predicate is not Predicate.TOUCH
-            and (literal.subject == holder or literal.subject >= n_agents)
-        ]
+    def _errands(self, agent: str, of_item: bool = False) -> Iterator[str]:
+        """Yield the goals that agents have for themselves, and not about each other."""
+        world, holder = self.world, self.world.agent(agent)
+        for goal in possible_goals(holder, world):
+            predicate, subject, _, positive = goal_literal(goal, holder, world)
+            is_own = subject >= len(world.agents) or (subject == holder and not of_item)
+            if is_own and positive and predicate is not Predicate.TOUCH:
+                yield world.goals[goal]
 
     def situation(
         self,
-        goals: Mapping[str, str | int] | None = None,
+        goals: Mapping[str, str | int] | Sequence[str | int | None] | str | int | None = None,
         relation: Mapping[tuple[str, str], str] | None = None,
-        strength: Mapping[str, float] | float | None = None,
+        strength: Mapping[str, float] | Sequence[float | None] | float | None = None,
         *,
-        rooms: Mapping[str, Any] | None = None,
+        rooms: Any = None,
         near: Mapping[str, str] | None = None,
-        size: Mapping[str, float] | float | None = None,
-    ) -> CastSituation:
+        size: Mapping[str, float] | Sequence[float | None] | float | None = None,
+    ) -> Situation:
         """Return a situation with all drawn that is not given.
 
         Agents without a goal that neither help nor hinder run an errand that has nothing to do with
-        what the others want.
+        what the others want. Goals, strengths, rooms and sizes are given by name, or to all in
+        their order (None: not given), or one to all alike.
 
         Args:
-            goals: name of an agent -> its own goal.
+            goals: own goals of agents.
             relation: (who, whom) -> "help" or "hinder".
-            strength: newtons by name, or of all; of those not named any.
-            rooms, near, size: where they start and how large they are, as of
-                :meth:`phase_ppl.World.random_scene`.
+            strength: of agents, newtons.
+            rooms, near, size: where agents and items start and how large they are, as of
+                :meth:`phase_ppl.World.random_scene`; in PHASE a point is the place itself.
         """
-        world, own = self.world, dict(goals or {})
-        others = [name for name in self.agents() if name not in own]
-        others = [name for name in others if not any(name == who for who, _ in relation or {})]
-        forces = {name: self.strength() for name in world.agents}
-        if isinstance(strength, Mapping):
-            forces |= strength
-        elif strength is not None:
-            forces = dict.fromkeys(world.agents, strength)
+        world, own = self.world, _by_name(goals, self.world.agents)
+        forces = _by_name(strength, world.agents)
+        busy = {*own, *(who for who, _ in relation or {})}
+        others: list[str] = []
+        # beside PHASE numbers are drawn though nothing needs them, so that seeds mean what they did
+        if not self.tables.strengths or not {*world.agents} <= busy & {*forces}:
+            others = [name for name in self.agents() if name not in busy]
+            forces = {name: self.strength() for name in world.agents} | forces
         anything = {name: possible_goals(world.agent(name), world)[0] for name in others}
         roles = Roles.of(world, own | anything, relation, forces)
         wanted = {world.agent(a): g for a, g in roles.goals.items() if a not in others}
@@ -354,5 +286,45 @@ class CastDraw:
                     for other, goal in wanted.items()
                 )
             )
-        scene = world.random_scene(self.rng, rooms=rooms, near=near, size=size)
-        return CastSituation(scene, Roles.of(world, own, relation, forces))
+        places, sizes = _by_name(rooms, world.entities), _by_name(size, world.entities)
+        if self.tables.spots and not near:
+            scene = self._on_spots(places, sizes)
+        else:
+            scene = world.random_scene(self.rng, self.walls, rooms=places, near=near, size=sizes)
+        return Situation(scene, Roles.of(world, own, relation, forces))
+
+    def _on_spots(self, rooms: Mapping[str, Any], sizes: Mapping[str, float]) -> Scene:
+        """Return a scene with places and angles drawn, nothing overlapping."""
+        spots, names = self.tables.spots, self.world.entities
+        for name in (*rooms, *sizes):
+            self.world.entity(name)
+        given = [rooms[name] if name in rooms else self.room() for name in names]
+        places = [
+            (one,) if isinstance(one, (tuple, list)) else spots[self._room_of(one)] for one in given
+        ]
+        radius = np.array([sizes[name] if name in sizes else self.size() for name in names], float)
+        for start in self._arrangements(places):
+            if not overlaps(start, radius, self.walls, len(self.world.agents)):
+                return Scene(start, radius, self.walls, world=self.world)
+        self.refuse()
+
+    def _arrangements(self, places: Sequence[Any]) -> Iterator[FloatArray]:
+        """Yield (entity, coord) starts at such places, for as long as it is worth trying."""
+        for _ in range(_ARRANGEMENTS):
+            start = np.zeros((len(places), 3))
+            for entity, spots in enumerate(places):
+                spot = spots[int(self.rng.integers(len(spots)))]
+                moves = is_agent(entity, len(self.world.agents))
+                angle = self.rng.uniform(-2 * np.pi, 2 * np.pi) if moves else 0.0
+                start[entity] = *spot, round(angle, 2)
+            yield start
+
+
+def _by_name(given: Any, names: Sequence[str]) -> dict[str, Any]:
+    """Return what is given by name, to all in their order (None: not given), or to all alike."""
+    if isinstance(given, Mapping):
+        return dict(given)
+    each = given if isinstance(given, (list, tuple)) else [given] * len(names)
+    if len(each) != len(names):
+        raise InvalidSettingError(f"{shown(given)}: expected one for each of {', '.join(names)}")
+    return {name: one for name, one in zip(names, each, strict=True) if one is not None}

@@ -268,10 +268,11 @@ class Examples:
                 order[[first, first + 1]] = order[[first + 1, first]]
         touch = self._touching[event][:, order][:, :, order]
         observation = Observation(seen.trajectory)
+        red, green = seen.hypothesis.effective_goals
         return Example(
             frame_graphs(seen.scene, observation, self._variant, touch),
             self.relations[event],
-            seen.hypothesis.effective_goals,
+            (red, green),
         )
 
 

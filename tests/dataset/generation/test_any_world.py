@@ -15,10 +15,17 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation import making
-from phase_ppl.dataset.generation.families import CAST_FAMILIES, draw_situation, register_family
+from phase_ppl.dataset.generation.families import (
+    FAMILIES,
+    Drawn,
+    draw_situation,
+    family_of,
+    register_family,
+)
 from phase_ppl.dataset.generation.generate import generate
 from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, reason_against, uniform_roles
-from phase_ppl.dataset.generation.situation import CastDraw, CastSituation
+from phase_ppl.dataset.generation.situation import SIZES, Draw, Situation
+from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.errors import (
     InvalidSettingError,
     OutputError,
@@ -27,7 +34,7 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
-from phase_ppl.world.hypothesis import Roles, scenario
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Roles, scenario
 
 SOLO, TRIO = ppl.worlds.SOLO, ppl.worlds.TRIO
 ONE_THREAD: dict[str, Any] = {"workers": 1, "progress": False}
@@ -47,8 +54,8 @@ HOME, FIELD = "Get blue ball to home", "Get blue ball to field"
 @pytest.fixture
 def _forgetful(monkeypatch: pytest.MonkeyPatch) -> None:
     """A registry that forgets what a test registers."""
-    CAST_FAMILIES.names()
-    monkeypatch.setattr(CAST_FAMILIES, "entries", dict(CAST_FAMILIES.entries))
+    FAMILIES.names()
+    monkeypatch.setattr(FAMILIES, "entries", dict(FAMILIES.entries))
 
 
 @pytest.fixture
@@ -143,15 +150,15 @@ def test_all_goals_and_ways_to_help_or_hinder_are_drawn_alike() -> None:
 
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"n": 2, "cells": {"help_lift": 1}}, "the family 'help_lift' is for the world PHASE only"),
+    ({"n": 2, "cells": {"help_lift": 1}}, "'help_lift' is of the world 'PHASE', not of 'solo'"),
     ({"cells": {"help": 1}}, "the family 'help' needs 2 agents; 'solo' has 1 agent"),
     ({"cells": {"hlep": 1}}, "unknown family of 'solo' 'hlep'; did you mean 'help'|allowed: 'ind"),
-    ({"n": 2, "copies": 1}, "copies=1 is for the world PHASE only, not 'solo'"),
-    ({"n": 2, "recolour": True}, "recolour=True is for"),
+    ({"n": 2, "copies": 1}, "an event has only 0 other looks"),
+    ({"n": 2, "recolour": True}, "recolour=True: events of 'solo' have one look"),
     ({"n": 2, "max_tries": 1001}, "max_tries=1001, expected at most 1000"),
     ({"n": 2, "roles": "uniform"}, r"roles='uniform', expected a function \(world, seed\)"),
     ({}, "n, the number of events, is needed in the world 'solo'"),
-    ({"n": 2, "world": "PHASE", "roles": homewards}, "families draw those of PHASE"),
+    ({"n": 2, "replans": 1}, "replans=1, but situations of 'solo' have at most 0 changes"),
 ]
 
 
@@ -165,10 +172,30 @@ def test_what_is_of_phase_or_another_world_only_is_refused_by_name(tmp_path: Pat
         generate(tmp_path / "set", 1, world=SOLO, roles=of_trio, **ONE_THREAD)
 
 
+@pytest.mark.usefixtures("_all_are_kept")
+def test_phase_is_a_world_like_any_other(tmp_path: Path) -> None:
+    scene, roles = draw_situation("chasing", "PHASE", 3)
+    event = ppl.simulate(scene, roles, frames=3, planner=QUICK)
+    assert event.truth.scenario == "opposing"
+    # a family of any world is drawn from PHASE's tables, and has copies
+    given: dict[str, Any] = {"cells": {"help": 2}, "copies": 1, **SMALL}
+    for event, entry in zip(generate(tmp_path / "help", **given), range(4), strict=True):
+        assert event.truth.scenario == "collaborative", entry
+        assert {*event.scene.radius.tolist()} <= {*SIZES}
+        assert {event.truth.strength_red, event.truth.strength_green} <= {*STRENGTH_LEVELS}
+
+    def home(world: ppl.World, seed: int) -> Roles:
+        return ppl.Roles.of(world, {a: f"{a} to red lm" for a in world.agents})
+
+    (event,) = generate(tmp_path / "roles", 1, roles=home, **{**SMALL, "frames": 60})
+    assert event.id == "PHASE-00000"
+    assert event.truth.goal_red == "Get red agent to red lm"
+
+
 # --- families -------------------------------------------------------------------------------------
 
 
-def relay(draw: CastDraw) -> CastSituation:
+def relay(draw: Draw) -> Situation:
     """Two bring the blue ball home, one from home, one from beside it."""
     one, other, _ = draw.agents()
     return draw.situation(
@@ -184,7 +211,7 @@ def test_worlds_have_the_families_that_their_cast_is_enough_for() -> None:
     assert ppl.available_families("solo") == ["independent"]
     assert set(ppl.available_families(TRIO)) >= set(OURS)
     assert "help_lift" in ppl.available_families()
-    assert "help" not in ppl.available_families()
+    assert "help" in ppl.available_families(), "it is of any world"
     lonely = ppl.World(["red agent", "green agent"], [], {"home": (8.0, 8.0)}, name="lonely")
     assert ppl.available_families(lonely) == ["chasing", "hinder", "independent"]
     with pytest.raises(InvalidSettingError, match="needs 1 item and 2 landmarks; 'lonely' has 0"):
@@ -205,7 +232,7 @@ def test_two_show_the_scenario_and_the_others_run_errands(name: str) -> None:
         }
         others = [pair for pair, shown in found.items() if shown == "independent"]
         assert len(others) == (3 if name == "independent" else 2)
-        assert set(found.values()) - {"independent"} <= {CAST_FAMILIES[name].scenario}
+        assert set(found.values()) - {"independent"} <= {family_of(name, TRIO).scenario}
         cast |= {pair for pair in found if pair not in others}
         for agent, goal in enumerate(roles.effective_goals):
             literal = goal_literal(goal, agent, TRIO)
@@ -262,11 +289,11 @@ def test_a_set_has_so_many_of_each_and_says_of_which_family_each_is(
         assert np.array_equal(simulated.observation.trajectory, event.observation.trajectory)
         assert event.truth == roles
 
-    def other(draw: CastDraw) -> CastSituation:
+    def other(draw: Draw) -> Situation:
         """Two bring the ball to the field."""
         return draw.situation(dict.fromkeys(draw.agents()[:2], FIELD))
 
-    del CAST_FAMILIES.entries["relay"]
+    del FAMILIES.entries["relay of trio"]
     register_family("relay", scenario="collaborative", world=TRIO)(other)
     with pytest.raises(OutputError, match="another plan: families"):
         generate(tmp_path / "set", **given, resume=True)
@@ -286,6 +313,9 @@ ODD: list[tuple[Any, str]] = [
     (lambda draw: (SOLO.scene({"red agent": (4, 4), "ball": (20, 4), "box": (8, 16)}),
                    Roles.of(SOLO, {"red agent": "red agent to home"})),
      "since 'Get red agent to home' is true at the start"),
+    (lambda draw: (SOLO.scene({"red agent": (20, 14), "ball": (20, 14), "box": (8, 16)}),
+                   Roles.of(SOLO, {"red agent": "red agent to home"})),
+     "since the red agent and the ball overlap"),
 ]  # fmt: skip
 
 
@@ -295,7 +325,7 @@ def test_what_a_family_cannot_draw_is_said(tmp_path: Path) -> None:
         register_family("odd", scenario="independent", world=SOLO)(drawn)
         with pytest.raises(PhasePPLError, match=message):
             draw_situation("odd", SOLO, 0)
-        del CAST_FAMILIES.entries["odd"]
+        del FAMILIES.entries["odd of solo"]
     # one that breaks its promise is refused before anything is made
     register_family("odd", scenario="opposing", world=TRIO)(relay)
     with pytest.raises(InvalidSettingError, match="which is not opposing"):
@@ -308,7 +338,7 @@ def test_what_a_family_cannot_draw_is_said(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("_forgetful")
 def test_a_family_of_any_world_can_have_variants_and_names_of_phases() -> None:
     @register_family("help_move", scenario="independent", variants=("ball", "box"), world=None)
-    def of_kind(draw: CastDraw, variant: str) -> CastSituation:
+    def of_kind(draw: Draw, variant: str) -> Situation:
         """Somebody moves something."""
         return draw.situation({"red agent": f"{variant} to home"})
 
@@ -373,9 +403,9 @@ def test_kept_is_what_two_show_or_all_if_they_are_independent() -> None:
 def test_measures_are_of_all_agents_and_pairs() -> None:
     scene = TRIO.random_scene(3)
     goals = {"red agent": HOME, "green agent": FIELD, "purple agent": "get to red agent"}
-    event = ppl.simulate(scene, goals=goals, frames=5, seed=0, planner=QUICK)
-    found = making.measures_elsewhere(event)
-    track = event.observation.trajectory
+    drawn = Drawn(scene, Roles.of(TRIO, goals), 0)
+    made = making.record(drawn, JointSimulator(QUICK), 5, np.random.default_rng(0))
+    found, track = making.measures(made), made.trajectory
     apart = np.linalg.norm(track[:, 0, :2] - track[:, 2, :2], axis=1)
     assert found["closest"]["red & purple"] == pytest.approx(
         apart.min() / (scene.radius[0] + scene.radius[2])

@@ -23,7 +23,8 @@ from phase_ppl.dataset.generation import generate as module
 from phase_ppl.dataset.generation import making
 from phase_ppl.dataset.generation.families import family_of
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
-from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
+from phase_ppl.dataset.generation.plan import SPLITS, Plan, apportioned, scaled
+from phase_ppl.dataset.generation.situation import PHASE500
 from phase_ppl.dataset.statistics import goal_type
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -34,7 +35,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import goal_literal, is_true
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, STRENGTH_LEVELS
 
 QUICK: dict[str, Any] = {
     "planner": PlannerConfig(particles=5, simulations=2, rollout_length=1),
@@ -87,9 +88,9 @@ def test_the_preset_and_its_splits_are_the_papers() -> None:
     goals: Counter[str] = Counter()
     for cell, n in PHASE500.items():
         family = family_of(cell)
-        relations[family.relation] += n
-        drawn = family.draw(np.random.default_rng(0)).hypothesis
-        for goal in drawn.effective_goals:
+        relations[RELATION_OF_SCENARIO[family.scenario]] += n
+        drawn = family.draw(ppl.worlds.PHASE, np.random.default_rng(0))
+        for goal in drawn.roles.effective_goals:
             goals[goal_type(goal)] += n
     assert relations == {"friendly": 200, "adversarial": 192, "neutral": 108}
     assert goals == {"LMO+": 584, "LMA+": 215, "LMA-": 68, "TE+": 63, "TE-": 63, "LMO-": 7}

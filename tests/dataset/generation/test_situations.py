@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation import families
 from phase_ppl.dataset.generation.families import (
-    MOST_CHANGES,
+    Drawn,
     Family,
     available_families,
     changed,
     family_of,
+    most_changes,
     register_family,
 )
 from phase_ppl.dataset.generation.making import (
@@ -36,7 +37,6 @@ from phase_ppl.dataset.generation.situation import (
     LAYOUTS,
     LAYOUTS_OF_A_KIND,
     SIZES,
-    CannotDraw,
     Draw,
     Situation,
     overlaps,
@@ -48,7 +48,7 @@ from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
 from phase_ppl.world.names import BLUE_ITEM, Predicate
 from phase_ppl.world.rooms import Rooms
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene
 
 START = np.array([[8.0, 10.0, 0.5], [24.0, 14.0, -0.7], [14.0, 20.0, 0.0], [18.0, 4.0, 0.0]])
 
@@ -91,13 +91,19 @@ FREE = {
 """Layout -> pairs of rooms that bodies of any size can pass between, as the original lists say."""
 
 
-def situations(cell: str, n: int = 25) -> list[Situation]:
+def situations(cell: str, n: int = 25) -> list[Drawn]:
     family = family_of(cell)
     rng = np.random.default_rng(3)
-    return [family.draw(rng) for _ in range(n)]
+    return [family.draw(PHASE, rng) for _ in range(n)]
 
 
-def rooms_of(situation: Situation) -> list[int]:
+def hypothesis(situation: Drawn) -> Hypothesis:
+    found = situation.roles.of_its_world()
+    assert isinstance(found, Hypothesis)
+    return found
+
+
+def rooms_of(situation: Drawn) -> list[int]:
     rooms: Rooms = situation.scene.rooms
     return [int(room) for room in rooms.room_of(situation.scene.start[:, :2])]
 
@@ -106,8 +112,8 @@ def rooms_of(situation: Situation) -> list[int]:
 def test_situations_show_the_scenario_of_their_family_and_nothing_overlaps(cell: str) -> None:
     family = family_of(cell)
     for situation in situations(cell):
-        wanted, scene, rooms = situation.hypothesis, situation.scene, rooms_of(situation)
-        assert (wanted.scenario, wanted.relation) == (family.scenario, family.relation)
+        wanted, scene, rooms = hypothesis(situation), situation.scene, rooms_of(situation)
+        assert wanted.scenario == family.scenario
         assert situation.layout in family.layouts
         assert not overlaps(scene.start, scene.radius, scene.walls)
         for agent, goal in enumerate(wanted.effective_goals):
@@ -116,14 +122,14 @@ def test_situations_show_the_scenario_of_their_family_and_nothing_overlaps(cell:
                 assert rooms[literal.subject] != literal.target, "it is there already"
     # they depend on the seed alone
     one, other = (situations(cell, 2)[1] for _ in range(2))
-    assert one.hypothesis == other.hypothesis
+    assert one.roles == other.roles
     assert np.array_equal(one.scene.start, other.scene.start)
 
 
 def test_free_ways_and_families_are_those_of_the_original_lists() -> None:
-    assert {cell.partition(":")[0] for cell in CELLS} == set(available_families())
+    assert {cell.partition(":")[0] for cell in CELLS} == set(available_families()) - {"help"}
     for layout in LAYOUTS:
-        draw = Draw(np.random.default_rng(0), layout)
+        draw = Draw(PHASE, np.random.default_rng(0), layout)
         free = {(a, b) for a in range(4) for b in range(a + 1, 4) if draw.is_free(a, b)}
         assert free == FREE[layout]
         assert not draw.is_free(2, 2)
@@ -132,7 +138,7 @@ def test_free_ways_and_families_are_those_of_the_original_lists() -> None:
 def test_families_promise_more() -> None:
     for one in situations("help_blocked", 60):
         _, green, item, _ = rooms_of(one)
-        assert one.hypothesis.alpha == (1, 0)
+        assert hypothesis(one).alpha == (1, 0)
         assert one.scene.radius[1] > SIZES[0] == one.scene.radius[0]
         assert one.scene.rooms.narrowest(green, item) == 2.5, "too narrow for green"
     for one in situations("help_move", 60):
@@ -142,7 +148,7 @@ def test_families_promise_more() -> None:
     for one in situations("help_lift", 60):
         red, green, item, _ = rooms_of(one)
         assert green == item != red
-        assert one.hypothesis.strength_green == 150 < one.hypothesis.strength_red
+        assert one.roles.strengths[1] == 150 < one.roles.strengths[0]
     for one in situations("collab", 60):
         *agents, item, _ = rooms_of(one)
         for radius, room in zip(one.scene.radius, agents, strict=False):
@@ -160,9 +166,9 @@ def own(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
         def drawn(draw: Draw) -> Situation:
             """Both go to a place."""
             if not green:
-                raise CannotDraw
-            goals: Any = "Get red agent to blue lm", green
-            return draw.situation(goals, (0, 0), (2, 2, 1, 3), (0.8,) * 4, (300.0, 300.0))
+                draw.refuse()
+            goals = "Get red agent to blue lm", green
+            return draw.situation(goals, rooms=(2, 2, 1, 3), size=0.8, strength=300)
 
         return family_of(name)
 
@@ -173,18 +179,37 @@ def test_a_family_of_ones_own_goes_to_workers_with_its_plan(own: Callable[..., F
     family = own("side_by_side", "Get red agent to blue lm", scenario="collaborative")
     assert (family.variant, family.summary) == (None, "Both go to a place.")
     sent = cloudpickle.dumps(Plan(cells={"side_by_side": 1}))
-    del families.FAMILIES.entries["side_by_side"]
+    del families.FAMILIES.entries["side_by_side of PHASE"]
     family = cloudpickle.loads(sent).families["side_by_side"]
-    assert family.draw(np.random.default_rng(0)).hypothesis.scenario == "collaborative"
+    drawn = family.draw(PHASE, np.random.default_rng(0))
+    assert hypothesis(drawn).scenario == "collaborative"
+
+
+def test_what_is_said_of_a_situation_is_by_name_or_of_all() -> None:
+    draw = Draw(PHASE, np.random.default_rng(0))
+    goal, names = "blue item to red lm", PHASE.entities
+    scene, roles = draw.situation(goal, strength=300, rooms=("blue lm", 1, (18, 4), None), size=0.8)
+    assert set(roles.goals.values()) == {"Get blue item to red lm"}
+    assert scene.radius.tolist() == [0.8] * 4
+    assert scene.rooms.room_of(scene.start[:2, :2]).tolist() == [0, 1]
+    assert scene.start[2].tolist() == [18, 4, 0]
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"rooms": (1, 2)}, f"expected one for each of {', '.join(names)}"),
+        ({"size": {"ball": 1}}, "unknown agent or item 'ball'"),
+        ({"rooms": {"red agent": "mars"}}, "unknown landmark 'mars'"),
+    ]
+    for given, message in wrong:
+        with pytest.raises(PhasePPLError, match=message):
+            draw.situation(goal, **given)
 
 
 def test_what_is_no_family_is_refused(own: Callable[..., Family]) -> None:
     for name, green, said in (
-        ("wrong", "Get green agent to red lm", "independent, not opposing"),
+        ("wrong", "Get green agent to red lm", "not opposing"),
         ("never", "", "no situation"),
     ):
         with pytest.raises(InvalidSettingError, match=said):
-            own(name, green, scenario="opposing").draw(np.random.default_rng(0))
+            own(name, green, scenario="opposing").draw(PHASE, np.random.default_rng(0))
     options: list[tuple[dict[str, Any], str]] = [
         ({"scenario": "opposing", "layouts": [3]}, "layout"),
         ({"scenario": "friendly"}, "scenario"),
@@ -313,15 +338,15 @@ SIZE_ID = {size: number for number, size in enumerate(SIZES)}
 STRENGTH_ID = {force: number for number, force in enumerate(STRENGTH_LEVELS)}
 
 
-def changes(cell: str, situation: Situation) -> dict[str, Situation]:
+def changes(cell: str, situation: Drawn) -> dict[str, Drawn]:
     found = changed(family_of(cell), situation)
-    assert len(found) <= MOST_CHANGES
-    return {change.name: other for change, other in found}
+    assert len(found) <= most_changes(PHASE)
+    return {change.name: change.situation for change in found}
 
 
-def ids(situation: Situation) -> list[int]:
+def ids(situation: Drawn) -> list[int]:
     sizes = [SIZE_ID[size] for size in situation.scene.radius.tolist()]
-    return sizes + [STRENGTH_ID[force] for force in situation.hypothesis.strengths]
+    return sizes + [STRENGTH_ID[force] for force in situation.roles.strengths]
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -334,8 +359,8 @@ def test_a_changed_situation_differs_in_one_thing_and_there_is_one_for_every_lay
         layouts = set()
         for name, other in changes(cell, first).items():
             assert np.array_equal(other.scene.start, first.scene.start)
-            assert other.hypothesis.effective_goals == first.hypothesis.effective_goals
-            assert other.hypothesis.alpha == first.hypothesis.alpha
+            assert other.roles.effective_goals == first.roles.effective_goals
+            assert other.roles.towards == first.roles.towards
             assert other.scene.turning == first.scene.turning
             assert np.array_equal(other.scene.walls, walls_of(other.layout))
             assert not overlaps(other.scene.start, other.scene.radius, other.scene.walls)
@@ -368,20 +393,20 @@ def test_nothing_is_changed_where_the_rules_of_the_family_do_not_hold(
     assert len(moved) > 5
     for other in moved:
         *agents, item, _ = rooms_of(other)
-        assert other.hypothesis.strength_red == other.hypothesis.strength_green
+        assert len(set(other.roles.strengths)) == 1
         for radius, room in zip(other.scene.radius, agents, strict=False):
             assert radius == SIZES[0] or tuple(sorted((room, item))) in FREE[other.layout]
     first = situations("chasing", 1)[0]  # that no draw made
-    assert changed(family_of("chasing"), Situation(first.scene, first.hypothesis, 8)) == []
+    assert changed(family_of("chasing"), Drawn(first.scene, first.roles, 8)) == []
     # nor where a place is in another room then, or a size is no draw's
     families.available_families()
     monkeypatch.setattr(families.FAMILIES, "entries", dict(families.FAMILIES.entries))
-    goal: Any = ("Get red agent to blue lm",) * 2
+    goal = "Get red agent to blue lm"
     for name, rooms, sizes in (("elsewhere", {4: 2}, (0.8, 0.8)), ("odd", {}, (0.5, 1))):
 
         @register_family(name, scenario="collaborative", layouts=[4, 8])
         def drawn(draw: Draw, rooms: Any = rooms, sizes: Any = sizes) -> Situation:
             places, size = (rooms.get(draw.layout, 1), 2, 3, 3), float(draw.rng.uniform(*sizes))
-            return draw.situation(goal, (0, 0), places, (size,) * 4, (300.0, 300.0))
+            return draw.situation(goal, rooms=places, size=size, strength=300)
 
         assert all(not changes(name, first) for first in situations(name))
