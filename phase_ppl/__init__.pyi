@@ -69,6 +69,7 @@ from phase_ppl.evaluation.prediction import questions_of as questions_of
 from phase_ppl.evaluation.prediction import reference_predictions as reference_predictions
 from phase_ppl.evaluation.ratings import Judgments as Judgments
 from phase_ppl.evaluation.registry import Answer as Answer
+from phase_ppl.evaluation.registry import Onlooker as Onlooker
 from phase_ppl.evaluation.registry import available_models as available_models
 from phase_ppl.evaluation.registry import model_info as model_info
 from phase_ppl.evaluation.registry import register_model as register_model

@@ -96,11 +96,15 @@ def worth(weights: FloatArray) -> float:
     return float(1 / (weights**2).sum())
 
 
-def typical(codes: NDArray[np.int64], values: FloatArray) -> FloatArray:
-    """Return (code,) the geometric mean of the values with each code, 0 of those without any."""
-    n = np.bincount(codes)
-    logs = np.log(np.maximum(values, 1e-300))
-    return np.where(n > 0, np.exp(np.bincount(codes, logs) / np.maximum(n, 1)), 0.0)
+def typical(codes: NDArray[np.int64], values: FloatArray, size: int = 0) -> FloatArray:
+    """Return (code,) the geometric mean of the values with each code, 0 of those without any.
+
+    Values that are NaN do not count.
+    """
+    size, known = max(size, int(codes.max(initial=-1)) + 1), ~np.isnan(values)
+    codes, logs = codes[known], np.log(np.maximum(values[known], np.finfo(float).tiny))
+    n = np.bincount(codes, minlength=size)
+    return np.where(n > 0, np.exp(np.bincount(codes, logs, size) / np.maximum(n, 1)), 0.0)
 
 
 def total_variation(one: FloatArray, other: FloatArray) -> float:
@@ -113,8 +117,8 @@ FEW_DRAWS: Final = 10.0
 
 FEW_WHERE_TOLD, TOLD = 2.0, 2.0
 """Likewise, where goals fit the better the more the video suggested them: from a rank correlation
-of so many standard errors on. In PHASE, which the suggestions know, answers on 2 to 10 effective
-draws are as right as others (``benchmarks/decided.py``), in worlds that they do not know, not."""
+of so many standard errors on. In some videos of PHASE they do, and answers on 2
+to 10 effective draws were right (``benchmarks/decided.py``)."""
 
 LEARNT: Final = 1.5
 """By how much errors grow where what was drawn decides what is drawn next, which groups of chains
@@ -333,15 +337,19 @@ def doubt(
     without: Jackknife | Jackknives,
     results: FloatArray,
     size: float = math.nan,
+    luck: FloatArray | float = 0.0,
 ) -> float:
     """Return how probable it is that another label than the first of the highest leads in truth.
 
     See :class:`Mode`. Probabilities are (label,), results (set, label) those without each set;
-    ``size`` is the number of independent draws that they are worth, NaN where it is not known.
+    ``size`` is the number of independent draws that they are worth, NaN where it is not known;
+    ``luck`` (label,) what one more lucky simulation of each would add to its error.
     """
     leading = int(probabilities.argmax())
     leads = np.delete(probabilities[leading] - probabilities, leading)
     errors = without.error(np.delete(results[:, [leading]] - results, leading, axis=1), leads)
+    of_luck = np.broadcast_to(luck, probabilities.shape)
+    errors = np.hypot(errors, np.hypot(of_luck[leading], np.delete(of_luck, leading)))
     chances = [0.0]
     for lead, error in zip(leads.tolist(), errors.tolist(), strict=True):
         tied = 0.5 if lead <= ROUNDING else 0.0

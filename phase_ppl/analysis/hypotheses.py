@@ -269,7 +269,10 @@ class Hypotheses(Printed):
         if without is None:
             return Mode(label)
         without_each = estimate.shares(codes, without.weights, size)
-        return Mode(label, doubt(mass, without, without_each, of._size_of(rows)))
+        luck: FloatArray | float = 0.0
+        if of._luck is not None:
+            luck = estimate.typical(codes, of._luck[rows], size) * (1 - mass)
+        return Mode(label, doubt(mass, without, without_each, of._size_of(rows), luck))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
         """Return the leading goals and relation, and whether it is sure that they lead.

@@ -193,7 +193,7 @@ class Posterior(EventPosterior):
         decides = normalised(log_weight)
         lucky = float(decides @ log_likelihood)
         luck = np.exp(log_weight - log_likelihood + lucky - log_sum_exp(log_weight))
-        return np.where(known, luck / (1 + luck), 0.0)
+        return np.where(known, luck / (1 + luck), np.nan)
 
     def _most_effective(self) -> float:
         """Return how many independent draws the draws can be worth at most.
@@ -523,9 +523,11 @@ class Posterior(EventPosterior):
 
     def _untried(self, name: str) -> frozenset[str]:
         simulations = self._tree["simulations"].dataset
-        done = simulations["completed"].values & ~simulations["failed"].values
+        tried_at_all = ~simulations["failed"].values
         space = self._words.space
-        goals = {one: simulations[one].values[done].astype(np.int64) for one in space.goal_sites}
+        goals = {
+            one: simulations[one].values[tried_at_all].astype(np.int64) for one in space.goal_sites
+        }
         tried = {**goals, **self._words.relation_codes(goals)}.get(name)
         if tried is None or self._looked_up:
             return frozenset()

@@ -103,7 +103,8 @@ class Table:
     def extended(self, found: xr.Dataset) -> Self:
         """Return the table of the same video with further frames, which goes on from this one.
 
-        So that a stream costs as much at a late frame as at an early one.
+        So that a stream costs as much at a late frame as at an early one, where all hypotheses are
+        summed.
         """
         after = type(self)(found)
         if not self.sampled:  # others are drawn by what all frames say

@@ -78,13 +78,18 @@ def judged(
     said = " ".join(one.says for one in ordered if one.says)
     return {
         "trust": trust,
-        "answer": f"{_answer(leaders)}. {trust.capitalize()}.",
+        "answer": f"{_answer(leaders)}. {_TRUST[trust]}",
         "checks": [one._asdict() for one in checks],
         "next": next((one.advice for one in ordered if one.advice), _ONWARD),
         "verdict": said or closing,
     }
 
 
+_TRUST: Final = {
+    "confident": "The computation can be trusted.",
+    "not certain": "The computation is not certain.",
+    "do not trust": "Do not trust it yet.",
+}
 _ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
 
 
@@ -138,9 +143,7 @@ def as_html(found: Mapping[str, Any]) -> str:
 
 # --- of chains and weighted draws -----------------------------------------------------------------
 
-_LONGER: Final = (
-    "run longer: iterations={n}, or read the video by the closed loop: ppl.infer(event)"
-)
+_CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
 
 
 def of_draws(found: Mapping[str, Any]) -> dict[str, Any]:
@@ -151,11 +154,11 @@ def of_draws(found: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_draws(found: Mapping[str, Any], weighted: bool) -> Iterator[Check]:
-    longer = _LONGER.format(n=max(40, 4 * found["iterations"]))
+    longer = f"{_more(found)}, or {_CLOSED_LOOP}"
     yield from _apart(found["overlapping_frames"])
     if found["weights"] == "likelihood":
         says = "The weights 'likelihood' make every probability too extreme."
-        yield check("weights", "fail", "likelihood", "any other", says, 'weights="stratified"')
+        yield check("weights", "fail", "likelihood", "any other", says, 'weights="count"')
     if found["validity"] == "approximate" and found["weights"] != "stratified":
         says = (
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
@@ -191,18 +194,29 @@ def _of_draws(found: Mapping[str, Any], weighted: bool) -> Iterator[Check]:
         yield check("simulations succeeded", "doubt", f"{n} failed", "all", says)
 
 
+def _more(found: Mapping[str, Any]) -> str:
+    """Return how to ask for more simulations."""
+    draws, particles = found["iterations"], found["particles"]
+    if draws == 1 and found["weighted_draws_ess"] is not None:
+        return f"take more particles: chains={4 * particles}"  # a population
+    return f"run longer: iterations={max(40, 4 * draws)}"
+
+
 def _enough(found: Mapping[str, Any], longer: str) -> Iterator[Check]:
     needed, size = found["effective_size_needed"], found["effective_size"]
     name = "enough simulations"
     if needed is None:
         says = (
-            f"Not enough: goals with {found['untried']:.2f} of the prior's mass were never "
-            "simulated, and those that were are no better than chance."
+            "Not enough: goals that the video suggests fit no better than chance, and goals with "
+            f"{found['untried']:.2f} of the prior's mass were never simulated to the end."
         )
-        advice = 'kernel="amis" learns what fits, if simulations take milliseconds; else ' + longer
-        yield check(name, "fail", "suggestions mislead", "better than chance", says, advice)
+        learns = 'if simulations take milliseconds, kernel="amis" learns what fits; else '
+        can_learn = found["kernel"] != "amis" and len(found["agreement"]) <= 2
+        advice = learns * can_learn + longer
+        yield check("suggestions fit", "fail", "no better than chance", "better", says, advice)
     elif size is None:
-        yield check(name, "unknown", "one particle", "several")
+        says = "With one particle nothing tells how much another run would differ."
+        yield check(name, "unknown", "one particle", "2 or more", says)
     else:
         says = ""
         if size < needed:
@@ -218,33 +232,30 @@ def _decided(leaders: Mapping[str, Mapping[str, Any]], longer: str) -> Check:
     sure = sum(one["sure"] for one in leaders.values())
     says = " ".join(undecided(leaders))
     state: State = "doubt" if says else "ok"
-    return check(
-        "beyond their errors", state, f"{sure} of {len(leaders)} answers", "all", says, longer
-    )
+    value = f"{sure} of {len(leaders)}, beyond errors"
+    return check("answers above 1/2", state, value, "all", says, longer)
 
 
 def _tried(found: Mapping[str, Any], longer: str) -> Iterator[Check]:
     n, untried = found["untried_rivals"], found["untried"]
     says = (
-        f"Not ruled out: {n} rival{'' if n == 1 else 's'} of the leading goals, with which one "
-        "agent wants the same thing at another landmark, "
-        f"{'was' if n == 1 else 'were'} never simulated."
+        f"Not ruled out: {n} rival{'' if n == 1 else 's'} of the leading goals, with another "
+        f"landmark for one agent, {'was' if n == 1 else 'were'} never simulated."
     )
     if n:
         yield check("rivals tried", "doubt", f"{n} untried", "none untried", says, longer)
     else:
         yield check("rivals tried", "ok", "all", "none untried")
-    if untried is None:
+    if untried is None or found["effective_size_needed"] is None:  # then it is said
         return
     says = (
         f"{_combined(found).capitalize()} with {untried:.2f} of the prior's mass were never "
-        "simulated, and count as impossible."
+        "simulated to the end, and count as impossible."
     )
-    # else it is said, or errors allow for it
-    said = untried >= UNTRIED and found["effective_size_needed"] is not None
-    state: State = "unknown" if said else "ok"
+    few = untried >= UNTRIED
+    state: State = "unknown" if few else "ok"
     limit = f"{1 - UNTRIED:.2f} or more"
-    yield check("goals simulated", state, f"{1 - untried:.2f} of the prior", limit, says * said)
+    yield check("goals simulated", state, f"{1 - untried:.2f} of the prior", limit, says * few)
 
 
 def _margin(found: Mapping[str, Any]) -> str:
@@ -317,8 +328,10 @@ def _mixing(found: Mapping[str, Any], longer: str) -> Check:
             f"R-hat and effective sample sizes need {MIN_DRAWS} draws per particle; "
             f"there {'is' if draws == 1 else 'are'} {draws}."
         )
+        if draws >= MIN_DRAWS:
+            says = "R-hat does not exist where nothing changes within half a chain."
         value = f"{draws} draw{'' if draws == 1 else 's'} each"
-        return check(name, "unknown", value, limit, says * (draws < MIN_DRAWS))
+        return check(name, "unknown", value, limit, says)
     of = max(known, key=lambda name: known[name])
     value = f"R-hat {known[of]:.2f} of {of}"
     apart = [f"{name} {r:.2f}" for name, r in known.items() if r > MIXED]
@@ -417,7 +430,7 @@ def _by_prior(found: Mapping[str, Any]) -> Iterator[Check]:
             )
     least = min(known, key=lambda name: known[name]["without_prior"])
     state: State = "doubt" if said else "ok"
-    value = f"{shown[least]} without the prior"
+    value = f"{shown[least]} were goals alike before"
     yield check("the video decides", state, value, f"above {ALONE}", " ".join(said))
 
 
@@ -425,9 +438,10 @@ def _worth(found: Mapping[str, Any], longer: str) -> Check:
     ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
     text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones {_margin(found)}"
     few = ": so few decide that another run may well differ."
-    says = text.rstrip() + (few if ess < FEW else ".")
-    state: State = "doubt" if ess < FEW else "ok"
-    value = f"worth {ess * draws:.1f} of {draws}"
+    too_few = ess < FEW and ess * draws < (found["effective_size_needed"] or math.inf)
+    says = text.rstrip() + (few if too_few else ".")
+    state: State = "doubt" if too_few else "ok"
+    value = f"worth {ess:.0%}, {ess * draws:.1f} of {draws}"
     return check("weighted draws", state, value, f"{FEW:.0%} or more", says, longer)
 
 
@@ -485,10 +499,14 @@ def _of_reading(found: Mapping[str, Any]) -> Iterator[Check]:
     yield from _apart(found["overlapping_frames"])
     if not own:
         yield _expected(found)
-    if n_sets > 1 or own:
-        more = f"samples={4 * samples}" if samples else f"planner_seeds={2 * n_sets}"
-        yield _decided(found["leading"], "" if own and not samples else more)
+    more = _more_sets(n_sets, samples)
+    yield _decided(found["leading"], "" if own and not samples else more)
     yield from _searched(found, own)
+
+
+def _more_sets(n_sets: int, samples: int | None) -> str:
+    given = f"samples={4 * samples}" if samples else f"planner_seeds={max(4, 2 * n_sets)}"
+    return f"search more: likelihood=ppl.StepwiseLikelihood({given})"
 
 
 def _explained(found: Mapping[str, Any], own: bool) -> Check:
@@ -540,10 +558,10 @@ def _searched(found: Mapping[str, Any], own: bool) -> Iterator[Check]:
     worst = max(errors, key=lambda key: errors[key] if errors[key] == errors[key] else 0.0)
     error, says, more = errors[worst], "", ""
     if error > DISAGREE:
-        more = f"samples={4 * samples}" if own else f"planner_seeds={2 * n_sets}"
+        more = _more_sets(n_sets, samples)
         says = (
-            f"The {n_sets} {sets} disagree on {worst} (standard error {error:.2f}): "
-            f"use more, {more}."
+            f"The {n_sets} {sets} disagree on {_asked(worst)} (standard error {error:.2f}): "
+            "use more."
         )
     value, limit = f"error {error:.2g}, {n_sets} sets", f"{DISAGREE:g} or less"
     yield check(name, "doubt" if says else "ok", value, limit, says, more)

@@ -480,6 +480,7 @@ class Growing:
     def first(self, n: int) -> NDArray[Any]:
         """Return the first ``n``, (time, ...); the smaller ones are filled up with NaN or 0."""
         found: NDArray[Any] = self._all[:n]
+        found.flags.writeable = False  # those that follow are written beside it
         return found
 
 

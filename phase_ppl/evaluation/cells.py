@@ -157,7 +157,11 @@ def _tables(
     for kind, word in KIND_WORDS.items():
         verdicts = ("decided", "undecided", "sure")
         of_verdict: dict[str, Place] = {name: ("verdict", kind, name) for name in verdicts}
-        yield f"{word} right, by whether the posterior decides the event", of_verdict, models
+        yield (
+            f"{word} right, where the event is decided or not, and of answers that are sure",
+            of_verdict,
+            models,
+        )
     among = (PEOPLE, _among_people(models))
     for kind, word in KIND_WORDS.items():
         prefix = PREFIX[kind]

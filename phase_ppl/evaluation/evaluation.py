@@ -181,7 +181,12 @@ class Evaluation(Printed):
                 )
 
     def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
-        """Return the posterior of an event, read from the folder; None where none was kept."""
+        """Return the posterior of an event, read from the folder; None where none was kept.
+
+        Raises:
+            UnknownNameError: there is no such event.
+        """
+        check_name("event", event_id, [event.id for event in self.events])
         file = None if self.folder is None else self.folder.folder_of(event_id) / POSTERIOR
         return load_posterior(file) if file is not None and file.is_file() else None
 

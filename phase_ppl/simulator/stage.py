@@ -65,9 +65,10 @@ class Stage:
 
     def _check_each(self, what: str, given: Sequence[object]) -> None:
         agents = self.scene.world.agents
-        if len(given) != len(agents):
+        number = len(given) if isinstance(given, Sequence | np.ndarray) else 1
+        if number != len(agents) or isinstance(given, str):
             raise InvalidSettingError(
-                f"{what}: {len(given)} are given, expected one for each of {', '.join(agents)}"
+                f"{what}: {number} are given, expected one for each of {', '.join(agents)}"
             )
 
     @functools.cached_property
@@ -113,12 +114,16 @@ class Stage:
             for action in actions
         ]
 
+    def _number_of(self, agent: int) -> int:
+        return whole_number("agent", agent, 0, len(self.scene.world.agents) - 1)
+
     def sees(self, agent: int) -> BoolArray:
         """Return (entity,) whether an agent observes each now.
 
         That is itself, what is in its field of view and not hidden by walls or bodies, what it
         touches or holds, and what those that it observes touch or hold.
         """
+        agent = self._number_of(agent)
         bodies, held, _ = compiled.from_state(self.state, self.scene.radius)
         layout = self._model.layout
         cells = np.zeros(layout.rows * layout.columns, np.bool_)
@@ -141,8 +146,9 @@ class Stage:
 
         Raises:
             UnknownNameError: there is no such goal.
-            InvalidSettingError: there is not a goal for each agent.
+            InvalidSettingError: there is no such agent, or not a goal for each.
         """
+        agent = self._number_of(agent)
         self._check_each("goals", goals)
         codes = tuple(map(self.scene.world.goal_index, goals))
         rng = np.random.default_rng(seed)

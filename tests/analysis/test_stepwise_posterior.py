@@ -116,7 +116,9 @@ def test_errors_are_the_jackknife_over_sets_of_searches(
     assert np.isnan(single.probability(relation="friendly").error)
     for nothing in (single.why("relation=friendly")["error"], single.over_time()["relation_error"]):
         assert np.isnan(nothing).all()
-    assert "With one set of searches nothing tells" in str(single)
+    found = single.diagnostics()
+    assert "With one set of searches nothing tells" in found["verdict"]
+    assert found["trust"] == "not certain"
     assert "± ?" in str(single)
 
 

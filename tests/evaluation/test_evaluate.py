@@ -188,7 +188,9 @@ def test_accuracies_of_decided_and_undecided_answers_stand_side_by_side(tmp_path
         assert {name: (it["n"], it["accuracy"]["value"]) for name, it in verdict.items()} == {
             "decided": (2, 0.5), "undecided": (1, 0), "sure": (3, 1 / 3),
         }  # fmt: skip
-        words = str(one).split("relations right, by whether the posterior decides the event\n")[1]
+        words = str(one).split(
+            "relations right, where the event is decided or not, and of answers that are sure\n"
+        )[1]
         assert words.split("\n")[0].split() == ["decided", "undecided", "sure"]
         assert all(
             n in words.split("\n")[1] for n in ("0.50 [0.01, 0.99] of 2", "0.00 of 1", "of 3")
