@@ -263,7 +263,7 @@ def slowly(scene: Any, hypothesis: Any, rng: Any) -> Any:
 
 def predict(scene: Any, observation: Any, seed: int) -> dict[str, Any]:
     time.sleep(0.1)
-    return {"goal_red": int(seed) % 36, "goal_green": 3}
+    return {"goal_red": ppl.GOALS[int(seed) % 3], "goal_green": ppl.GOALS[-1]}
 
 
 def work(name: str, folder: Path) -> Any:
@@ -280,8 +280,7 @@ def work(name: str, folder: Path) -> Any:
         events = [walking_event(n) for n in range(8, 18)]
         events = [dataclasses.replace(e, id=str(n)) for n, e in enumerate(events)]
         done = ppl.evaluate(events, predict, out=folder / "e", resume=True, workers=1, **QUIET)
-        goals = "goal_red", "goal_green"
-        return {n: [p.top(goal, 1) for goal in goals] for n, p in done.predictions.items()}
+        return {n: dict(p.answers) for n, p in done.predictions.items()}
     if name == "generate":
         planner = PlannerConfig(particles=5, simulations=2, rollout_length=1)
         cells = {"chasing": 3, "independent:LMA+LMA": 1}

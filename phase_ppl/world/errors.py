@@ -103,7 +103,8 @@ def check_name(what: str, name: object, allowed: Collection[str]) -> None:
 
     The message calls it ``what``, and names close matches.
     """
-    if name not in allowed:
+    # what is no text may compare in its own way, as arrays do
+    if not isinstance(name, str) or name not in allowed:
         raise unknown_name(what, name, allowed)
 
 

@@ -15,6 +15,7 @@ from phase_ppl.world.errors import (
     PhasePPLError,
     SimulationError,
     UnknownNameError,
+    check_name,
     nonnegative_number,
     positive_number,
     shown,
@@ -46,6 +47,9 @@ def test_an_unknown_name_is_answered_with_close_ones_or_with_what_there_is() -> 
         message = str(unknown_name("name", name, allowed))
         assert said in message
         assert len(message) < 200
+    for odd in (np.array([1.0, 2.0]), ["one"], None, 3):
+        with pytest.raises(UnknownNameError, match="unknown thing"):
+            check_name("thing", odd, {"one": 1})
 
 
 def test_a_file_appears_only_when_it_is_complete(tmp_path: Path) -> None:
