@@ -9,7 +9,11 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, Final, TypeVar
 
+import numpy as np
 from tqdm.auto import tqdm
+
+from phase_ppl.world import errors
+from phase_ppl.world.errors import InvalidSettingError
 
 WARMING_UP: Final = "warming up (compiles the first time)"
 clock = time.monotonic  # seconds of wall time
@@ -19,12 +23,18 @@ _ROUNDS: Final = 2
 
 
 def is_shown(shown: bool | None) -> bool:
-    """Return whether to show a bar; None: where stderr is a terminal, and in notebooks."""
+    """Return whether to show a bar; None: where stderr is a terminal, and in notebooks.
+
+    Raises:
+        InvalidSettingError: it is neither, nor True or False.
+    """
+    if shown is not None and not isinstance(shown, int | np.bool_):
+        raise InvalidSettingError(f"progress={errors.shown(shown)}, expected True, False or None")
     # there is none in a program without a console, and one that was closed cannot be asked
     there = sys.stderr is not None and not sys.stderr.closed
     if shown is None:
         return there and (sys.stderr.isatty() or "ipykernel" in sys.modules)
-    return shown and there
+    return bool(shown) and there
 
 
 class Bar(tqdm):

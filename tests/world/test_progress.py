@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 
+import numpy as np
 import pytest
 
 from phase_ppl.world import progress
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.progress import WARMING_UP, Progress
 
 
@@ -66,3 +68,9 @@ def test_uneven_simulations_give_a_steady_estimate(monkeypatch: pytest.MonkeyPat
         assert bar.seconds_left() == pytest.approx(48.0)
         bar.reach(40)
         assert bar.seconds_left() == 0
+
+
+def test_whether_there_is_a_bar_is_yes_or_no() -> None:
+    for odd in ("no", np.array([1, 2]), [True]):
+        with pytest.raises(InvalidSettingError, match="expected True, False or None"):
+            progress.is_shown(odd)  # type: ignore[arg-type]
