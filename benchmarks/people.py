@@ -28,7 +28,7 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_people.answers import Answers, people
-from phase_people.fit import PEOPLE, PeopleFit, pareto_smoothed
+from phase_people.fit import PEOPLE, PeopleFit
 from phase_people.observers import OBSERVERS, Evidence, observer_named
 from phase_ppl.analysis.figures.style import COLOURS, NORMAL, in_style, new_figure, written
 from phase_ppl.evaluation.evaluation import Evaluation
@@ -255,7 +255,7 @@ def drawn(
 
 def left_out_scores(log_likelihood: Any) -> FloatArray:
     """Return (video,) the log predictive density of each video's answers without them."""
-    weights, _ = pareto_smoothed(-log_likelihood.T)
+    weights, _ = ppl.pareto_smoothed(-log_likelihood.T)
     return np.asarray(np.logaddexp.reduce(np.log(weights) + log_likelihood.T, axis=1))
 
 
@@ -385,7 +385,7 @@ def _elpd_without(fit: PeopleFit) -> FloatArray:
     logs = fit.log_likelihood.T
     found = np.empty((len(logs), len(logs)))
     for i, one in enumerate(logs):
-        weights, _ = pareto_smoothed(-logs - one)
+        weights, _ = ppl.pareto_smoothed(-logs - one)
         found[i] = np.logaddexp.reduce(np.log(weights) + logs, axis=1)
     return found
 

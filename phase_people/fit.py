@@ -5,10 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import importlib.metadata
 import json
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from typing import Any, Final
@@ -192,33 +190,6 @@ class FittedObserver:
         return Observed(model, self)
 
 
-def _arviz() -> Any:
-    """Return ArviZ, which is slow to import."""
-    with warnings.catch_warnings():
-        # announces ArviZ 1, with which this works too
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz
-
-        return arviz
-
-
-@functools.cache
-def _is_new() -> bool:
-    return int(importlib.metadata.version("arviz").split(".")[0]) >= 1
-
-
-def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
-    if _is_new():
-        from arviz_stats.base import array_stats
-
-        logs, k = array_stats.psislw(log_ratios, axis=-1)
-    else:
-        logs, k = _arviz().psislw(log_ratios)
-    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
-    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
-
-
 def _predictions(evidence: Evidence, shares: Mapping[str, FloatArray]) -> dict[str, ppl.Prediction]:
     return {
         event: ppl.Prediction(event, {q: p[i] / p[i].sum() for q, p in shares.items()})
@@ -257,12 +228,12 @@ class PeopleFit(FittedObserver):
             "posterior": xr.Dataset(posterior),
             "log_likelihood": xr.Dataset({"answers": ((*dims, "event"), logs)}, events),
         }
-        return xr.DataTree.from_dict(groups) if _is_new() else _arviz().InferenceData(**groups)
+        return ppl.arviz_groups(groups)
 
     @functools.cached_property
     def _left_out_weights(self) -> tuple[FloatArray, FloatArray]:
         """Weights (event, draw) of the draws without each event, and Pareto's k."""
-        return pareto_smoothed(-self.log_likelihood.T)
+        return ppl.pareto_smoothed(-self.log_likelihood.T)
 
     @property
     def pareto_k(self) -> FloatArray:

@@ -21,6 +21,8 @@ from phase_ppl.analysis.figures.over_time import watch_film as watch_film
 from phase_ppl.analysis.posterior import Posterior as Posterior
 from phase_ppl.analysis.posterior import load_posterior as load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
+from phase_ppl.analysis.with_arviz import arviz_groups as arviz_groups
+from phase_ppl.analysis.with_arviz import pareto_smoothed as pareto_smoothed
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
 from phase_ppl.dataset.documents import read_json as read_json
 from phase_ppl.dataset.environment import env as env

@@ -96,12 +96,12 @@ def worth(weights: FloatArray) -> float:
     return float(1 / (weights**2).sum())
 
 
-def typical(codes: NDArray[np.int64], values: FloatArray, size: int = 0) -> FloatArray:
+def typical(codes: NDArray[np.int64], values: FloatArray, size: int) -> FloatArray:
     """Return (code,) the geometric mean of the values with each code, 0 of those without any.
 
     Values that are NaN do not count.
     """
-    size, known = max(size, int(codes.max(initial=-1)) + 1), ~np.isnan(values)
+    known = ~np.isnan(values)
     codes, logs = codes[known], np.log(np.maximum(values[known], np.finfo(float).tiny))
     n = np.bincount(codes, minlength=size)
     return np.where(n > 0, np.exp(np.bincount(codes, logs, size) / np.maximum(n, 1)), 0.0)
@@ -337,7 +337,7 @@ def doubt(
     without: Jackknife | Jackknives,
     results: FloatArray,
     size: float = math.nan,
-    luck: FloatArray | float = 0.0,
+    luck: ArrayLike = 0.0,
 ) -> float:
     """Return how probable it is that another label than the first of the highest leads in truth.
 

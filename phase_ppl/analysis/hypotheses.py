@@ -221,10 +221,9 @@ class Hypotheses(Printed):
             error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
             error = with_unseen(table, error, of._size_of(rows), table.size)
             error = np.hypot(error, of._unseen * (table - 1 / table.size))
-            if of._luck is not None:
-                luck = np.zeros(shape)
-                luck.flat[occupied] = estimate.typical(codes, of._luck[rows])
-                error = np.hypot(error, luck * (1 - table))
+            luck = np.zeros(shape)
+            luck.flat[occupied] = of._luck_of(codes, rows, len(occupied))
+            error = np.hypot(error, luck * (1 - table))
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
             table, {**coords, "error": (names, error)}, dims=names, name="probability"
@@ -269,9 +268,7 @@ class Hypotheses(Printed):
         if without is None:
             return Mode(label)
         without_each = estimate.shares(codes, without.weights, size)
-        luck: FloatArray | float = 0.0
-        if of._luck is not None:
-            luck = estimate.typical(codes, of._luck[rows], size) * (1 - mass)
+        luck = of._luck_of(codes, rows, size) * (1 - mass)
         return Mode(label, doubt(mass, without, without_each, of._size_of(rows), luck))
 
     def leaders(self) -> dict[str, dict[str, Any]]:
@@ -537,6 +534,14 @@ class Hypotheses(Printed):
         """(row,) the weight that each would have, had it been as lucky as those that decide."""
         return None
 
+    def _luck_of(self, codes: NDArray[Any], rows: NDArray[np.bool_], size: int) -> FloatArray:
+        """Return (code,) what one more lucky simulation of each would weigh among the ``rows``."""
+        if self._luck is None:
+            return np.zeros(size)
+        luck = estimate.typical(codes, self._luck[rows], size)
+        luck /= self._rows.weights[rows].sum()
+        return np.asarray(luck / (1 + luck))
+
     @functools.cached_property
     def _effective_size(self) -> float:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
@@ -604,9 +609,8 @@ class Hypotheses(Printed):
         if statistic is estimate.share:
             error = with_unseen(number, error, self._size_of(rows))
             error = np.hypot(error, self._unseen * (number - 0.5))
-            if self._luck is not None and values.any():
-                (*_, luck) = estimate.typical(values.astype(np.int64), self._luck[rows])
-                error = np.hypot(error, luck * (1 - number))
+            luck = self._luck_of(values.astype(np.int64), rows, 2)[1]
+            error = np.hypot(error, luck * (1 - number))
         elif statistic is estimate.mean:
             # a few draws that agree by chance do not make it sure
             size = self._size_of(rows)

@@ -193,7 +193,7 @@ class Posterior(EventPosterior):
         decides = normalised(log_weight)
         lucky = float(decides @ log_likelihood)
         luck = np.exp(log_weight - log_likelihood + lucky - log_sum_exp(log_weight))
-        return np.where(known, luck / (1 + luck), np.nan)
+        return np.where(known, luck, np.nan)
 
     def _most_effective(self) -> float:
         """Return how many independent draws the draws can be worth at most.

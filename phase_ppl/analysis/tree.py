@@ -164,7 +164,7 @@ def suggestion_agreement(tree: xr.DataTree) -> float:
 
     The rank correlation of log proposal less log prior density with the log likelihood, of the
     first simulation of the goals of all, over the standard error that it has by chance. NaN where
-    proposals have no density, or all goals the same.
+    proposals have no density, or goals are few.
     """
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
@@ -174,11 +174,14 @@ def suggestion_agreement(tree: xr.DataTree) -> float:
     done &= np.isfinite(suggested)
     goals = effective_goals(tree, "simulations")[done]
     _, first = np.unique(goals, axis=0, return_index=True)
-    if len(first) < 2:
+    if len(first) < _FEWEST_RANKS:
         return np.nan
     columns = suggested[done][first], simulations["log_likelihood"].values[done][first]
     ranks = pd.DataFrame(np.transpose(columns)).rank()
     return float(ranks[0].corr(ranks[1]) * np.sqrt(len(first) - 1))
+
+
+_FEWEST_RANKS: Final = 10
 
 
 def unseen_share(tree: xr.DataTree) -> float:

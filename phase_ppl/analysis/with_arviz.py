@@ -1,4 +1,4 @@
-"""ArviZ, 0.22 or newer and 1.x: the one module of the core that calls it.
+"""ArviZ, 0.22 or newer and 1.x: the one module that calls it.
 
 First what it estimates, under one name in all its versions; then what posteriors hand to it:
 ``post.arviz``, equal draws of the posterior that is printed, and ``post.chains``, the chains as
@@ -181,15 +181,31 @@ def _ess_between(chains: FloatArray) -> float:
 # --- what ArviZ is given --------------------------------------------------------------------------
 
 
+def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return Pareto-smoothed weights (row, draw), sum 1, and k (row,), of log importance ratios."""
+    if _is_new():
+        from arviz_stats.base import array_stats
+
+        logs, k = array_stats.psislw(log_ratios, axis=-1)
+    else:
+        logs, k = arviz_module().psislw(log_ratios)
+    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
+    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
+
+
 def arviz_groups(
     groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
 ) -> Any:
-    """Return groups of draws in ArviZ's form.
+    """Return groups, (chain, draw, ...) each, in the form that the installed ArviZ takes.
 
-    These are draws of one video, without ``log_likelihood``: ``az.loo`` raises InvalidSettingError
-    that says why (:data:`NO_LOO`).
+    Where these are draws of one video, without ``log_likelihood``, ``az.loo`` raises
+    InvalidSettingError that says why (:data:`NO_LOO`).
     """
-    given, kind = dict(attrs or {}), _of_video()
+    given = dict(attrs or {})
+    if "log_likelihood" not in groups:
+        kind = _of_video()
+    else:
+        kind = xr.DataTree if _is_new() else arviz_module().InferenceData
     if not _is_new():
         return kind(attrs=given, **groups)
     data = kind.from_dict(dict(groups))

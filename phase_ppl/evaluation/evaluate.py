@@ -131,7 +131,7 @@ def evaluate(
         progress: whether to show a bar on stderr; by default where that is a terminal.
         observer: through whom the model is seen: "people", who come with the package, the file
             of a fitted observer, what :func:`phase_ppl.fit_people` gives, or anything else that
-            is an :class:`~phase_ppl.evaluation.registry.Onlooker`; by default nobody.
+            is an :class:`phase_ppl.Onlooker`; by default nobody.
         **options: of a model given by name.
 
     Raises:
