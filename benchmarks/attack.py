@@ -37,12 +37,12 @@ import numpy as np
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main as terminal
-from phase_ppl.dataset.events_netcdf import checksum
+from phase_ppl.data.events_netcdf import checksum
 from phase_ppl.inference.checkpoint import Checkpoint
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.picture import plain
-from tests.dataset.test_bad_files import FILES
-from tests.dataset.test_hdf5 import TRICKS
+from tests.data.test_bad_files import FILES
+from tests.data.test_hdf5 import TRICKS
 from tests.inference.test_checkpoint import HOSTILE
 from tests.inference.toy import walkers, walking_event
 

@@ -15,9 +15,9 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.generated import REJECTED
-from phase_ppl.dataset.generation.making import (
+from phase_ppl.data.documents import read_json
+from phase_ppl.data.generated import REJECTED
+from phase_ppl.data.generation.making import (
     MAX_STUCK,
     NEAR,
     PUSHES,

@@ -27,9 +27,9 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.dataset.generation import making
-from phase_ppl.dataset.generation.families import Drawn
-from phase_ppl.dataset.generation.making import Recording
+from phase_ppl.data.generation import making
+from phase_ppl.data.generation.families import Drawn
+from phase_ppl.data.generation.making import Recording
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.names import AGENTS
 

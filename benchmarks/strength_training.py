@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
-from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES, SPOTS, walls_of
+from phase_ppl.data.generation.situation import LAYOUTS, SIZES, SPOTS, walls_of
 from phase_ppl.inference.strength import (
     FARTHEST,
     HIDDEN,

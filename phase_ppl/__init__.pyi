@@ -24,27 +24,27 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwiseP
 from phase_ppl.analysis.with_arviz import arviz_groups as arviz_groups
 from phase_ppl.analysis.with_arviz import pareto_smoothed as pareto_smoothed
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
-from phase_ppl.dataset.documents import read_json as read_json
-from phase_ppl.dataset.environment import env as env
-from phase_ppl.dataset.events_netcdf import event_dataset as event_dataset
-from phase_ppl.dataset.events_netcdf import event_from_dataset as event_from_dataset
-from phase_ppl.dataset.generated import GeneratedEvents as GeneratedEvents
-from phase_ppl.dataset.generation.families import available_families as available_families
-from phase_ppl.dataset.generation.families import draw_situation as draw_situation
-from phase_ppl.dataset.generation.families import register_family as register_family
-from phase_ppl.dataset.generation.generate import (
+from phase_ppl.data.documents import read_json as read_json
+from phase_ppl.data.environment import env as env
+from phase_ppl.data.events_netcdf import event_dataset as event_dataset
+from phase_ppl.data.events_netcdf import event_from_dataset as event_from_dataset
+from phase_ppl.data.generated import GeneratedEvents as GeneratedEvents
+from phase_ppl.data.generation.families import available_families as available_families
+from phase_ppl.data.generation.families import draw_situation as draw_situation
+from phase_ppl.data.generation.families import register_family as register_family
+from phase_ppl.data.generation.generate import (
     GenerationInterrupted as GenerationInterrupted,
 )
-from phase_ppl.dataset.generation.generate import generate as generate
-from phase_ppl.dataset.load import bundled_events as bundled_events
-from phase_ppl.dataset.load import export_events as export_events
-from phase_ppl.dataset.load import load_event as load_event
-from phase_ppl.dataset.load import load_events as load_events
-from phase_ppl.dataset.load import save_event as save_event
-from phase_ppl.dataset.load import save_events as save_events
-from phase_ppl.dataset.motion import items_held as items_held
-from phase_ppl.dataset.motion import observed_turning as observed_turning
-from phase_ppl.dataset.statistics import statistics as statistics
+from phase_ppl.data.generation.generate import generate as generate
+from phase_ppl.data.load import bundled_events as bundled_events
+from phase_ppl.data.load import export_events as export_events
+from phase_ppl.data.load import load_event as load_event
+from phase_ppl.data.load import load_events as load_events
+from phase_ppl.data.load import save_event as save_event
+from phase_ppl.data.load import save_events as save_events
+from phase_ppl.data.motion import items_held as items_held
+from phase_ppl.data.motion import observed_turning as observed_turning
+from phase_ppl.data.statistics import statistics as statistics
 from phase_ppl.evaluation import figures as figures
 from phase_ppl.evaluation.comparison import ModelComparison as ModelComparison
 from phase_ppl.evaluation.comparison import compare_models as compare_models

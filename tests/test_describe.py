@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 import phase_ppl
-from phase_ppl.dataset.generated import MANIFEST_SCHEMA
-from tests.dataset.authors.pickles import processed
+from phase_ppl.data.generated import MANIFEST_SCHEMA
+from tests.data.authors.pickles import processed
 from tests.test_cli import Capture, fails, told
 from tests.world.examples import make_event
 

@@ -14,7 +14,7 @@ from tests.analysis.readings import reading
 STEPS = {
     "import phase_ppl as ppl": "numpy pandas xarray numba jax numpyro arviz matplotlib torch",
     "try: ppl.cli.main(['--help'])\nexcept SystemExit: pass": "pandas xarray numba jax matplotlib",
-    "import phase_ppl.render, phase_ppl.dataset": (
+    "import phase_ppl.render, phase_ppl.data": (
         "pandas xarray numba jax numpyro arviz matplotlib torch"
     ),
     "for name in ('a.nc', 'b.nc'):\n"

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of_lengths
+from phase_ppl.data.generation.situation import LAYOUTS, walls_of_lengths
 from phase_ppl.world.scene import Scene
 
 WALLS: Final[dict[int | str, tuple[float, float, float, float]]] = {

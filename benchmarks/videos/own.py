@@ -9,7 +9,7 @@ from phase_ppl.agents.agent import Policies
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.closed_loop.hidden_state import filter_gains
-from phase_ppl.dataset.generation.situation import LAYOUTS, CannotDraw, Draw, Situation
+from phase_ppl.data.generation.situation import LAYOUTS, CannotDraw, Draw, Situation
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed

@@ -328,7 +328,7 @@ class EventPosterior(Hypotheses):
             OutputError: the file cannot be written there, or its name does not end in .nc.
         """
         check_output(path, (".nc",))
-        from phase_ppl.dataset.hdf5 import netcdf_bytes
+        from phase_ppl.data.hdf5 import netcdf_bytes
 
         groups, packing = self._to_keep()
         attrs = {k: v for k, v in groups["/"].attrs.items() if k != KEPT_DEFINITIONS}

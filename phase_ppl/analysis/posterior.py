@@ -489,7 +489,7 @@ class Posterior(EventPosterior):
         """
         source = existing_file(path)
         from phase_ppl.analysis.stepwise_posterior import holds_stepwise
-        from phase_ppl.dataset.hdf5 import read_netcdf
+        from phase_ppl.data.hdf5 import read_netcdf
 
         if holds_stepwise(source):
             raise InvalidEventError(

@@ -28,7 +28,7 @@ from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, SCHEMAS, PolicyTa
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
-from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
+from phase_ppl.data.hdf5 import read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import (
     InvalidEventError,

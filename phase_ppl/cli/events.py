@@ -9,9 +9,9 @@ from typing import Any, Final
 import phase_ppl
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
-from phase_ppl.dataset.generated import MANIFEST
-from phase_ppl.dataset.load import EXPORTS
-from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
+from phase_ppl.data.generated import MANIFEST
+from phase_ppl.data.load import EXPORTS
+from phase_ppl.data.load import SUFFIXES as EVENT_SUFFIXES
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
 from phase_ppl.world.errors import InvalidSettingError, instance_of

@@ -16,8 +16,8 @@ from typing import Any, Final
 import phase_ppl
 from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
-from phase_ppl.dataset.generated import GeneratedEvents, verify
-from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
+from phase_ppl.data.generated import GeneratedEvents, verify
+from phase_ppl.data.generation.generate import PRESETS, GenerationInterrupted, generate
 from phase_ppl.models.socialgnn.graphs import VARIANTS
 from phase_ppl.models.socialgnn.store import TrainingSettings
 from phase_ppl.world.errors import check_name

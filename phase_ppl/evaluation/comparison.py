@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from phase_ppl.dataset.documents import check_schema, of_kind, read_json
-from phase_ppl.dataset.load import load_events, save_events
+from phase_ppl.data.documents import check_schema, of_kind, read_json
+from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation import differences
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
 from phase_ppl.evaluation.arrays import world_of

@@ -16,7 +16,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from phase_ppl.dataset.hdf5 import SIGNATURE, with_event_id
+from phase_ppl.data.hdf5 import SIGNATURE, with_event_id
 from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
 from phase_ppl.evaluation.judgments import Study, all_events, judged

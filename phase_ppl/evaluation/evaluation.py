@@ -36,8 +36,8 @@ import numpy as np
 
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.dataset.documents import check_schema, read_json
-from phase_ppl.dataset.load import load_events, save_events
+from phase_ppl.data.documents import check_schema, read_json
+from phase_ppl.data.load import load_events, save_events
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
 from phase_ppl.evaluation.arrays import true_answers, world_of
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped

@@ -32,7 +32,7 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 import pandas as pd
 
-from phase_ppl.dataset.documents import read_columns
+from phase_ppl.data.documents import read_columns
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,

@@ -31,9 +31,9 @@ from typing import Any, Final
 
 import pandas as pd
 
-from phase_ppl.dataset.documents import Faults, read_rows
-from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
-from phase_ppl.dataset.load import load_events
+from phase_ppl.data.documents import Faults, read_rows
+from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
+from phase_ppl.data.load import load_events
 from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.analysis.estimate import Estimate
-from phase_ppl.dataset.documents import in_front, of_kind
+from phase_ppl.data.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, check_name, instance_of, shown, unknown_name
 from phase_ppl.world.event import Event

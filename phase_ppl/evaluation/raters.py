@@ -21,8 +21,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from phase_ppl.dataset.authors.videos import parse_name
-from phase_ppl.dataset.documents import in_front, reading_bytes, require, too_large
+from phase_ppl.data.authors.videos import parse_name
+from phase_ppl.data.documents import in_front, reading_bytes, require, too_large
 from phase_ppl.evaluation.prediction import checked_answer
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import existing_file

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from phase_ppl.dataset.documents import in_front, of_kind
+from phase_ppl.data.documents import in_front, of_kind
 from phase_ppl.evaluation.prediction import (
     GOAL_QUESTIONS,
     checked_answer,

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.generated import MANIFEST
+from phase_ppl.data.documents import read_json
+from phase_ppl.data.generated import MANIFEST
 from phase_ppl.evaluation.answer_sets import PEOPLE, label_of
 from phase_ppl.evaluation.bootstrap import Measure, proportion
 from phase_ppl.evaluation.comparison import ModelComparison, compare_models
@@ -275,7 +275,7 @@ def _events(
         return all_events(videos), True, f"real videos of {Path(videos).name}"
     source = folder / GENERATED if videos is None else Path(videos)
     if videos is None and not (source / MANIFEST).is_file():
-        from phase_ppl.dataset.generation.generate import generate
+        from phase_ppl.data.generation.generate import generate
 
         n = _QUICK_SET if profile == "quick" else _WHOLE_SET
         planner = "fast" if profile == "quick" else "paper"
@@ -426,7 +426,7 @@ def _drawings(
 ) -> Iterator[tuple[str, str, Callable[[], Drawn]]]:
     """Yield title, words and what draws it."""
     from phase_ppl.analysis import figures as plots
-    from phase_ppl.dataset.statistics import statistics
+    from phase_ppl.data.statistics import statistics
 
     yield (
         "What an agent believes, before and after it sees something (Fig. belief update)",

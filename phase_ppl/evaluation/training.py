@@ -27,8 +27,8 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
+from phase_ppl.data.documents import read_json
+from phase_ppl.data.generated import MANIFEST, GeneratedEvents
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.models.socialgnn import store

@@ -20,7 +20,7 @@ import numpy as np
 from jax import random
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.events_json import event_from_record, event_record
+from phase_ppl.data.events_json import event_from_record, event_record
 from phase_ppl.inference.draws import PARTICLE_COLUMNS, SITE, Columns, numbers_of
 from phase_ppl.inference.settings import frames, seconds, simulations
 from phase_ppl.models.bridge import Record

@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.dataset.motion import is_slow
+from phase_ppl.data.motion import is_slow
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.run import Kernel, Run, check_event, model_again
 from phase_ppl.inference.sampler import RunOptions, sample

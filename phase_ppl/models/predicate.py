@@ -33,7 +33,7 @@ from phase_ppl.agents.symbols import (
     plan,
 )
 from phase_ppl.agents.world_model import Abilities
-from phase_ppl.dataset.motion import HELD_WITHIN, items_held
+from phase_ppl.data.motion import HELD_WITHIN, items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,

@@ -26,7 +26,7 @@ LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 _PACKAGE: Final = Path(__file__).resolve().parent.parent
 _FOLDERS: Final = (
     *("world", "physics", "agents", "simulator", "closed_loop"),
-    *("dataset", "models", "inference", "evaluation/models"),
+    *("data", "models", "inference", "evaluation/models"),
 )
 """Folders of the package on whose code, or weights of networks, results depend."""
 

@@ -174,7 +174,7 @@ def test_all_that_is_wrong_with_a_file_is_said_at_once(
 def test_what_is_no_file_or_too_large_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phase_ppl.dataset.documents.MAX_BYTES", 100)
+    monkeypatch.setattr("phase_ppl.data.documents.MAX_BYTES", 100)
     for path, message in (
         (tmp_path / "none.csv", "no such file"),
         (tmp_path, "the folder holds no raters' files"),

@@ -12,7 +12,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.dataset.authors.videos import file_name, place_in_id
+from phase_ppl.data.authors.videos import file_name, place_in_id
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from phase_ppl.world.event import Truth
 from phase_ppl.world.hypothesis import RELATIONS

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.load import load_events
+from phase_ppl.data.load import load_events
 from phase_ppl.inference.strength import (
     VALIDATION_SD,
     analytic_strengths,

@@ -24,7 +24,7 @@ from strength_training import (
     train,
 )
 
-from phase_ppl.dataset.load import bundled_events, load_event
+from phase_ppl.data.load import bundled_events, load_event
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.strength import (
     ESTIMATORS,

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.events_netcdf import checksum
-from phase_ppl.dataset.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN
-from phase_ppl.dataset.generation.plan import Plan
-from phase_ppl.dataset.load import save_events
+from phase_ppl.data.events_netcdf import checksum
+from phase_ppl.data.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN
+from phase_ppl.data.generation.plan import Plan
+from phase_ppl.data.load import save_events
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.files import write_json
 from phase_ppl.world.names import AGENTS, LANDMARKS

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import phase_ppl as ppl
-from phase_ppl.dataset.events_netcdf import event_dataset
+from phase_ppl.data.events_netcdf import event_dataset
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld

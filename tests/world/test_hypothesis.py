@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phase_ppl.dataset.load import load_events
+from phase_ppl.data.load import load_events
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.hypothesis import (

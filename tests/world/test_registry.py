@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.dataset.generation.families import FAMILIES
+from phase_ppl.data.generation.families import FAMILIES
 from phase_ppl.evaluation.registry import MODELS
 from phase_ppl.inference.registry import KERNELS
 from phase_ppl.models.priors import PRIORS

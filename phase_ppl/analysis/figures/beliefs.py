@@ -12,7 +12,7 @@ import numpy as np
 
 from phase_ppl.analysis.figures.posterior import draw_arena, draw_entity
 from phase_ppl.analysis.figures.style import NORMAL, figure_of, in_style, new_figure, written
-from phase_ppl.dataset.motion import items_held
+from phase_ppl.data.motion import items_held
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.errors import InvalidSettingError, whole_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, State
@@ -190,7 +190,7 @@ def search(
         InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.
     """
     from phase_ppl.agents.config import PlannerConfig
-    from phase_ppl.dataset.generation.situation import walls_of_lengths
+    from phase_ppl.data.generation.situation import walls_of_lengths
     from phase_ppl.simulator.joint import simulate
 
     walls = walls_of_lengths(_SEARCH["walls"])

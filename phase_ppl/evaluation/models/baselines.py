@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.statistics import goal_type, shares
+from phase_ppl.data.statistics import goal_type, shares
 from phase_ppl.evaluation.prediction import Prediction, independent
 from phase_ppl.evaluation.registry import Predict, register_model
 from phase_ppl.world.event import Observation
@@ -72,7 +72,7 @@ def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
 def majority() -> Predict:
     """The most frequent relation and goals of PHASE, whatever there is to see.
 
-    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.statistics`), from the
+    Shares are those of the 500 original events (:mod:`phase_ppl.data.statistics`), from the
     paper and the names of the recordings, whatever events are asked about; PHASE's 100 test videos
     are among the 500. For goals they are known by type (item or agent, landmark or agent, to or
     away from); the goals of one type are alike. So eight are the most frequent, and the first of

@@ -15,8 +15,8 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.generation.making import Recording, recoloured, reflected
-from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
+from phase_ppl.data.generation.making import Recording, recoloured, reflected
+from phase_ppl.data.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Observation

@@ -33,7 +33,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from phase_ppl.dataset.documents import (
+from phase_ppl.data.documents import (
     check_schema,
     in_front,
     of_kind,

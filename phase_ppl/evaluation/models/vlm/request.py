@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from phase_ppl.dataset.documents import parse_text
+from phase_ppl.data.documents import parse_text
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (

@@ -1,0 +1,574 @@
+"""Events from the pickles of PHASE's authors, and in their processed form.
+
+Two kinds of file are read:
+
+* a list of videos, the processed form, as ``Videos_Test_humanratings`` of the public repository
+  Isik-lab/SocialGNN: per video ``name`` (of its film), ``trajectories`` (per body
+  rows of x, y, vx, vy, angle; one per frame), ``entity_sizes``, ``entity_color_code``,
+  ``wall_segs``, ``landmark_centers`` and ``social_goals`` (the relation that most raters saw);
+* one record of the generator, whose file has the film's name: ``sizes`` in place of
+  ``entity_sizes``, and one row per substep.
+
+What is done to them:
+
+* Bodies are put into the order of their colours (:func:`bodies_by_colour`).
+* Goals and strengths are those of the film's name, which has them in that order;
+  ``physical_goals`` mixes two numberings and is not read. A name is such as
+  ``D082020_1817530_0_F8_E8.1_G['LMO', 0, 2, 1]_['LMO', 0, 2, 1]_ST3_1_..._R0.0_0.0_....mp4``: a
+  time stamp of 7 digits, of 8 in some training videos, whose last is the first of two observation
+  switches (0_0), the layout (8) and how it was reflected (.1), a goal [type, entity, target, sign]
+  and a strength per agent, red first, then more that is not used here. Entities have the numbers
+  of their colours: agents 0 red, 1 green, items 0 blue, 1 pink, in "TE" both; landmarks 0 blue, 1
+  green, 2 red, 3 yellow.
+* Items' tracks are cut to the length of the agents', after which nothing moves.
+* A record's substeps are averaged in fives, as the processed form has them. It starts with the
+  initial state, or, in reflected copies, with the first substep.
+* Angles of agents in copies about a diagonal are unwrapped, and repaired where averaging spoiled
+  them (:func:`repaired`). Those of items are 0 in all copies.
+* Velocities are left out: in copies, those of the agents were reflected as if they were points,
+  and those of the items not at all.
+* The scene starts as the first frame shows it; ``turning`` is read off the angles.
+
+The processed form is written too (:func:`video`), for programs made for the authors' data. A video
+claims to be a reflected copy where its walls are those of a reflected layout, and is then written
+as such copies are, wrong velocities included: who reads the authors' files puts them right.
+Velocities are differences of the positions, per simulated second. The form has no place for
+another arena, another start than the first frame, ``turning``, ``resets_velocity``, predictions, or
+judgments beyond the relation that most people saw.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+import pickle
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.data.authors.pickles import read_pickle
+from phase_ppl.data.documents import event_id, require
+from phase_ppl.data.events_json import Entries, check_start, strength_level
+from phase_ppl.data.generation.making import REFLECTIONS
+from phase_ppl.data.generation.situation import LAYOUTS
+from phase_ppl.data.motion import full_turn, observed_turning
+from phase_ppl.physics.constants import SUBSTEPS
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
+from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
+from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, Literal, Predicate
+from phase_ppl.world.rooms import RAY_DIRECTIONS
+from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase, finite_array
+
+Goal = tuple[str, int, int, int]
+"""Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
+sign 1 (to) or -1 (away from)."""
+
+ALPHA: Final = 10.0  # weight of the other's goal, in names
+_LONGEST: Final = 1000
+_PLACE: Final = re.compile(
+    r"(?P<stamp>.*?)(?P<between>_?)(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"
+)
+_PARAMETERS: Final = re.compile(
+    r"_G(?P<goals>.*)_ST(?P<red>[0-3]|None)_(?P<green>[0-3]|None)(?=_|$)"
+)
+_BETWEEN: Final = "[^A-Za-z0-9-]+"
+_GOAL: Final = re.compile(rf"([A-Z]+){_BETWEEN}(\d+){_BETWEEN}(\d+){_BETWEEN}(-?1)(?!\d)")
+_STAMP: Final = re.compile(r"D\d{6}_\d{6,7}")
+_ID: Final = re.compile(r"(D\d{6}_\d{6,7})(\d)_E(\d+)(?:\.([0-3]))?")
+_SUFFIXES: Final = re.compile(r"\.(mp4|pik|pkl|pickle)$")
+
+
+class Place(NamedTuple):
+    """Where something was recorded."""
+
+    layout: int  # number of the layout before any reflection
+    # number of the reflection, 0 up-down, 1 left-right, 2 about y = x, 3 about y = -x; None for an
+    # original
+    copy: int | None
+
+    @property
+    def is_diagonal(self) -> bool:
+        """Whether it was reflected about a diagonal, in which the angles were wrapped."""
+        return self.copy in (2, 3)
+
+    def __str__(self) -> str:
+        return f"E{self.layout}" + ("" if self.copy is None else f".{self.copy}")
+
+
+class Recorded(NamedTuple):
+    """What a file name says."""
+
+    id: str  # time stamp and place, or, in names that the authors did not give, what comes first
+    place: Place | None  # None where the name does not say
+    truth: Truth | None  # goals and strengths; None where the name does not say
+
+
+def parse_name(name: str) -> Recorded:
+    """Return what a file name says (InvalidEventError: too long, or its goals are none)."""
+    if len(name) > _LONGEST:
+        raise InvalidEventError(f"name is {shown(name)}, of more than {_LONGEST} characters")
+    stem = _SUFFIXES.sub("", name)
+    matches = list(_PLACE.finditer(stem))
+    if not matches:
+        return Recorded(stem, None, None)
+    found = matches[-1]  # an id may look like part of a name
+    stamp = stem[: found.start()] + found["stamp"]
+    place = Place(int(found["layout"]), None if found["copy"] is None else int(found["copy"]))
+    if _STAMP.fullmatch(stamp) and not found["between"]:
+        stamp += f"{found['switch']}_{place}"
+    return Recorded(stamp or stem, place, _truth(stem[found.end() :]))
+
+
+def _truth(rest: str) -> Truth | None:
+    found = _PARAMETERS.match(rest)
+    if found is None:
+        return None
+    goals = _GOAL.findall(found["goals"])
+    if len(goals) != len(AGENTS):
+        raise InvalidEventError(
+            f"name gives the goals {shown(found['goals'])}, expected one per agent such as "
+            "['LMO', 0, 2, 1]"
+        )
+    red, green = (
+        goal_string((kind, int(entity), int(target), int(sign)), holder)
+        for holder, (kind, entity, target, sign) in enumerate(goals)
+    )
+    of_red, of_green = (
+        None if level == "None" else STRENGTH_LEVELS[int(level)]
+        for level in found.group("red", "green")
+    )
+    return Truth(red, green, strength_red=of_red, strength_green=of_green)
+
+
+def goal_string(goal: Goal, holder: int) -> str:
+    """Return the paper's string of a goal that the agent ``holder`` has, if there is one."""
+    kind, entity, target, sign = goal
+    positive = sign > 0
+    on_landmark = entity < len(AGENTS) and target < len(LANDMARKS)
+    if kind == "LMO" and on_landmark:
+        literal = Literal(Predicate.ON, BLUE_ITEM + entity, target, positive)
+    elif kind == "LMA" and on_landmark:
+        literal = Literal(Predicate.ON, entity, target, positive)
+    elif kind == "TE" and {entity, target} == {0, 1}:  # chaser and chased, whoever holds it
+        literal = Literal(Predicate.TOUCH, holder, 1 - holder, positive)
+    else:
+        raise InvalidEventError(f"goal {list(goal)} is none of the paper's {len(GOALS)} goals")
+    return GOALS[literal_goal(literal)]
+
+
+def goal_numbers(goal: str, holder: int) -> Goal:
+    """Return what :func:`goal_string` turns into ``goal``, unless that names its own holder."""
+    literal = goal_literal(goal_index(goal), holder)
+    sign = 1 if literal.positive else -1
+    if literal.predicate is Predicate.TOUCH:
+        if literal.target == holder:
+            raise InvalidEventError(f"goal {goal!r} names its own holder, the {AGENTS[holder]}")
+        chaser, chased = (holder, 1 - holder) if literal.positive else (1 - holder, holder)
+        return "TE", chaser, chased, sign
+    if literal.subject >= BLUE_ITEM:
+        return "LMO", literal.subject - BLUE_ITEM, literal.target, sign
+    return "LMA", literal.subject, literal.target, sign
+
+
+def place_in_id(id: str) -> Place | None:
+    """Return the place in an id as the authors' recordings have them, else None."""
+    found = _ID.fullmatch(id)
+    if found is None:
+        return None
+    return Place(int(found[3]), None if found[4] is None else int(found[4]))
+
+
+def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
+    """Return a name that :func:`parse_name` takes apart again."""
+    found = _ID.fullmatch(id)
+    head = f"{found[1]}{found[2]}_0" if found and place == place_in_id(id) else f"{id}_0_0"
+    parameters = alphas = ""
+    if truth is not None:
+        goals = "_".join(
+            str(list(goal_numbers(goal, holder)))
+            for holder, goal in enumerate((truth.goal_red, truth.goal_green))
+        )
+        red, green = map(strength_level, (truth.strength_red, truth.strength_green))
+        parameters = f"_G{goals}_ST{red}_{green}"
+        of_red = of_green = 0.0
+        if truth.scenario == "opposing":  # whoever wants that something is not so hinders
+            positive = goal_literal(goal_index(truth.goal_red), 0).positive
+            of_red, of_green = (0.0, -ALPHA) if positive else (-ALPHA, 0.0)
+        alphas = f"_R{of_red}_{of_green}"
+    name = f"{head}_F8_{place}{parameters}_A0_0_C0_0_MCTS_L{n_frames - 1}{alphas}.mp4"
+    if parse_name(name) != Recorded(id, place, truth):
+        raise InvalidEventError(f"{name!r} would not say all of its id, place and truth")
+    return name
+
+
+CHANNELS: Final = ("x", "y", "vx", "vy", "angle")
+
+
+def read(path: str | os.PathLike[str]) -> Entries:
+    """Return the videos of the pickle ``path``, in memory, each still to be checked.
+
+    Two videos whose stamp and place are the same go by their whole names.
+    """
+    content = read_pickle(path)
+    if isinstance(content, dict):
+        require(content, "entity_color_code", dict)
+        said = parse_name(Path(path).name)
+        return [(event_id({"id": said.id}), functools.partial(_event, content, said, raw=True))]
+    if not isinstance(content, list):
+        raise InvalidEventError(f"holds {_kind(content)}, expected a list of videos or one record")
+    ids, names = [], []
+    for index, video in enumerate(content):
+        where = f"videos[{index}]"
+        if not isinstance(video, dict):
+            raise InvalidEventError(f"{where} is {_kind(video)}, expected a dict")
+        names.append(event_id({"id": require(video, "name", str, where)}, where))
+        try:
+            ids.append(parse_name(names[-1]).id)
+        except InvalidEventError:  # reported when the video is read
+            ids.append(names[-1])
+    given = Counter(ids)
+    unique = [id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)]
+    return [
+        (id, functools.partial(_processed, video, id))
+        for video, id in zip(content, unique, strict=True)
+    ]
+
+
+def _processed(video: Mapping[str, Any], id: str) -> Event:
+    said = parse_name(video["name"])
+    return _event(video, said._replace(id=id), raw=False)
+
+
+def _event(video: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
+    bodies = bodies_by_colour(require(video, "entity_color_code", dict))
+    sizes = finite_array("entity_sizes", _get(video, "sizes" if raw else "entity_sizes"), (4,))
+    radius = sizes[list(bodies)]
+    tracks = _tracks(_get(video, "trajectories"), bodies)
+    wrapped = said.place is not None and said.place.is_diagonal
+    if raw:
+        tracks = [
+            _averaged(track, body, wrapped) for body, track in zip(bodies, tracks, strict=True)
+        ]
+    trajectory = _cut(tracks, bodies)
+    landmarks = _get(video, "landmark_centers")
+    scene = Scene(  # refuses impossible sizes, before they are used
+        start=trajectory[0],
+        radius=radius,
+        walls=finite_array("wall_segs", _get(video, "wall_segs"), (None, 2, 2)),
+        landmark_centres=finite_array("landmark_centers", landmarks, (len(LANDMARKS), 2)),
+    )
+    if wrapped and not raw:
+        for agent in range(len(AGENTS)):
+            trajectory[:, agent, 2] = repaired(trajectory[:, agent, 2], float(radius[agent]))
+    turning = observed_turning(trajectory, radius)
+    return Event(
+        scene=dataclasses.replace(scene, start=trajectory[0], turning=turning),
+        observation=Observation(trajectory),
+        id=said.id,
+        truth=said.truth,
+        judgments=_judgments(video.get("social_goals")),
+    )
+
+
+def _get(video: Mapping[str, Any], name: str) -> Any:
+    if name not in video:
+        raise InvalidEventError(f"has no {name}")
+    return video[name]
+
+
+def _tracks(given: object, bodies: tuple[int, ...]) -> list[FloatArray]:
+    """Return the rows of each entity, (time, channel)."""
+    tracks = list(given) if isinstance(given, np.ndarray) and given.ndim else given
+    if not isinstance(tracks, (list, tuple)):
+        raise InvalidEventError(f"trajectories is {_kind(tracks)}, expected a list of tracks")
+    if len(tracks) != len(ENTITIES):
+        raise InvalidEventError(f"trajectories has {len(tracks)} tracks, expected {len(ENTITIES)}")
+    shape = (None, len(CHANNELS))
+    return [finite_array(f"trajectories[{body}]", tracks[body], shape) for body in bodies]
+
+
+def _averaged(track: FloatArray, body: int, wrapped: bool) -> FloatArray:
+    """Return a row per frame of a track with a row per substep."""
+    first = len(track) % SUBSTEPS
+    if first > 1 or len(track) < SUBSTEPS:
+        raise InvalidEventError(
+            f"trajectories[{body}] has {len(track)} rows, expected a multiple of {SUBSTEPS}, or "
+            "one more"
+        )
+    rows = np.array(track)
+    with np.errstate(over="ignore", invalid="ignore"):  # means beyond all numbers are refused later
+        if wrapped:
+            rows[:, -1] = np.unwrap(rows[:, -1])
+        means = rows[first:].reshape(-1, SUBSTEPS, rows.shape[1]).mean(axis=1)
+    return np.concatenate([rows[:1], means])
+
+
+def _cut(tracks: list[FloatArray], bodies: tuple[int, ...]) -> FloatArray:
+    """Return the trajectory, (time, entity, coord), as long as the agents' tracks."""
+    length = len(tracks[0])
+    if any(len(track) != length for track in tracks[: len(AGENTS)]) or any(
+        len(track) < length for track in tracks
+    ):
+        listed = ", ".join(
+            f"{len(track)} of body {body}" for body, track in zip(bodies, tracks, strict=True)
+        )
+        raise InvalidEventError(
+            f"trajectories have {listed} rows, expected equally many of both agents and no fewer "
+            "of items"
+        )
+    columns = [0, 1, CHANNELS.index("angle")]
+    rows = np.stack([track[:length, columns] for track in tracks], axis=1)
+    return np.array(Observation(rows).trajectory)  # refuses what is too short
+
+
+def _judgments(relation: object) -> dict[str, Any] | None:
+    if relation is None:
+        return None
+    if not isinstance(relation, str) or relation not in RELATIONS:
+        raise unknown_name("relation in social_goals", _kind(relation), RELATIONS)
+    return {"majority": relation}
+
+
+def _kind(value: object) -> str:
+    """Return what a message says of ``value``: arrays and containers may be long."""
+    if value is None or isinstance(value, (str, bytes, int, float)):
+        return shown(value)
+    return type(value).__name__
+
+
+# --- which body has which colour -------------------------------------------------------------
+
+_BODIES_OF_KEYS: Final[Mapping[frozenset[int], Mapping[int, int]]] = {
+    frozenset((0, 1, 3, 4)): {0: 0, 1: 1, 3: 2, 4: 3},
+    frozenset((0, 1, 2)): {0: 0, 1: 2, 2: 3},
+    frozenset((0, 1, 2, 3)): {0: 0, 1: 1, 2: 2, 3: 3},
+}
+"""Per set of keys of ``entity_color_code`` the body that each key means; the last is that of
+records without shuffling."""
+
+COLOUR_CODE: Final = {0: 0, 1: 1, 3: 2, 4: 3}
+"""The code of bodies that are in the order of the colours."""
+
+
+def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
+    """Return the numbers of the red, green, blue and pink body.
+
+    Recordings number their bodies: agents 0 and 1, items 2 and 3. ``entity_color_code`` maps bodies
+    to colours (0 red, 1 green, 2 blue, 3 pink), but counts items from 3 on; where the colours of
+    the agents were not shuffled it has lost agent 1, whose number an item took.
+    """
+    bodies = _BODIES_OF_KEYS.get(frozenset(code))
+    if bodies is None or any(type(colour) is not int for colour in code.values()):
+        raise _unknown_code(code)
+    colours = {body: code[key] for key, body in bodies.items()}
+    if 1 not in colours:
+        colours[1] = 1 - colours[0]  # the colour that is left
+    order = [colours[body] for body in range(len(ENTITIES))]
+    n = len(AGENTS)
+    if sorted(order[:n]) != [0, 1] or sorted(order[n:]) != [2, 3]:
+        raise _unknown_code(code)
+    return tuple(order.index(colour) for colour in range(len(ENTITIES)))
+
+
+def _unknown_code(code: Mapping[Any, Any]) -> InvalidEventError:
+    return InvalidEventError(
+        f"entity_color_code is {shown(dict(code))}, expected a code such as {COLOUR_CODE}"
+    )
+
+
+# --- angles of reflected copies --------------------------------------------------------------
+
+_TURN: Final = 2 * np.pi
+_ROUNDING: Final = 1e-6
+_MISFIT: Final = 4.0
+"""How much worse it is to be a radian off the cut than to turn by a radian."""
+
+_PASS: Final = 0.1  # cost of passing the cut, rad^2
+_BACK: Final = 3.0  # cost of passing it forth and back within two frames, rad^2
+
+_JUMPS: Final = np.array([0, -1, 1])
+"""Cuts that may be passed between two frames; first what wins a tie."""
+
+_PASSING: Final = np.array(
+    [(0, 0)] + [(way, after) for way in (1, -1) for after in range(1, SUBSTEPS)]
+)
+"""(state, 2): the way in which the cut is passed within a frame (1 as the angle grows, 0 not at
+all), and the number of substeps after that."""
+
+
+def repaired(angles: FloatArray, radius: float) -> FloatArray:
+    """Return an agent's angles as if they had been averaged before they were wrapped.
+
+    In copies about a diagonal the angles (time,) [rad], means over the frames, were wrapped into
+    (-2 pi, 0] in every substep and only then averaged over the five substeps of a frame. A frame in
+    which the angle passes the cut is therefore off by a multiple of 2 pi / 5, beside the jump by 2
+    pi from then on.
+
+    Of all ways in which the angle may have passed the cut, the one that takes the least turning,
+    where a frame that passes it must lie near it: as near as at most a full turn, which an agent of
+    this radius can make, explains. Where it passed the cut forth and back within one frame, that
+    frame alone is off. Angles that lie beyond the cut anyway were never wrapped and
+    stay as they are.
+    """
+    if (angles > _ROUNDING).any() or (angles < -_TURN - _ROUNDING).any():
+        return angles
+    way, after = _PASSING.T
+    passes = np.stack(np.broadcast_arrays(way[:, None, None], way[None, :, None], _JUMPS))
+    back = (passes > 0).any(axis=0) & (passes < 0).any(axis=0)
+    # (state, former state, jump) of passing the cut
+    price = _PASS * np.abs(passes[[0, 2]]).sum(axis=0) + _BACK * back
+    share = _TURN * way * after / SUBSTEPS
+    # relative to the turns done before the frame, and after it
+    before, later = angles[:, None] + share, angles[:, None] + share - _TURN * way
+    misfit = _misfit(before, radius)
+    misfit[0, 1:] = np.inf  # the first frame is no mean
+    cost = misfit[0]
+    choices = []
+    for frame in range(1, len(angles)):
+        step = before[frame][:, None, None] + _TURN * _JUMPS - later[frame - 1][:, None]
+        # (state, former state, jump)
+        total = cost[:, None] + step**2 + price
+        flat = total.reshape(len(share), -1)
+        best = flat.argmin(axis=1)
+        choices.append(best)
+        cost = flat[np.arange(len(share)), best] + misfit[frame]
+    return _without_spikes(_followed(before, way, choices, int(cost.argmin())), radius)
+
+
+def _misfit(before: FloatArray, radius: float) -> FloatArray:
+    """Return (time, state) how badly a frame would pass the cut there.
+
+    With an even turn of v a substep, ``after`` substeps of which lie beyond the cut, the mean is
+    between (after - 3) v and (after - 2) v beyond it. The fastest substep turns by a third of a
+    full turn.
+    """
+    way, after = _PASSING.T
+    beyond = way * (before - np.where(way > 0, 0.0, -_TURN))
+    ends = np.stack([after - 3, after - 2, 0 * after]) * (full_turn(radius) / 3)
+    off = np.maximum(np.maximum(ends.min(axis=0) - beyond, beyond - ends.max(axis=0)), 0.0)
+    return np.where(way == 0, 0.0, (_MISFIT * off) ** 2)
+
+
+def _without_spikes(angles: FloatArray, radius: float) -> FloatArray:
+    """Return angles without frames that are off by more than an agent can turn, forth and back.
+
+    They are put near their neighbours if that is near the cut.
+    """
+    most, share = full_turn(radius), _TURN / SUBSTEPS
+    mended = np.array(angles)
+    for frame in range(1, len(mended) - 1):
+        forth, back = angles[frame] - mended[frame - 1], angles[frame] - angles[frame + 1]
+        if forth * back > 0 and min(abs(forth), abs(back)) > most:
+            moved = angles[frame] - share * np.round((forth + back) / 2 / share)
+            if abs(moved - _TURN * np.round(moved / _TURN)) < most / 3:
+                mended[frame] = moved
+    return mended
+
+
+def _followed(
+    before: FloatArray, way: NDArray[np.int64], choices: list[NDArray[np.int64]], last: int
+) -> FloatArray:
+    """Return the angles of the best way, which ends in state ``last``."""
+    steps = [(last, 0)]  # from the last frame on: the state, and the jump before it
+    for best in reversed(choices):
+        state = steps[-1][0]
+        former, jump = divmod(int(best[state]), len(_JUMPS))
+        steps[-1] = state, int(_JUMPS[jump])
+        steps.append((former, 0))
+    states, jumps = np.array(steps[::-1]).T
+    passed = np.cumsum(jumps) + np.concatenate([[0], np.cumsum(way[states])[:-1]])
+    return np.asarray(before[np.arange(len(states)), states] + _TURN * passed)
+
+
+# --- the processed form ----------------------------------------------------------------------
+
+_COPIES: Final = tuple(REFLECTIONS.values())
+"""The reflections in the order of their numbers in file names."""
+
+_PROTOCOL: Final = 3
+"""The newest protocol that every Python 3 reads, and that names its modules in plain lines."""
+
+
+def pickled(videos: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return the pickle of a list of videos, which loads under any version of NumPy."""
+    # no text of a video has a line break, and no numbers in an arena spell this
+    content = pickle.dumps(list(videos), _PROTOCOL)
+    return content.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
+
+
+def video(event: Event) -> dict[str, Any]:
+    """Return an event as one video of the processed form, if that has a place for all of it."""
+    scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
+    check_is_phase(scene.world, "this format")
+    if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
+        raise InvalidEventError(
+            "its arena is not the original one, and the format has no place for it"
+        )
+    check_start(event)
+    place = _place(event)
+    for agent in range(len(AGENTS)) if place.is_diagonal else ():
+        angles = trajectory[:, agent, 2]
+        if not np.array_equal(repaired(angles, float(scene.radius[agent])), angles):
+            raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
+    velocity = _velocity(trajectory, place.copy, scene)
+    rows = np.concatenate([trajectory[..., :2], velocity, trajectory[..., 2:]], axis=-1)
+    goals = [] if truth is None else [truth.goal_red, truth.goal_green]
+    majority = (event.judgments or {}).get("majority")
+    return {
+        "name": file_name(event_id({"id": event.id}), place, truth, len(rows)),
+        "trajectories": [np.array(rows[:, entity]) for entity in range(rows.shape[1])],
+        "entity_sizes": scene.radius.tolist(),
+        "entity_color_code": dict(COLOUR_CODE),
+        "physical_goals": [list(goal_numbers(goal, holder)) for holder, goal in enumerate(goals)],
+        "wall_segs": [[tuple(end) for end in wall] for wall in scene.walls.tolist()],
+        "landmark_centers": [tuple(centre) for centre in scene.landmark_centres.tolist()],
+        "social_goals": majority if majority in RELATIONS else None,
+    }
+
+
+def _place(event: Event) -> Place:
+    """Return a layout, reflected or not, with the event's walls: that of its id if it fits."""
+    lengths = event.scene.rooms.wall_length
+    in_id = place_in_id(event.id)
+    known = [Place(layout, copy) for copy in (None, 0, 1, 2, 3) for layout in LAYOUTS]
+    for place in sorted(known, key=lambda one: one != in_id):
+        if np.allclose(_lengths(place), lengths):
+            return place
+    raise InvalidEventError(
+        "its walls are those of no original layout, by whose number such files know them"
+    )
+
+
+def _lengths(place: Place) -> FloatArray:
+    """Return the lengths of the walls up, left, down and right, units."""
+    lengths = np.array(LAYOUTS[place.layout], np.float64)
+    if place.copy is None:
+        return lengths
+    matrix = _COPIES[place.copy].matrix
+    mirrored = np.empty_like(lengths)
+    mirrored[(RAY_DIRECTIONS @ matrix @ RAY_DIRECTIONS.T).argmax(axis=0)] = lengths
+    return mirrored
+
+
+def _velocity(trajectory: FloatArray, copy: int | None, scene: Scene) -> FloatArray:
+    """Return (time, entity, 2) velocities as recordings of that kind have them.
+
+    In copies, velocities of agents were reflected as points, not as directions, about the line
+    that the positions were reflected about; those of items were not reflected.
+    """
+    velocity = np.gradient(trajectory[..., :2], 1 / FRAMES_PER_SECOND, axis=0)
+    velocity[0] = 0.0  # at rest
+    if copy is not None:
+        matrix, n = _COPIES[copy].matrix, len(AGENTS)
+        velocity[:, :n] += scene.centre - matrix @ scene.centre
+        velocity[:, n:] = velocity[:, n:] @ matrix  # its own inverse
+    return velocity

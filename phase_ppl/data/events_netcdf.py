@@ -1,0 +1,561 @@
+"""Event files in NetCDF 4, for xarray and whatever else reads HDF5.
+
+A file of one event is the Dataset of :func:`event_dataset` with the attribute
+``format`` = "phase-ppl-event-1".
+
+A file of several, ``format`` = "phase-ppl-events-1", is ragged in time: the frames of all events
+follow each other along ``time`` and their inner walls along ``wall``; ``n_frames`` and ``n_walls``
+(event) say how many are whose. All else has a first dimension ``event``, whose coordinate holds
+the ids, so that ``xarray.open_dataset("all.nc").goal_red`` is a column.
+
+Events of another world than PHASE have it as JSON in the text ``world``, and their truth in the
+text ``truth``; those of one file are of one world.
+
+Arrays carry a checksum of their bytes, and each event one of all it holds, ``sha256``, which is
+compared when the file is read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import hashlib
+import io
+import itertools
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Self, overload
+
+import h5py
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.data.documents import (
+    check_ids,
+    event_id,
+    in_front,
+    naming,
+    parse_document,
+    per_name,
+    reading_bytes,
+)
+from phase_ppl.data.events_json import (
+    ARRAYS,
+    DOCUMENTS,
+    EVENT_FORMAT,
+    EVENTS_FORMAT,
+    Entries,
+    event_from_record,
+    event_record,
+    scene_record,
+    to_text,
+    truth_record,
+    turned,
+)
+from phase_ppl.data.hdf5 import UNLOCKED, check_hdf5, content_of, netcdf_bytes, opened, reading
+from phase_ppl.world.errors import InvalidEventError, instance_of, shown
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event
+from phase_ppl.world.names import ENTITIES, LANDMARKS
+from phase_ppl.world.scene import PHASE, Turning, World, finite_array, one_or_all
+
+LABELS: Final[Mapping[str, Sequence[str]]] = {
+    "entity": ENTITIES,
+    "coord": ("x", "y", "angle"),
+    "xy": ("x", "y"),
+    "landmark": LANDMARKS,
+    "bound": ("x_min", "x_max", "y_min", "y_max"),
+}
+"""Dimension of an array -> names of the places along it."""
+
+_LENGTH: Final = "units of length"
+_POSE: Final = "units of length (x, y), radians (angle)"
+_ARRAYS: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
+    "trajectory": (("time", "entity", "coord"), _POSE),
+    "start": (("entity", "coord"), _POSE),
+    "radius": (("entity",), _LENGTH),
+    "walls": (("wall", "end", "xy"), _LENGTH),
+    "landmark_centres": (("landmark", "xy"), _LENGTH),
+    "landmark_half_width": ((), _LENGTH),
+    "arena": (("bound",), _LENGTH),
+}
+"""Array of an event -> its dimensions, and its units in words."""
+
+_GOALS: Final = ("goal_red", "goal_green")
+_STRENGTHS: Final = ("strength_red", "strength_green")
+_RESETS: Final = "resets_velocity"
+"""1 or 0, where agents of any of a file's events stand still after each step; else not there."""
+
+_TIME_TOLERANCE: Final = 1e-3
+"""Relative deviation of a time step from 1/12 s that is put down to rounding."""
+
+
+def labels_of(world: World) -> Mapping[str, Sequence[str]]:
+    """Return :data:`LABELS` with the names of a world."""
+    return {**LABELS, "entity": world.entities, "landmark": world.landmark_names}
+
+
+def _arrays_of(world: World) -> Mapping[str, tuple[tuple[str, ...], str]]:
+    """Return :data:`_ARRAYS`; squares of landmarks have sizes of their own but in PHASE."""
+    return (
+        _ARRAYS if world == PHASE else {**_ARRAYS, "landmark_half_width": (("landmark",), _LENGTH)}
+    )
+
+
+def event_dataset(event: Event) -> xr.Dataset:
+    """Return ``event`` as a Dataset; :func:`event_from_dataset` gives the same event back.
+
+    Raises:
+        InvalidEventError: judgments or predictions hold something that JSON has no form for, or
+            the id is no printable text.
+    """
+    instance_of("event", event, Event, "a phase_ppl.Event")
+    scene, world = event.scene, event.scene.world
+    values: dict[str, Any] = {"trajectory": event.observation.trajectory}
+    values |= {name: getattr(scene, name) for name in (*ARRAYS, "turning")}
+    if scene.resets_velocity:
+        values[_RESETS] = np.int8(1)
+    documents: dict[str, Any] = {}
+    if world == PHASE:
+        for name in (*_GOALS, "relation", "scenario"):
+            values[name] = getattr(event.truth, name, "")
+        for name in _STRENGTHS:
+            force = getattr(event.truth, name, None)
+            values[name] = np.nan if force is None else force
+    else:
+        values["landmark_half_width"] = scene.half_widths
+        documents = {"world": world.to_dict(), "truth": event.truth and event.truth.to_dict()}
+    documents |= {name: getattr(event, name) for name in DOCUMENTS}
+    for name, content in documents.items():
+        values[name] = "" if content is None else to_text(dict(content), compact=True)
+    described = {**_arrays_of(world), **dict.fromkeys(_STRENGTHS, ((), "N"))}
+    seconds = np.arange(event.observation.n_frames) / FRAMES_PER_SECOND
+    return xr.Dataset(
+        {
+            # copies: an event's own arrays are read-only
+            name: (dims, np.array(values[name]), {"units": units} if units else {})
+            for name in values
+            for dims, units in [described.get(name, ((), ""))]
+        },
+        {
+            "time": ("time", seconds, {"units": "s", "long_name": "simulated time"}),
+            **{dim: list(labels) for dim, labels in labels_of(world).items()},
+            "event": event_id({"id": event.id}),
+        },
+        {"format": EVENT_FORMAT},
+    )
+
+
+def event_from_dataset(dataset: xr.Dataset) -> Event:
+    """Return the event that a Dataset as of :func:`event_dataset` describes.
+
+    Dimensions and labels may come in any order, further variables do no harm; what belongs to the
+    truth, judgments and predictions may be missing.
+
+    Raises:
+        InvalidEventError: something is missing, of the wrong type or shape, or impossible, or the
+            frames are not 1/12 s apart.
+        UnknownNameError: an entity, coordinate, goal, relation or scenario is unknown.
+        InvalidSettingError: a strength is no positive force.
+    """
+    if not isinstance(dataset, xr.Dataset):
+        raise InvalidEventError(f"{shown(dataset)} is no xarray Dataset")
+    _check_time(dataset)
+    given = _document(dataset, "world")
+    world = PHASE if given is None else World.from_dict(given)
+    labels = labels_of(world)
+    arrays = _arrays_of(world)
+    found = {name: _values(dataset, name, dims, labels) for name, (dims, _) in arrays.items()}
+    found["radius"] = found["radius"].tolist()
+    if given is not None:
+        found["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
+    tracks = np.moveaxis(found["trajectory"], 1, 0)
+    turning, resets = _text(dataset, "turning", required=True), _number(dataset, _RESETS)
+    if _RESETS in dataset.variables and resets not in (0, 1):
+        raise InvalidEventError(f"{_RESETS} is {shown(resets)}, expected 0 or 1")
+    record: dict[str, Any] = {
+        "world": given,
+        "truth": None if given is None else _document(dataset, "truth"),
+        **{name: _document(dataset, name) for name in DOCUMENTS},
+        "id": _text(dataset, "event", required=True),
+        "scene": scene_record(found, turning, bool(resets), world),
+        "trajectories": dict(zip(world.entities, tracks, strict=True)),
+    }
+    goals = [_text(dataset, name) for name in _GOALS]
+    if any(goals):
+        relation, scenario = _text(dataset, "relation"), _text(dataset, "scenario")
+        forces = (_number(dataset, name) for name in _STRENGTHS)
+        record["truth"] = truth_record(goals, relation, scenario, forces)
+    return event_from_record(record)
+
+
+def _check_time(dataset: xr.Dataset) -> None:
+    if "time" not in dataset.coords:
+        return
+    steps = np.diff(finite_array("time", dataset.variables["time"].values, (None,)))
+    odd = np.abs(steps * FRAMES_PER_SECOND - 1) > _TIME_TOLERANCE
+    if odd.any():
+        raise InvalidEventError(
+            f"time goes on by {steps[odd][0]:g} s, expected 1/{FRAMES_PER_SECOND:g} s per frame"
+        )
+
+
+def _values(
+    dataset: xr.Dataset, name: str, dims: tuple[str, ...], labels: Mapping[str, Sequence[str]]
+) -> Any:
+    """Return the values of a variable along ``dims``, everything in the package's order."""
+    if name not in dataset.variables:
+        raise InvalidEventError(f"has no variable {name}")
+    variable = dataset.variables[name]
+    if sorted(map(str, variable.dims)) != sorted(dims):
+        raise InvalidEventError(
+            f"{name} has dimensions ({', '.join(map(str, variable.dims))}), "
+            f"expected ({', '.join(dims)})"
+        )
+    values = np.asarray(variable.values)
+    if variable.dims != dims:
+        values = values.transpose([variable.dims.index(dim) for dim in dims])
+    for axis, dim in enumerate(dims):
+        if dim in labels:
+            values = values.take(_order(dataset, dim, labels[dim]), axis)
+    return values
+
+
+def _order(dataset: xr.Dataset, dim: str, names: Sequence[str]) -> list[int]:
+    """Return where the labels of ``dim`` stand, in the package's order."""
+    if dim not in dataset.coords:
+        raise InvalidEventError(f"has no coordinate {dim}, which says what is where along it")
+    labels = [_plain(label) for label in dataset.variables[dim].values.tolist()]
+    if len(set(labels)) < len(labels):
+        raise InvalidEventError(f"coordinate {dim} has a label twice: {shown(labels)}")
+    places = {label: place for place, label in enumerate(labels)}
+    return per_name(places, names, f"coordinate {dim}")
+
+
+def _text(dataset: xr.Dataset, name: str, required: bool = False) -> str:
+    """Return the text of a variable without dimensions; "" where there is none."""
+    if name not in dataset.variables:
+        if required:
+            raise InvalidEventError(f"has no {name}")
+        return ""
+    value = _plain(dataset.variables[name].values.tolist())
+    if not isinstance(value, str):
+        raise InvalidEventError(f"{name} is {shown(value)}, expected a string")
+    return value
+
+
+def _plain(value: object) -> Any:
+    """Return text that a file holds as bytes as a string, anything else as it is."""
+    return value.decode(errors="replace") if isinstance(value, bytes) else value
+
+
+def _number(dataset: xr.Dataset, name: str) -> Any:
+    """Return a number without dimensions; None where there is none."""
+    value = dataset.variables[name].values.tolist() if name in dataset.variables else None
+    return None if isinstance(value, float) and np.isnan(value) else value
+
+
+def _document(dataset: xr.Dataset, name: str) -> dict[str, Any] | None:
+    text = _text(dataset, name)
+    with in_front(f"{name}: "):
+        return parse_document(text.encode(errors="surrogatepass")) if text else None
+
+
+# --- files -----------------------------------------------------------------------------------
+
+_RAGGED: Final = {"time": "n_frames", "wall": "n_walls"}
+"""Per dimension along which events follow each other the variable with their lengths."""
+
+_CHECKSUM: Final = "sha256"
+_AT_ONCE: Final = 32
+"""Events that are read before the file is closed again, when all are gone through."""
+
+_LISTED_AT_MOST: Final = 16
+"""Files of which it is kept where in them their events are."""
+
+Place = dict[str, int | slice]
+"""Where an event is in a file of several: dimension -> index or slice."""
+
+
+class Listing(NamedTuple):
+    """What a file of several events holds: their ids and places, and each variable's dimensions."""
+
+    ids: list[str]
+    places: list[Place]
+    dims: dict[str, tuple[str, ...]]
+
+
+def read(path: str | os.PathLike[str]) -> Entries:
+    """Return the events of the file ``path``, in memory, each still to be checked."""
+    check_hdf5(path)
+    with reading():
+        dataset = content_of(path)["/"]
+    tag = _format(dataset)
+    if tag == EVENT_FORMAT:
+        name = event_id({"id": _text(dataset, "event", required=True)})
+        return [(name, functools.partial(_checked_event, dataset))]
+    if tag == EVENTS_FORMAT:
+        ids, places = _listed(dataset)
+        return [
+            (name, functools.partial(_checked_event, dataset, place))
+            for name, place in zip(ids, places, strict=True)
+        ]
+    what = "has no format" if tag is None else f"has format {shown(tag)}"
+    raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
+
+
+@contextlib.contextmanager
+def _opened_dataset(path: str | os.PathLike[str]) -> Iterator[xr.Dataset]:
+    check_hdf5(path)
+    options: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
+    with reading(), xr.open_dataset(path, engine="h5netcdf", **options) as dataset:
+        yield dataset
+
+
+def _format(dataset: xr.Dataset) -> str | None:
+    tag = dataset.attrs.get("format")
+    return tag if isinstance(tag, str) else None  # an array would compare element by element
+
+
+def event_bytes(event: Event) -> bytes:
+    """Return the content of a file of one event. Errors as for :func:`event_dataset`."""
+    return _to_bytes(_sealed(event))
+
+
+def events_bytes(events: Sequence[Event]) -> bytes:
+    """Return the content of a file of several events. Errors as for :func:`event_dataset`."""
+    other = next((e for e in events if e.scene.world != events[0].scene.world), None)
+    if other is not None:
+        raise InvalidEventError(
+            f"event {other.id!r} is of the world {other.scene.world.name}, the first one of "
+            f"{events[0].scene.world.name}: a file holds events of one world"
+        )
+    datasets = [_sealed(event) for event in events]
+    if any(_RESETS in dataset for dataset in datasets):
+        datasets = [
+            dataset if _RESETS in dataset else dataset.assign({_RESETS: ((), np.int8(0))})
+            for dataset in datasets
+        ]
+    return _to_bytes(_packed(datasets))
+
+
+def _sealed(event: Event) -> xr.Dataset:
+    return event_dataset(event).assign({_CHECKSUM: ((), checksum(event))})
+
+
+def _to_bytes(dataset: xr.Dataset) -> bytes:
+    """Return the bytes of a file (InvalidEventError: more than can be read again)."""
+    # nothing but a strength is ever missing
+    content = netcdf_bytes({"/": dataset}, {"_FillValue": None, "fletcher32": True})
+    check_hdf5(io.BytesIO(content))
+    return content
+
+
+def checksum(event: Event) -> str:
+    """Return the SHA-256 of all that an event holds, as hexadecimal digits."""
+    # names of judgments may be numbers; JSON has strings
+    record = json.loads(to_text(event_record(event), compact=True))
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def _checked_event(dataset: xr.Dataset, place: Place | None = None) -> Event:
+    dataset = dataset.isel(place or {})
+    event = event_from_dataset(dataset)
+    if _CHECKSUM in dataset and dataset.variables[_CHECKSUM].values.tolist() != checksum(event):
+        raise InvalidEventError(
+            f"its content is not what {_CHECKSUM} says: damaged, or edited; an edited dataset is "
+            f"written by save_event(event_from_dataset(dataset), path) or without {_CHECKSUM}"
+        )
+    return event
+
+
+def event_at(file: h5py.File, listed: Listing, index: int) -> Event:
+    """Return one event of an open file of several; of the others nothing is read.
+
+    Straight from HDF5, since xarray takes several times as long to open a file and find its way.
+    """
+    place, variables = listed.places[index], {}
+    with reading():
+        for name, dims in listed.dims.items():
+            array = file[name].asstr() if file[name].dtype.kind == "O" else file[name]
+            value = array[tuple(place.get(dim, slice(None)) for dim in dims)]
+            left = [dim for dim in dims if not isinstance(place.get(dim), int)]
+            variables[name] = xr.Variable(left, value)
+        taken = xr.Dataset(variables)
+    return _checked_event(taken)
+
+
+def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return one dataset of several events; each has the same variables."""
+    packed: dict[str, xr.Variable] = {}
+    for name, variable in datasets[0].variables.items():
+        parts = [dataset.variables[name].values for dataset in datasets]
+        if name in LABELS:
+            packed[str(name)] = variable
+            continue
+        if variable.dtype.kind == "U":
+            # texts as objects: arrays of strings are as wide as the longest
+            parts = [part.astype(object) for part in parts]
+        ragged = variable.dims and variable.dims[0] in _RAGGED
+        dims = variable.dims if ragged else ("event", *variable.dims)
+        joined = np.concatenate(parts) if ragged else np.stack(parts)
+        packed[str(name)] = xr.Variable(dims, joined, variable.attrs)
+    for dim, counter in _RAGGED.items():
+        lengths = np.array([dataset.sizes[dim] for dataset in datasets])
+        packed[counter] = xr.Variable("event", lengths, {"sample_dimension": dim})
+    coords = {name: packed.pop(name) for name in ("time", "event", *LABELS)}
+    return xr.Dataset(packed, coords, {"format": EVENTS_FORMAT})
+
+
+def _listed(dataset: xr.Dataset) -> tuple[list[str], list[Place]]:
+    """Return the ids of the events of a packed dataset, and their places."""
+    if "event" not in dataset.dims or "event" not in dataset.coords:
+        raise InvalidEventError("has no coordinate event, which holds the ids")
+    stops = {dim: _stops(dataset, dim) for dim in _RAGGED}
+    places: list[Place] = []
+    for index in range(dataset.sizes["event"]):
+        place: Place = {"event": index}
+        for dim, ends in stops.items():
+            place[dim] = slice(int(ends[index - 1]) if index else 0, int(ends[index]))
+        places.append(place)
+    ids = dataset.variables["event"].values.tolist()
+    return [event_id({"id": name}) for name in ids], places
+
+
+def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
+    """Return per event where along ``dim`` it ends."""
+    counter = _RAGGED[dim]
+    if counter not in dataset.variables or dataset[counter].dims != ("event",):
+        raise InvalidEventError(f"has no {counter} (event)")
+    lengths, size = dataset[counter].values, dataset.sizes.get(dim, 0)
+    # no length beyond the whole, so that no sum can overflow
+    whole = lengths.dtype.kind in "iu" and not ((lengths < 0) | (lengths > size)).any()
+    if not whole or int(lengths.sum()) != size:
+        raise InvalidEventError(f"{counter} does not add up to the {size} along {dim}")
+    return np.cumsum(lengths, dtype=np.int64)
+
+
+# --- events that are read when they are asked for --------------------------------------------
+
+
+class _Stored(NamedTuple):
+    """An event in one of several files."""
+
+    id: str
+    file: int
+    place: int  # of it in that file
+
+
+class StoredEvents(Sequence[Event]):
+    """Events of files of several, of which an event is read each time it is asked for.
+
+    A file is open only while something is read, so that any number of processes and threads can
+    have the same events, and they can be pickled. Slices are of the same kind, and read nothing.
+
+    Args:
+        path: a file as :func:`phase_ppl.data.load.save_events` writes it, ending in ".nc", or
+            several, whose events follow each other.
+        turning: "both", "ccw" or "cw" instead of what the files say.
+
+    Raises:
+        InvalidEventError: it cannot be read, now or when an event is asked for, or it was changed
+            since.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        turning: Turning | None = None,
+    ) -> None:
+        self._files = [
+            Path(one) for one in ([path] if isinstance(path, str | os.PathLike) else path)
+        ]
+        self._turning = turning
+        self._states: list[_State] = []
+        self._stored: list[_Stored] = []
+        for number, file in enumerate(self._files):
+            with naming(file):
+                self._states.append(_state(file))
+                ids = _listing(file, self._states[-1]).ids
+                self._stored += [_Stored(id, number, place) for place, id in enumerate(ids)]
+                check_ids(self.ids)
+
+    @property
+    def ids(self) -> list[str]:
+        """The ids of the events, in their order."""
+        return [one.id for one in self._stored]
+
+    def chosen(self, indices: Sequence[int]) -> Self:
+        """Return some of the events, in the order of the indices."""
+        found = copy.copy(self)
+        found._stored = [self._stored[index] for index in indices]
+        return found
+
+    def read(self, indices: Sequence[int]) -> list[Event]:
+        """Return events in one go."""
+        events: list[Event] = []
+        wanted = [self._stored[index] for index in indices]
+        for number, of_file in itertools.groupby(wanted, lambda one: one.file):
+            events += self._read(number, of_file)
+        return events if self._turning is None else [turned(e, self._turning) for e in events]
+
+    def _read(self, number: int, wanted: Iterable[_Stored]) -> Iterator[Event]:
+        path, state = self._files[number], self._states[number]
+        with contextlib.ExitStack() as stack:
+            with naming(path):
+                if _state(path) != state:
+                    raise InvalidEventError(
+                        "was changed since its events were listed; load it again"
+                    )
+                listed = _listing(path, state)
+                with reading():
+                    file = stack.enter_context(opened(path))
+            for one in wanted:
+                with naming(path, one.id):
+                    yield event_at(file, listed, one.place)
+
+    @overload
+    def __getitem__(self, index: int) -> Event: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Self: ...
+
+    def __getitem__(self, index: int | slice) -> Event | Self:
+        if isinstance(index, slice):
+            return self.chosen(range(len(self))[index])
+        return self.read([range(len(self))[index]])[0]
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+    def __iter__(self) -> Iterator[Event]:
+        for start in range(0, len(self), _AT_ONCE):
+            yield from self.read(range(start, min(start + _AT_ONCE, len(self))))
+
+
+_State = tuple[int, int]
+
+
+@functools.lru_cache(maxsize=_LISTED_AT_MOST)
+def _listing(path: Path, _state: _State) -> Listing:
+    """Return what a file of several events holds that was in this state; no event is read."""
+    with _opened_dataset(path) as dataset:
+        tag = _format(dataset)
+        if tag != EVENTS_FORMAT:
+            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
+        for name, variable in dataset.variables.items():
+            if {"scale_factor", "add_offset"} & set(variable.encoding):
+                raise InvalidEventError(f"array {name} is packed, expected plain numbers")
+        ids, places = _listed(dataset)
+        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
+        return Listing(ids, places, dims)
+
+
+def _state(path: Path) -> _State:
+    """Return what tells a file from another that was put in its place."""
+    with reading_bytes("a file of events"):
+        found = path.stat()
+    return found.st_mtime_ns, found.st_size

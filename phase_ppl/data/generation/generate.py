@@ -1,0 +1,361 @@
+"""One call that makes a data set: a part for each slot of its plan, and of these the whole."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, Final
+
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.data.documents import read_json
+from phase_ppl.data.events_json import event_from_record
+from phase_ppl.data.events_netcdf import checksum, events_bytes
+from phase_ppl.data.generated import (
+    BLOCKS,
+    COST,
+    ENTRIES,
+    EVENTS,
+    MANIFEST,
+    MANIFEST_SCHEMA,
+    PLAN,
+    REJECTED,
+    GeneratedEvents,
+)
+from phase_ppl.data.generation.making import Part, make
+from phase_ppl.data.generation.plan import BLOCK, DrawRoles, Plan, Slot, cell_of, scaled
+from phase_ppl.data.generation.situation import PHASE500, tables_of
+from phase_ppl.simulator.processes import Failure, results, slots_of
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    PhasePPLError,
+    SimulationError,
+    shown,
+)
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import locked, writable_folder, write_bytes, write_json
+from phase_ppl.world.identity import differences, versions_so_far
+from phase_ppl.world.progress import Bar
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.worlds import named
+
+PLAN_SCHEMA: Final = "phase-ppl-plan-1"
+PARTS: Final = "parts"
+
+# --- what became of the slots, a file each -------------------------------------------------------
+
+
+def part_file(folder: Path, slot: Slot) -> Path:
+    """Return the file of a slot, whether it is there or not."""
+    return folder / PARTS / f"{slot.number:05d}.json"
+
+
+def read_part(folder: Path, slot: Slot) -> Part:
+    """Return what is kept of a slot, with events in place of their records.
+
+    InvalidEventError: it is damaged.
+    """
+    source = part_file(folder, slot)
+    part = read_json(source)
+    try:
+        if part.pop("sha256", None) != _digest(part):
+            raise InvalidEventError("its content is not what sha256 says")
+        if part["name"] != slot.name:
+            raise InvalidEventError(f"it holds {shown(part['name'])}")
+        part["events"] = [event_from_record(record) for record in part["events"]]
+        for draw in part["rejected"]:
+            if "event" in draw:
+                draw["event"] = event_from_record(draw["event"])
+        return part
+    except (KeyError, TypeError, PhasePPLError) as error:
+        raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
+
+
+def _digest(part: Part) -> str:
+    text = json.dumps(part, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# --- the data set ------------------------------------------------------------------------------
+
+
+def assemble(
+    out: Path,
+    plan: Mapping[str, Any],
+    made_by: Sequence[Mapping[str, Any]],
+    slots: Sequence[Slot],
+) -> None:
+    """Write the data set of a plan, of which each slot has a part; the manifest comes last.
+
+    A block of slots is in memory at a time. A set of one block has its events in one file, and its
+    entries in the manifest. It was ``made_by`` these versions, the last ones last.
+    """
+    # of simulations, and of those of re-planned copies
+    tally: dict[bool, dict[str, dict[str, Any]]] = {
+        replanned: {cell: {"kept": 0, "rejected": Counter()} for cell in plan["cells"]}
+        for replanned in (False, True)
+    }
+    given_up: list[str] = []
+    sizes: list[int] = []
+    single = len(slots) <= BLOCK
+    entries: list[dict[str, Any]] = []
+    for start in range(0, len(slots), BLOCK):
+        events: list[Event] = []
+        entries = []
+        rejected: list[dict[str, Any]] = []
+        for slot in slots[start : start + BLOCK]:
+            part = read_part(out, slot)
+            events += part["events"]
+            entries += part["entries"]
+            tally[False][slot.cell]["kept"] += bool(part["events"])
+            for entry in part["entries"]:
+                tally[True][slot.cell]["kept"] += bool(entry.get("replanned"))
+            given_up += [] if part["events"] else [slot.name]
+            for draw in part["rejected"]:
+                tally[draw["replanned"]][slot.cell]["rejected"][draw["reason"]] += 1
+                if "event" in draw:
+                    rejected.append({"id": draw.pop("id"), "cell": slot.cell, **draw})
+        for event, entry in zip(events, entries, strict=True):
+            entry["checksum"] = checksum(event)
+        place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
+        if events:
+            write_bytes(place / EVENTS, (".nc",), events_bytes(events))
+        if rejected:
+            refused = [draw.pop("event") for draw in rejected]
+            write_bytes(place / f"{REJECTED}.nc", (".nc",), events_bytes(refused))
+            write_json(place / f"{REJECTED}.json", {"rejected": rejected})
+        if not single:
+            write_json(place / ENTRIES, {"entries": entries})
+        sizes.append(len(events))
+    if not sum(sizes):
+        raise OutputError(f"{out}: no draw of any kind was kept")
+    write_json(
+        out / MANIFEST,
+        {
+            "schema": MANIFEST_SCHEMA,
+            "plan": dict(plan),
+            "versions": made_by[-1],
+            "earlier_versions": made_by[:-1],
+            "kept": {cell: n["kept"] for cell, n in tally[False].items()},
+            "rejected": {cell: n["rejected"] for cell, n in tally[False].items()},
+            "replans": tally[True] if plan["replans"] else {},
+            "given_up": given_up,
+            **({"entries": entries} if single else {"blocks": sizes}),
+        },
+    )
+
+
+# --- what is missing -----------------------------------------------------------------------------
+
+
+def _missing(folder: Path, slots: Sequence[Slot]) -> tuple[list[Slot], list[str]]:
+    """Return the slots that have no part, or a damaged one; and the names of the latter."""
+    missing, damaged = [], []
+    for slot in slots:
+        if part_file(folder, slot).is_file():
+            with contextlib.suppress(InvalidEventError):
+                read_part(folder, slot)
+                continue
+            damaged.append(slot.name)
+        missing.append(slot)
+    return missing, damaged
+
+
+def _make_missing(
+    folder: Path,
+    plan: Plan,
+    missing: Sequence[Slot],
+    total: int,
+    keep_rejected: bool,
+    n_workers: int | None,
+    executor: Executor | None,
+    progress: bool | None,
+) -> None:
+    """Make the parts of slots, of so many in all."""
+    left = len(missing)
+    failures: list[str] = []
+    made = results(make, plan, missing, n_workers, "the plan", executor)
+    try:
+        bar = Bar(total, total - left, progress, "event", "events")
+        with contextlib.closing(made), bar:
+            for slot, part in made:
+                if isinstance(part, Failure):
+                    failures.append(f"{slot.cell}, number {slot.number}: {part.reason}")
+                else:
+                    for draw in () if keep_rejected else part["rejected"]:
+                        draw.pop("event", None)
+                    write_json(part_file(folder, slot), {"sha256": _digest(part), **part})
+                    left -= 1
+                bar.update()
+    except KeyboardInterrupt:
+        raise GenerationInterrupted(
+            f"interrupted with {left} of {total} events to be made; resume goes on"
+        ) from None
+    except SimulationError as error:
+        raise SimulationError(
+            f"{error}: {left} of {total} events are still to be made; the others are kept in "
+            f"{folder}, and resume goes on"
+        ) from None
+    if failures:
+        raise SimulationError(
+            f"{len(failures)} events could not be made, the first: {failures[0]}; the others "
+            f"are kept in {folder}"
+        )
+
+
+# --- the call --------------------------------------------------------------------------------
+
+PRESETS: Final[Mapping[str, Mapping[str, int]]] = {"phase500": PHASE500}
+"""Name -> cells: the paper's set."""
+
+
+class GenerationInterrupted(KeyboardInterrupt):
+    """The generation was interrupted; what was finished is kept and can be resumed."""
+
+
+def generate(
+    out: str | os.PathLike[str],
+    n: int | None = None,
+    *,
+    world: str | World = PHASE,
+    roles: DrawRoles | None = None,
+    cells: Mapping[str, int] | None = None,
+    splits: Mapping[str, float] | None = None,
+    copies: int = 0,
+    replans: int = 0,
+    planner: str | PlannerConfig = "fast",
+    seed: int = 0,
+    turning: Any = "both",
+    frames: int | None = None,
+    max_tries: int | None = None,
+    reflect: bool | None = None,
+    recolour: bool | None = None,
+    keep_rejected: bool = False,
+    resume: bool = False,
+    other_versions: bool = False,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    progress: bool | None = None,
+) -> GeneratedEvents:
+    """Make a data set like PHASE: draw situations, simulate them, keep those that show something.
+
+    Each event follows from ``seed`` and its number in the plan: the set is the same for any number
+    of workers, and after any interruption.
+
+    A situation is one of a family, as of :func:`phase_ppl.draw_situation`, or a random scene with
+    roles, ``world.random_scene(seed)`` and ``roles(world, seed)``; of these kept are events in
+    which an agent with a goal of its own reaches it. Elsewhere than in PHASE all are made of one
+    number, the ``seed`` of their entry, which ``phase_ppl.simulate`` takes too.
+
+    Args:
+        out: folder of the data set (:mod:`phase_ppl.data.generated`).
+        n: number of events in the proportions of ``cells``; None: the numbers of ``cells``. Needed
+            for random scenes where no cells are given.
+        world: the world, or the name of a ready-made one.
+        roles: of random scenes: function ``(world, seed)`` that draws who wants what, such as
+            :func:`phase_ppl.roles.draw`, or that of a prior of one's own,
+            ``functools.partial(phase_ppl.roles.draw, prior=...)``; where it returns None, scene and
+            roles are drawn anew. By default all goals are alike, and all ways to help or hinder.
+        cells: FAMILY or FAMILY:VARIANT -> number; by default PHASE has the paper's 500, any other
+            world, or with ``roles``, random scenes (``available_families`` lists the families).
+        splits: name -> share; by default the paper's 320 / 80 / 100.
+        copies: further copies of each event with other reflections and colours, in its split.
+        replans: further copies of each event at most, in its split: the same situation simulated
+            in a layout of the same kind, or with all sizes and strengths one id further, where its
+            family allows that and the result shows what it should.
+        planner: "fast", "paper" or a ``PlannerConfig``.
+        seed: of everything random.
+        turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
+        frames: length, in PHASE before the cut after the last motion; default 101.
+        max_tries: draws after which an event is given up; default 200.
+        reflect, recolour: whether events are reflected, and colours exchanged, at random; by
+            default those of PHASE. Like copies and replans they are of PHASE only.
+        keep_rejected: whether rejected draws are kept, with the reason.
+        resume: go on with what ``out`` holds.
+        other_versions: also where that was made by other versions of this package, or of what it
+            builds on; the manifest keeps both.
+        workers: processes; by default one per usable core. With an ``executor``, how many events
+            to give it at a time; by default up to 1000.
+        executor: any PEP 3148 executor to make events in, such as that of a ``dask.distributed``
+            client; it is not shut down.
+        progress: True or False for a bar on stderr; None: where stderr is a terminal.
+
+    Returns:
+        The events, a sequence; ``.manifest`` and ``.entries`` say how each was made.
+
+    Raises:
+        UnknownNameError, InvalidSettingError: a setting that is not allowed.
+        OutputError: the folder cannot be used.
+        SimulationError: an event could not be made, or the executor takes no more work; what was
+            made is kept.
+        GenerationInterrupted: Ctrl-C; what was finished is kept.
+    """
+    given = {"splits": splits, "frames": frames, "max_tries": max_tries}
+    world = named(world)
+    tables = tables_of(world)
+    if cells is None:
+        cells = {} if roles is not None else tables.cells
+        if n is None and not cells:
+            raise InvalidSettingError(
+                f"n, the number of events, is needed in the world {world.name!r}"
+            )
+        cells = cells or {cell_of(world): 1}
+    plan = Plan(
+        world=world,
+        roles=roles,
+        cells=cells if n is None else scaled(cells, n),
+        copies=copies,
+        replans=replans,
+        planner=planner,
+        seed=seed,
+        turning=turning,
+        reflect=tables.has_looks if reflect is None else reflect,
+        recolour=tables.has_looks if recolour is None else recolour,
+        **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
+    )
+    at_once = slots_of(workers, executor)
+    folder, slots = Path(out), plan.slots()
+    record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
+    with locked(writable_folder(out)):
+        made_by: list[dict[str, Any]] = []
+        if (folder / PLAN).exists():
+            if not resume:
+                raise OutputError(f"{folder} holds a data set already; resume it, or name another")
+            stored = read_json(folder / PLAN)
+            made_by = stored.pop("versions", [{}])
+            apart = differences(stored, record)
+            if apart:
+                raise OutputError(f"{folder} holds a data set of another plan: {'; '.join(apart)}")
+        writable_folder(folder / PARTS)
+        finished = (folder / MANIFEST).is_file()
+        missing, damaged = _missing(folder, () if finished else slots)
+        if missing:
+            made_by = versions_so_far(made_by, folder, other_versions)
+            write_json(folder / PLAN, {**record, "versions": made_by})
+        clock = time.perf_counter()
+        _make_missing(folder, plan, missing, len(slots), keep_rejected, at_once, executor, progress)
+        seconds = time.perf_counter() - clock
+        if not finished:
+            assemble(folder, plan.to_dict(), made_by, slots)
+            cost = {
+                "seconds": seconds,
+                "workers": at_once,
+                "made_now": len(missing),
+                "made_anew": damaged,
+            }
+            write_json(folder / COST, cost)
+        for slot in slots:
+            part_file(folder, slot).unlink(missing_ok=True)
+        for half in (folder / PARTS).glob(".part-*"):  # of a process that was killed
+            half.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # what else is there is not ours
+            (folder / PARTS).rmdir()
+        return GeneratedEvents(folder)

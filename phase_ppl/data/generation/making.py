@@ -1,0 +1,432 @@
+"""Making one event of a plan, with its copies: simulated, measured, kept, and shown otherwise."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from phase_ppl.data.events_json import event_record
+from phase_ppl.data.generation.families import Change, Drawn, changed, pairs_showing
+from phase_ppl.data.generation.plan import MOST_TRIES, UNCHANGED, Look, Plan, Slot, is_as_before
+from phase_ppl.data.generation.situation import tables_of
+from phase_ppl.data.motion import last_motion
+from phase_ppl.physics.actions import DIRECTIONS
+from phase_ppl.simulator.contract import random_generator
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import BoolArray, FloatArray
+from phase_ppl.world.errors import InvalidSettingError, instance_of
+from phase_ppl.world.event import Event, Observation, Truth
+from phase_ppl.world.geometry import touches
+from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals
+from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, all_ways
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, NOTHING, Predicate
+from phase_ppl.world.scene import Scene, Turning, World
+
+AFTER_MOTION: Final = 8
+"""Frames kept after the last motion, as in the original recordings: 2 s of video."""
+
+SHORTEST: Final = 33  # frames that are always kept: the shortest original recording
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
+    """A simulated situation."""
+
+    scene: Scene  # what was known at the start
+    hypothesis: Hypothesis | Roles  # in the form of its world
+    layout: int  # number of the layout, before any reflection
+    trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
+    # (time, agent) whether the action that led to the frame pushes, and whether the agent held an
+    # item when it chose it; not so at the start
+    pushes: BoolArray
+    holds: BoolArray
+
+
+def record(
+    situation: Drawn, simulator: JointSimulator, frames: int, rng: np.random.Generator
+) -> Recording:
+    """Simulate a situation for ``frames``, 12 per simulated second."""
+    scene, hypothesis = situation.scene, situation.roles.of_its_world()
+    steps = simulator.steps(scene, hypothesis, rng)
+    taken = list(itertools.islice(steps, frames))
+    trajectory = np.array([frame for frame, _ in taken], np.float64)
+    at_start = [(False, False)] * len(scene.world.agents)
+    doing = [
+        [(one.action in PUSHES, one.held != NOTHING) for one in each] or at_start
+        for _, each in taken
+    ]
+    length = after_motion(trajectory) if tables_of(scene.world).is_cut else len(trajectory)
+    pushes, holds = np.moveaxis(np.array(doing[:length]), 2, 0)
+    return Recording(scene, hypothesis, situation.layout, trajectory[:length], pushes, holds)
+
+
+def after_motion(trajectory: FloatArray) -> int:
+    """Return how many frames of a (time, entity, coord) trajectory to keep."""
+    return min(len(trajectory), max(SHORTEST, last_motion(trajectory) + 1 + AFTER_MOTION))
+
+
+# --- copies that look different and mean the same -------------------------------------------------
+# Landmarks keep their places and colours, so under a reflection a goal is about another landmark;
+# agents that turn one way only turn the other way.
+
+
+class Reflection(NamedTuple):
+    """A reflection of the arena about a line through its centre."""
+
+    matrix: FloatArray  # (2, 2) of offsets from the centre
+    offset: float  # angle a becomes ``offset`` - a, rad
+
+
+REFLECTIONS: Final = {
+    "up-down": Reflection(np.array([[1.0, 0.0], [0.0, -1.0]]), np.pi),
+    "left-right": Reflection(np.array([[-1.0, 0.0], [0.0, 1.0]]), 0.0),
+    "about y=x": Reflection(np.array([[0.0, 1.0], [1.0, 0.0]]), -np.pi / 2),
+    "about y=-x": Reflection(np.array([[0.0, -1.0], [-1.0, 0.0]]), np.pi / 2),
+}
+"""Name -> reflection; the names are those of the authors' files."""
+
+_OTHER_WAY: Final[dict[str, Turning]] = {"both": "both", "ccw": "cw", "cw": "ccw"}
+
+
+def reflected(recording: Recording, name: str) -> Recording:
+    """Return the recording seen in a mirror."""
+    matrix, offset = REFLECTIONS[name]
+    scene = recording.scene
+
+    def mirrored(points: FloatArray) -> FloatArray:
+        return np.asarray(scene.centre + (points - scene.centre) @ matrix.T)
+
+    def turned(poses: FloatArray) -> FloatArray:
+        result = -np.array(poses)
+        result[..., :2] = mirrored(poses[..., :2])
+        result[..., : len(AGENTS), 2] += offset
+        return result
+
+    apart = mirrored(scene.landmark_centres)[:, None] - scene.landmark_centres
+    landmark = np.linalg.norm(apart, axis=2).argmin(axis=1).tolist()
+    return dataclasses.replace(
+        recording,
+        scene=dataclasses.replace(
+            scene,
+            start=turned(scene.start),
+            walls=mirrored(scene.walls),
+            turning=_OTHER_WAY[scene.turning],
+        ),
+        hypothesis=_renamed(recording.hypothesis, list(range(len(ENTITIES))), landmark),
+        trajectory=turned(recording.trajectory),
+    )
+
+
+def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
+    """Return the recording with the colours of the agents, of the items or of both exchanged."""
+    order = [*((1, 0) if agents else (0, 1)), *((3, 2) if items else (2, 3))]
+    agent_order, scene = order[: len(AGENTS)], recording.scene
+    return dataclasses.replace(
+        recording,
+        scene=dataclasses.replace(scene, start=scene.start[order], radius=scene.radius[order]),
+        hypothesis=_renamed(recording.hypothesis, order, list(range(len(LANDMARKS)))),
+        trajectory=recording.trajectory[:, order],
+        pushes=recording.pushes[:, agent_order],
+        holds=recording.holds[:, agent_order],
+    )
+
+
+def _renamed(hypothesis: Any, entity: list[int], landmark: list[int]) -> Hypothesis:
+    """Return PHASE's hypothesis with other entities (entity -> entity, in pairs) and landmarks."""
+    goals, alpha, strengths = [0, 0], [0, 0], [0.0, 0.0]
+    for agent, goal in enumerate((hypothesis.goal_red, hypothesis.goal_green)):
+        literal = goal_literal(goal, agent)
+        targets = entity if literal.predicate is Predicate.TOUCH else landmark
+        goals[entity[agent]] = literal_goal(
+            literal._replace(subject=entity[literal.subject], target=targets[literal.target])
+        )
+        alpha[entity[agent]] = hypothesis.alpha[agent]
+        strengths[entity[agent]] = hypothesis.strengths[agent]
+    return Hypothesis(goals[0], goals[1], (alpha[0], alpha[1]), *strengths)
+
+
+# --- what can be seen in a recording, and whether it is what it should show -----------------------
+
+STILL: Final = 0.02
+"""Units per frame that an agent must move by for its push to count as having an effect."""
+
+PUSHES: Final = tuple(int(action) for action in np.flatnonzero(DIRECTIONS.any(axis=1)))
+"""Actions that push."""
+
+NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met
+MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push without any effect
+Measures = Mapping[str, Any]
+
+
+def measures(recording: Recording) -> dict[str, Any]:
+    """Return facts about a recording, as plain numbers and lists.
+
+    Keys; those in brackets are lists over agents, or over agents, then items:
+
+    * ``frames``.
+    * ``at_start``, ``ever``, ``at_end`` [agent]: whether its effective goal is true then.
+    * ``closest``: least distance between two agents, in units of the sum of their sizes; by pair,
+      such as "red & green", in PHASE of the only one.
+    * ``met``: frames in which they touch, likewise.
+    * ``touched`` [agent]: items that it touched.
+    * ``moved`` [entity]: length of its way, units.
+    * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
+    * ``held`` [agent], in PHASE: share of frames in which it holds something.
+    * ``reached`` [agent], elsewhere: whether it has a goal of its own that became true.
+    """
+    track, scene, wanted = recording.trajectory, recording.scene, recording.hypothesis
+    world = scene.world
+    n_agents, n = len(world.agents), len(world.entities)
+    literals = [
+        goal_literal(goal, agent, world) for agent, goal in enumerate(wanted.effective_goals)
+    ]
+    truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
+    steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
+    in_vain = recording.pushes[1:] & (steps[:, :n_agents] < STILL)
+
+    def touching(one: int, other: int) -> Iterator[bool]:
+        return (touches(one, other, frame, scene.radius, n_agents) for frame in track)
+
+    closest, met = {}, {}
+    for one, other in itertools.combinations(range(n_agents), 2):
+        name = _named(world, (one, other))
+        apart = np.linalg.norm(track[:, one, :2] - track[:, other, :2], axis=1)
+        closest[name] = float((apart / scene.radius[[one, other]].sum()).min())
+        met[name] = sum(touching(one, other))
+    found: dict[str, Any] = {
+        "frames": len(track),
+        "at_start": truth[0].tolist(),
+        "ever": truth.any(axis=0).tolist(),
+        "at_end": truth[-1].tolist(),
+        "closest": closest,
+        "met": met,
+        "touched": [
+            [world.entities[item] for item in range(n_agents, n) if any(touching(agent, item))]
+            for agent in range(n_agents)
+        ],
+        "moved": steps.sum(axis=0).tolist(),
+        "stuck": [
+            max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
+            for of_agent in in_vain.T.tolist()
+        ],
+    }
+    if isinstance(wanted, Roles):
+        return {**found, "reached": _reached(wanted, found)}
+    (found["closest"],), (found["met"],) = closest.values(), met.values()
+    return {**found, "held": recording.holds.mean(axis=0).tolist()}
+
+
+def _reached(roles: Roles, found: Measures) -> list[bool]:
+    """Return (agent,) whether it has a goal of its own that became true."""
+    own = zip(roles.stated, found["at_start"], found["at_end"], strict=True)
+    return [goal is not None and end and not start for goal, start, end in own]
+
+
+def _named(world: World, pair: tuple[int, int]) -> str:
+    """Return what measures call two agents, such as "red & green"."""
+    return " & ".join(world.keys[agent] for agent in pair)
+
+
+def reason_against(scenario: str, wanted: Hypothesis | Roles, found: Measures) -> str | None:
+    """Return why an event does not show its scenario; None where it does.
+
+    Of three agents and more, two are enough that want what makes the scenario, and show it;
+    independent are all.
+    """
+    world, n_agents = wanted.world, len(wanted.world.agents)
+    literals = [goal_literal(goal, a, world) for a, goal in enumerate(wanted.effective_goals)]
+    if any(start and one.positive for start, one in zip(found["at_start"], literals, strict=True)):
+        return "a goal is true at the start"
+    if max(found["stuck"]) > MAX_STUCK:
+        return "an agent is stuck"
+    if scenario == "independent":
+        return None if all(found["at_end"]) else "a goal is not reached"
+
+    def against(pair: tuple[int, int]) -> str | None:
+        # whoever wants an item somewhere has to touch it
+        both_touch = all(
+            literals[agent].subject < n_agents
+            or world.entities[literals[agent].subject] in found["touched"][agent]
+            for agent in pair
+        )
+        if scenario in ("collaborative", "competing") and not both_touch:
+            return "not both touch the item"
+        if scenario == "collaborative" and not all(found["at_end"][agent] for agent in pair):
+            return "a goal is not reached"
+        near = found["closest"]
+        closest = near[_named(world, pair)] if isinstance(near, Mapping) else near
+        if scenario == "opposing" and closest >= NEAR:
+            return "the agents never come near each other"
+        return None
+
+    pairs = pairs_showing(scenario, wanted) if n_agents > 2 else [(0, 1)]
+    reasons = [against(pair) for pair in pairs]
+    return None if None in reasons else reasons[0]
+
+
+# --- making ----------------------------------------------------------------------------------
+
+REPLAN_TRIES: Final = 3  # simulations of a changed situation after which it is given up
+_SLOTS: Final = 10**5
+
+Part = dict[str, Any]
+"""What became of a slot, as plain data.
+
+``name`` and ``cell`` are the slot's. ``events``, the event and its copies, are none where every
+draw was rejected; ``entries`` say of each what the manifest says. ``rejected`` are the draws before
+the one that was kept, and failed attempts at re-planned copies (``replanned``): with ``id``,
+``reason``, ``measures``, and ``event`` unless there was nothing to simulate.
+"""
+
+
+def make(plan: Plan, slot: Slot) -> Part:
+    """Draw and simulate situations of a slot until one shows what it should.
+
+    A situation is one of a family, which shows its scenario, or a random scene with roles, in which
+    an agent reaches a goal of its own. Its event has copies where the plan wants them.
+    """
+    making = _Making(plan, slot)
+    for attempt in range(plan.max_tries):
+        making.attempt(attempt)
+        if making.part["events"]:
+            break
+    return making.part
+
+
+class _Making:
+    """The making of a slot's event and its copies."""
+
+    def __init__(self, plan: Plan, slot: Slot) -> None:
+        self.plan, self.slot = plan, slot
+        self.family = plan.families.get(slot.cell)
+        self.simulator = JointSimulator(plan.planner)
+        self.part: Part = {"name": slot.name, "cell": slot.cell}
+        self.part |= {"events": [], "entries": [], "rejected": []}
+
+    def attempt(self, attempt: int) -> None:
+        """Draw a situation; keep its recording, and copies of it, if it is good."""
+        plan, id = self.plan, f"{self.slot.name}-{attempt}"
+        seed = (plan.seed * _SLOTS + self.slot.number) * MOST_TRIES + attempt
+        before = is_as_before(plan.world)
+        rng = np.random.default_rng([plan.seed, 0, self.slot.number, attempt] if before else seed)
+        if self.family is not None:
+            drawn = self.family.draw(plan.world, rng)
+        else:
+            roles = _drawn_roles(plan, seed)
+            if isinstance(roles, str):
+                self.reject(id, roles)
+                return
+            drawn = Drawn(plan.world.random_scene(seed), roles, 0)
+        steps = np.random.default_rng(rng.integers(2**31)) if before else random_generator(seed)
+        recording = self.simulated(drawn, steps, id)
+        if recording is None:
+            return
+        found = {"attempt": attempt, "seed": seed, "replanned": None}
+        for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
+            self.keep(recording, plan.looks[index], found)
+        if plan.replans and self.family is not None:
+            self.replan(changed(self.family, drawn))
+
+    def replan(self, changes: Sequence[Change]) -> None:
+        """Keep recordings of changed situations that are good, as many as the plan wants."""
+        plan, kept = self.plan, 0
+        # numbers of their own: the event and its other copies are the same without them
+        rng = np.random.default_rng([plan.seed, 2, self.slot.number])
+        for place in rng.permutation(len(changes)):
+            if kept == plan.replans:
+                break
+            name, told, drawn = changes[place]
+            for again in range(REPLAN_TRIES):
+                steps = np.random.default_rng(rng.integers(2**31))
+                id = f"{self.slot.name}-{name}-{again}"
+                recording = self.simulated(drawn, steps, id, replanned=True)
+                if recording is not None:
+                    look = plan.looks[int(rng.choice(len(plan.looks), p=plan.shares))]
+                    self.keep(recording, look, {"attempt": again, "replanned": told})
+                    kept += 1
+                    break
+
+    def simulated(
+        self, drawn: Drawn, rng: np.random.Generator, id: str, replanned: bool = False
+    ) -> Recording | None:
+        """Return the recording of a situation if it is good."""
+        scene = dataclasses.replace(drawn.scene, turning=self.plan.turning)
+        recording = record(drawn._replace(scene=scene), self.simulator, self.plan.frames, rng)
+        found = measures(recording)
+        if self.family is not None:
+            reason = reason_against(self.family.scenario, recording.hypothesis, found)
+        else:
+            reason = None if any(_reached(drawn.roles, found)) else "no goal is reached"
+        if reason is None:
+            return recording
+        event = event_record(event_of(recording, id))
+        self.reject(id, reason, replanned, measures=found, event=event)
+        return None
+
+    def reject(self, id: str, reason: str, replanned: bool = False, **found: Any) -> None:
+        """Keep of a draw why it is not good."""
+        told = {"id": id, "reason": reason, "replanned": replanned, "measures": {}}
+        self.part["rejected"].append({**told, **found})
+
+    def keep(self, shown: Recording, look: Look, made: Mapping[str, Any]) -> None:
+        """Keep a recording in a look, and how it was made."""
+        slot, events = self.slot, self.part["events"]
+        if look.reflection != UNCHANGED:
+            shown = reflected(shown, look.reflection)
+        if tables_of(self.plan.world).has_looks:
+            shown = recoloured(shown, agents=look.agents, items=look.items)
+        id = f"{slot.name}.{len(events)}" if events else slot.name
+        events.append(event_record(event_of(shown, id)))
+        entry = {"id": id, "group": slot.name, "split": slot.split, "attempt": made["attempt"]}
+        if self.family is not None:
+            entry |= {"family": self.family.name, "variant": self.family.variant}
+        wanted = shown.hypothesis
+        if isinstance(wanted, Roles):
+            entry |= {"world": wanted.world.name, "seed": made["seed"], "roles": wanted.to_dict()}
+        else:
+            entry |= {
+                "layout": shown.layout,
+                "replanned": made["replanned"],
+                "reflection": look.reflection,
+                "agents_exchanged": look.agents,
+                "items_exchanged": look.items,
+                "hypothesis": wanted.to_dict(),
+                "scenario": wanted.scenario,
+                "relation": wanted.relation,
+            }
+        self.part["entries"].append({**entry, "measures": measures(shown)})
+
+
+def event_of(recording: Recording, id: str) -> Event:
+    """Return a recording as an event with its truth."""
+    wanted = recording.hypothesis
+    truth = wanted if isinstance(wanted, Roles) else Truth.of(wanted)
+    return Event(recording.scene, Observation(recording.trajectory), id=id, truth=truth)
+
+
+def _drawn_roles(plan: Plan, seed: int) -> Roles | str:
+    """Return the roles of a random scene, or why there are none."""
+    roles = (plan.roles or uniform_roles)(plan.world, seed)
+    if roles is None:
+        return "roles that are not wanted"
+    instance_of("what roles returned", roles, Roles, "phase_ppl's Roles, or None")
+    if roles.world != plan.world:
+        raise InvalidSettingError(
+            f"roles returned those of the world {roles.world.name!r}, not {plan.world.name!r}"
+        )
+    return roles if roles.is_possible else "nobody can act on such roles"
+
+
+def uniform_roles(world: World, seed: int) -> Roles:
+    """Return roles of which all goals are alike, and all ways to help or hinder (Appendix 4B)."""
+    rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
+    ways = all_ways(len(world.agents))
+    social = len(ways) > 1 and rng.random() < SOCIAL
+    towards = ways[int(rng.integers(1, len(ways))) if social else 0]
+    own = [int(rng.choice(possible_goals(agent, world))) for agent in range(len(towards))]
+    stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
+    return Roles(world, stated, towards, tuple(rng.uniform(*STRENGTH_RANGE, len(own)).tolist()))

@@ -1,0 +1,241 @@
+"""What is to be generated: how many events of which kind, how they are split, how they look.
+
+A *slot* is one event to be made. Everything about it follows from the plan and its number, so it
+comes out the same whatever else is made, in whatever order.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.data.generation.families import Family, family_of, most_changes
+from phase_ppl.data.generation.situation import PHASE500, tables_of
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_memory,
+    check_name,
+    instance_of,
+    number_or_nan,
+    shown,
+    whole_number,
+)
+from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.identity import qualified_name, source_hash, stable
+from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
+
+SPLITS: Final[Mapping[str, int]] = {"train": 320, "validation": 80, "test": 100}
+"""Shares of the splits, the paper's."""
+
+UNCHANGED: Final = "none"
+
+REFLECTION_SHARES: Final[Mapping[str, float]] = {
+    UNCHANGED: 0.25, "up-down": 0.12, "left-right": 0.18, "about y=x": 0.21, "about y=-x": 0.24,
+}  # fmt: skip
+"""How often the original test videos are reflected, and how."""
+
+BLOCK: Final = 1000
+"""Slots whose events are put together at a time, in memory and in a file."""
+
+_SLOT_BYTES: Final = 400
+_EVENT_BYTES: Final = 20_000
+_FRAME_BYTES: Final = 600
+"""Of memory that a slot takes; an event that is put together with others, and each frame of it."""
+
+MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
+
+DrawRoles = Callable[[World, int], Roles | None]
+"""``(world, seed)`` -> who wants what, such as :func:`phase_ppl.roles.draw`; None: draw anew."""
+
+
+def is_as_before(world: World) -> bool:
+    """Whether numbers are drawn, and files written, as by versions that knew no other world."""
+    return world == PHASE
+
+
+class Look(NamedTuple):
+    """How a recording is shown."""
+
+    reflection: str  # a name of ``REFLECTION_SHARES``
+    agents: bool  # whether the colours of the agents, of the items are exchanged
+    items: bool
+
+
+class Slot(NamedTuple):
+    """An event to be made, with its copies."""
+
+    number: int  # of the slot, from 0
+    # FAMILY or FAMILY:VARIANT, or ``cell_of`` the world: random scenes with roles
+    cell: str
+    split: str  # name of the split that it and its copies belong to
+
+    @property
+    def name(self) -> str:
+        """The id of its event; those of copies have a dot and a number after it."""
+        return f"{self.cell.replace(':', '-')}-{self.number:05d}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What is to be generated, in the settings of :func:`phase_ppl.generate`."""
+
+    cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
+    splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
+    copies: int = 0
+    replans: int = 0
+    reflect: bool = True
+    recolour: bool = True
+    turning: Turning = "both"  # the original events have only "ccw", before any reflection
+    frames: int = 101
+    planner: str | PlannerConfig = "fast"
+    seed: int = 0
+    max_tries: int = 200
+    world: World = PHASE
+    roles: DrawRoles | None = None
+
+    def __post_init__(self) -> None:
+        for given in ("cells", "splits"):
+            instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
+        for cell, n in self.cells.items():
+            whole_number(cell, n, 0)
+        if self.roles is not None and not callable(self.roles):
+            raise InvalidSettingError(
+                f"roles={shown(self.roles)}, expected a function (world, seed) such as "
+                "phase_ppl.roles.draw"
+            )
+        if not sum(self.cells.values()):
+            raise InvalidSettingError("the plan holds no events")
+        for name, share in self.splits.items():
+            if not 0 <= number_or_nan(share) < math.inf:
+                raise InvalidSettingError(f"split {name}={shown(share)}, expected a share >= 0")
+        if not sum(self.splits.values()) > 0:
+            raise InvalidSettingError("the splits have no shares")
+        check_name("turning", self.turning, TURNINGS)
+        least = {"copies": 0, "replans": 0, "frames": 2, "seed": 0, "max_tries": 1}
+        for name, minimum in least.items():
+            whole_number(name, getattr(self, name), minimum)
+        if not is_as_before(self.world):
+            whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
+        for family in self.families.values():  # what functions of others do is found out now
+            family.draw(self.world, np.random.default_rng(self.seed))
+        most = most_changes(self.world)
+        if self.replans > most:
+            raise InvalidSettingError(
+                f"replans={self.replans}, but situations of {self.world.name!r} have at most "
+                f"{most} changes"
+            )
+        n, each = sum(self.cells.values()), 1 + self.copies + self.replans
+        together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
+        what = f"a plan of {n * each} events of {self.frames} frames"
+        check_memory(what, n * _SLOT_BYTES + together)
+        object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
+        for name in ("reflect", "recolour"):
+            if getattr(self, name) and not tables_of(self.world).has_looks:
+                raise InvalidSettingError(
+                    f"{name}=True: events of {self.world.name!r} have one look"
+                )
+        most = len(self.looks) - 1
+        if self.copies > most:
+            raise InvalidSettingError(
+                f"copies={self.copies}, but with reflect={self.reflect} and "
+                f"recolour={self.recolour} an event has only {most} other looks"
+            )
+
+    @functools.cached_property
+    def families(self) -> Mapping[str, Family]:
+        """Cell -> family, with its variant; kept, since worker processes know none of others."""
+        own = cell_of(self.world)
+        return {cell: family_of(cell, self.world) for cell in self.cells if cell != own}
+
+    @functools.cached_property
+    def looks(self) -> list[Look]:
+        """What events can look like."""
+        swaps = (False, True) if self.recolour else (False,)
+        reflections = REFLECTION_SHARES if self.reflect else (UNCHANGED,)
+        return [Look(*look) for look in itertools.product(reflections, swaps, swaps)]
+
+    @functools.cached_property
+    def shares(self) -> FloatArray:
+        """How often events look so."""
+        shares = np.array([REFLECTION_SHARES[look.reflection] for look in self.looks])
+        return np.asarray(shares / shares.sum())
+
+    def slots(self) -> list[Slot]:
+        """Return the events to be made; in each split about the same shares of every cell."""
+        return slots(self.cells, self.splits, self.seed)
+
+    def warm_up(self) -> None:
+        """Compile what its events are simulated with."""
+        JointSimulator(self.planner).warm_up()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, fit for JSON."""
+        record = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        record["planner"] = self.planner.to_dict()  # type: ignore[union-attr]
+        del record["world"], record["roles"]
+        if self.roles is not None:
+            record["roles"] = _function_record(self.roles)
+        if not is_as_before(self.world):
+            record["world"] = self.world.to_dict()
+            if self.families:
+                record["families"] = {
+                    family.name: _function_record(family.function)
+                    for family in self.families.values()
+                }
+        return dict(json.loads(json.dumps(record, default=dict)))
+
+
+def slots(cells: Mapping[str, int], splits: Mapping[str, float], seed: int) -> list[Slot]:
+    """Return the slots of a plan with these settings (:meth:`Plan.slots`)."""
+    rng = np.random.default_rng([seed, 1])
+    row = [cell for cell, n in cells.items() for _ in range(n)]
+    # neighbours are of a kind: dealing the splits out along the row stratifies them
+    names = list(splits)
+    counts = apportioned(len(row), splits)
+    place = np.concatenate(
+        [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
+    )
+    split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
+    order = rng.permutation(len(row))  # numbers say nothing about kinds
+    return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
+
+
+def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return what tells a function, and the functions that a partial holds, from others."""
+    held = [function]
+    if isinstance(function, functools.partial):
+        held += [one for one in (*function.args, *function.keywords.values()) if callable(one)]
+    found = {"function": qualified_name(function), "sources": [source_hash(one) for one in held]}
+    return dict(stable(found))
+
+
+def cell_of(world: World) -> str:
+    """Return the cell of random scenes with roles of a world."""
+    return re.sub(r"[^A-Za-z0-9_]+", "-", world.name).strip("-") or "world"
+
+
+def apportioned(total: int, shares: Mapping[str, float]) -> dict[str, int]:
+    """Return whole numbers of sum ``total`` in proportion to shares (largest remainders)."""
+    exact = {name: total * share / sum(shares.values()) for name, share in shares.items()}
+    counts = {name: int(value) for name, value in exact.items()}
+    left = sorted(exact, key=lambda name: counts[name] - exact[name])
+    for name in left[: total - sum(counts.values())]:
+        counts[name] += 1
+    return counts
+
+
+def scaled(cells: Mapping[str, int], n: int) -> dict[str, int]:
+    """Return numbers of events in the proportions of ``cells``, ``n`` in all."""
+    instance_of("cells", cells, Mapping, "a mapping from names to numbers")
+    return apportioned(whole_number("n", n, 1), cells)

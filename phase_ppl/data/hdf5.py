@@ -1,0 +1,323 @@
+"""HDF5 files, as which NetCDF 4 comes: written in memory, and read only where they are plain.
+
+HDF5 can do more than hold arrays: point to other files, be sparse or compressed so that little
+becomes very much. A file that somebody else made is checked for that before its arrays are read.
+The library ends the process where a disk is full, so that it never writes to one itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
+
+import numpy as np
+
+from phase_ppl.data.documents import MAX_BYTES, reading_bytes, too_large
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+
+if TYPE_CHECKING:
+    import h5py
+    import xarray as xr
+
+SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+"""How every HDF5 file, and thereby every NetCDF 4 file, begins."""
+
+_POSTERIORS: Final = ("phase-ppl-posterior-", "phase_ppl/stepwise/")
+"""How the attribute ``schema`` of a posterior's file begins."""
+
+_BYTES_PER_CHARACTER: Final = 4
+_ENTRIES_OF_ATTRIBUTE: Final = 32
+_ROOT: Final = "/"
+_SEAL: Final = "sha256"
+_FILL: Final = "_FillValue"
+_NUMBERS: Final = "biuf"
+_ATTRIBUTES: Final = (str, int, float, np.generic, np.ndarray, list, tuple)
+
+_CONTROL: Final = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f]|(?P<escaped>\\u00(?:[01][0-9a-f]|7f|[89][0-9a-f]))", re.I
+)
+"""Characters that a terminal obeys, as they are and as JSON spells them."""
+
+Groups = dict[str, "xr.Dataset"]  # path of a group, "/" of the root -> its content
+
+
+def is_hdf5(path: str | os.PathLike[str]) -> bool:
+    """Whether ``path`` is a file that begins like HDF5."""
+    with reading_bytes("a file"):
+        if not Path(path).is_file():  # a pipe could not be read a second time
+            return False
+        with open(path, "rb") as file:
+            return file.read(len(SIGNATURE)) == SIGNATURE
+
+
+# --- writing ---------------------------------------------------------------------------------
+
+
+def netcdf_bytes(
+    groups: Mapping[str, xr.Dataset], how: Mapping[str, Any], *, sealed: bool = False
+) -> bytes:
+    """Return groups, path ("/" the root) -> content, as the content of a NetCDF 4 file.
+
+    ``how`` is the encoding of arrays of numbers, in xarray's terms; filters and checksums are for
+    those that are not empty. Where ``sealed``, the root gets a checksum of everything, which
+    :func:`read_netcdf` compares.
+
+    Raises:
+        InvalidSettingError: an attribute, such as one that a user has added, is of no kind that
+            NetCDF has.
+    """
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    for path, dataset in groups.items():
+        _check_attributes(f"group {path!r}", dataset.attrs)
+        for name, variable in dataset.variables.items():
+            _check_attributes(f"{str(name)!r} in group {path!r}", variable.attrs)
+    if sealed:
+        groups = {**groups, _ROOT: groups[_ROOT].assign_attrs({_SEAL: _checksum(groups)})}
+    memory = io.BytesIO()
+    with h5netcdf.File(memory, "w") as file:
+        for path, dataset in groups.items():
+            store = H5NetCDFStore(file, group=None if path == _ROOT else path, mode="a")
+            encoding = {
+                str(name): {
+                    option: value
+                    for option, value in how.items()
+                    if option == _FILL or (variable.ndim and variable.size)
+                }
+                for name, variable in dataset.variables.items()
+                if variable.dtype.kind in _NUMBERS
+            }
+            dataset.dump_to_store(store, encoding=encoding)
+    return memory.getvalue()
+
+
+def _check_attributes(where: str, attrs: Mapping[Any, Any]) -> None:
+    for name, value in attrs.items():
+        kind = np.asarray(value).dtype.kind if isinstance(value, _ATTRIBUTES) else "O"
+        if not isinstance(name, str) or kind not in "iufU":
+            raise InvalidSettingError(
+                f"attribute {name!r} of {where} is {shown(value)}: NetCDF has texts, numbers and "
+                "lists of either; delete it, or write it as a text, such as json.dumps gives"
+            )
+
+
+def with_event_id(content: bytes, event_id: str) -> bytes:
+    """Return the content of a posterior's file, told of which event it is."""
+    groups = read_netcdf(io.BytesIO(content))
+    groups[_ROOT].attrs["event_id"] = event_id
+    return netcdf_bytes(groups, {"fletcher32": True}, sealed=True)
+
+
+def _checksum(groups: Mapping[str, xr.Dataset]) -> str:
+    """Return a hash of all that groups hold, as they are before and after they were in a file."""
+    digest = hashlib.sha256()
+
+    def add(*said: object) -> None:
+        digest.update(repr(said).encode(errors="surrogatepass"))
+
+    for path, dataset in sorted(groups.items()):
+        for name, value in sorted(dataset.attrs.items()):
+            if name != _SEAL:
+                add(path, str(name), np.asarray(value).tolist())
+        for key, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+            values = variable.values
+            add(path, str(key), variable.dims, values.shape, sorted(variable.attrs))
+            if values.dtype.kind in _NUMBERS:
+                digest.update(values.dtype.str.encode() + np.ascontiguousarray(values).tobytes())
+            else:
+                add(np.asarray(values, object).tolist())
+    return digest.hexdigest()
+
+
+# --- reading ---------------------------------------------------------------------------------
+
+
+UNLOCKED: Final = {"locking": False}
+"""How HDF5 files are opened: not every drive has locks, and none are needed, as a file takes its
+place complete and never changes."""
+
+
+def opened(source: str | os.PathLike[str] | BinaryIO) -> h5py.File:
+    """Open an HDF5 file to read it."""
+    import h5py
+
+    return h5py.File(source, "r", **UNLOCKED)
+
+
+def content_of(source: str | os.PathLike[str] | BinaryIO) -> Groups:
+    """Return the groups of a NetCDF 4 file, in memory."""
+    import h5netcdf
+
+    with h5netcdf.File(source, "r", decode_vlen_strings=True, **UNLOCKED) as file:
+        inner = {f"/{name}": _group_content(group) for name, group in file.groups.items()}
+        return {_ROOT: _group_content(file)} | inner
+
+
+def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
+    """Return the groups of a NetCDF 4 file, in memory, if there is no harm in it.
+
+    Characters of attributes that would move the cursor of a terminal are replaced.
+    """
+    with reading():
+        check_hdf5(path, groups=True)
+        found = content_of(path)
+    seal = found[_ROOT].attrs.get(_SEAL)
+    if seal is not None and seal != _checksum(found):
+        raise InvalidEventError(
+            f"its content is not what {_SEAL} says: damaged, or edited; an edited file is read "
+            f"without the attribute {_SEAL}"
+        )
+    found[_ROOT].attrs.pop(_SEAL, None)
+    for dataset in found.values():
+        dataset.attrs = {name: _plain(value) for name, value in dataset.attrs.items()}
+    return found
+
+
+def _group_content(group: Any) -> xr.Dataset:
+    """Return what a group holds; xarray's reader does the same, but also asks how it is stored."""
+    import xarray as xr
+
+    variables: dict[str, xr.Variable] = {}
+    for name, variable in group.variables.items():
+        values = np.asarray(variable[...])
+        values = values.astype(str) if values.dtype.kind == "O" else values
+        variables[name] = xr.Variable(variable.dimensions, values, dict(variable.attrs))
+    found = xr.Dataset(variables, attrs=dict(group.attrs))
+    # times stay plain numbers: "seconds" must not turn into a time type
+    return xr.decode_cf(found, decode_times=False).drop_encoding()
+
+
+@contextlib.contextmanager
+def reading() -> Iterator[None]:
+    """Turn whatever a damaged file makes the reader stumble over into one line."""
+    try:
+        yield
+    except InvalidEventError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
+
+
+def root_attribute(path: str | os.PathLike[str], name: str) -> str:
+    """Return a text that the root of an HDF5 file has; "" where there is none."""
+    try:
+        with opened(path) as file:
+            return _text_of(file, name)
+    except Exception:  # whoever reads it says what is wrong with it
+        return ""
+
+
+def _text_of(file: Any, name: str) -> str:
+    # a list of texts could be far larger than the file
+    single = name in file.attrs and file.attrs.get_id(name).shape == ()
+    value = file.attrs[name] if single else ""
+    return str(value.decode(errors="replace") if isinstance(value, bytes) else value)
+
+
+def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = False) -> None:
+    """Raise InvalidEventError unless a file is HDF5 with nothing but arrays of bounded size.
+
+    With ``groups`` it may hold groups of arrays, and is a posterior's. One that is large is read
+    then, if it is no larger in memory than twice what it is on the disk.
+    """
+    if isinstance(source, str | os.PathLike):
+        if not is_hdf5(source):
+            raise InvalidEventError("is no NetCDF 4 file: it does not begin like one")
+        n_bytes = Path(source).stat().st_size
+    else:
+        n_bytes = source.seek(0, os.SEEK_END)
+    limit = max(MAX_BYTES, 2 * n_bytes) if groups else MAX_BYTES
+    with reading():
+        if n_bytes > limit:
+            raise too_large(MAX_BYTES)
+        with opened(source) as file:
+            if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
+                raise InvalidEventError(
+                    "is a posterior, not an event; phase_ppl.Posterior.load reads it"
+                )
+            _Check(n_bytes, limit).group(file, groups)
+
+
+class _Check:
+    """Goes through a file of so many bytes, and adds up what it takes in memory."""
+
+    def __init__(self, n_bytes: int, limit: int) -> None:
+        self._n_bytes, self._left = n_bytes, limit
+
+    def group(self, group: Any, inner: bool) -> None:
+        """Check a group; ``inner``: it may hold further ones."""
+        import h5py
+
+        self._attributes(group)
+        for name in group:
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise InvalidEventError(f"holds a link, {name!r}, expected arrays only")
+            member = group[name]
+            if inner and isinstance(member, h5py.Group):
+                self.group(member, False)
+            elif isinstance(member, h5py.Dataset):
+                self._attributes(member)
+                self._array(member, name)
+            else:
+                raise InvalidEventError(f"holds a group, {name!r}, expected arrays only")
+
+    def _take(self, size: float) -> None:
+        self._left -= int(size)
+        if self._left < 0:
+            raise too_large(MAX_BYTES)
+
+    def _attributes(self, thing: Any) -> None:
+        for name in thing.attrs:
+            attribute = thing.attrs.get_id(name)
+            size = np.prod(attribute.shape or (), dtype=float)
+            # texts may all be the same one, which is in the file once
+            if attribute.dtype.kind == "O" and size > _ENTRIES_OF_ATTRIBUTE:
+                raise InvalidEventError(f"attribute {name!r} has {size:g} entries")
+            self._take(min(size * attribute.dtype.itemsize, self._n_bytes))
+
+    def _array(self, array: Any, name: str) -> None:
+        import h5py
+
+        if array.is_virtual or array.external:
+            raise InvalidEventError(f"array {name!r} lies in another file")
+        text = h5py.check_string_dtype(array.dtype)
+        if text is None and array.dtype.kind not in _NUMBERS + "S":
+            raise InvalidEventError(f"array {name!r} holds neither numbers nor texts")
+        if array.shape is None:
+            raise InvalidEventError(f"array {name!r} is without a shape")
+        if text is None or text.length is not None:
+            # what is compressed is read a chunk at a time, which may be larger than the array
+            chunk = np.prod(array.chunks or (0,), dtype=float) * array.dtype.itemsize
+            self._take(max(array.nbytes, chunk))
+            return
+        # texts of any length become an array that is as wide as the longest
+        self._take(array.size * _BYTES_PER_CHARACTER)
+        if array.size > self._n_bytes:
+            raise InvalidEventError(f"array {name!r} has more entries than the file has bytes")
+        longest = 1
+        for texts in self._blocks(array):
+            found = max(longest, *map(len, texts))
+            self._take(array.size * _BYTES_PER_CHARACTER * (found - longest))
+            longest = found
+
+    def _blocks(self, array: Any) -> Iterator[list[bytes]]:
+        """Yield the texts of an array, so few at a time that they fit even if all are huge."""
+        at_once = max(1, MAX_BYTES // max(self._n_bytes, 1))
+        for row in np.ndindex(array.shape[:-1]):
+            for start in range(0, array.shape[-1] if array.ndim else 1, at_once):
+                place = (*row, slice(start, start + at_once)) if array.ndim else ()
+                yield np.ravel(array[place]).tolist()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, str):
+        return _CONTROL.sub(lambda found: "\\ufffd" if found["escaped"] else "\ufffd", value)
+    return value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value

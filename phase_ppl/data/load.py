@@ -1,0 +1,260 @@
+"""Reading and writing events, whatever the format of the file."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+from phase_ppl.data import events_json
+from phase_ppl.data.documents import (
+    check_ids,
+    in_front,
+    is_pickle,
+    naming,
+    parse_document,
+    read_document,
+)
+from phase_ppl.data.events_json import Entries, event_from_record, turned
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name, instance_of
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import as_path, check_output, write_bytes
+from phase_ppl.world.scene import TURNINGS, Turning
+
+PathLike = str | os.PathLike[str]
+
+_JSON: Final = ".json"
+_NETCDF: Final = ".nc"
+SUFFIXES: Final = (_JSON, _NETCDF)
+"""Endings of the files that events are written to."""
+
+EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
+    "json": (_JSON,),
+    "netcdf": (_NETCDF,),
+    "phase-test": (_JSON,),
+    "phase-processed": (".pkl", ".pickle", ".pik"),
+}
+"""Format -> endings of the names of its files."""
+
+
+def bundled_events() -> list[str]:
+    """Return the names of the bundled events, sorted."""
+    names = (file.name for file in _folder().iterdir())
+    return sorted(name.removesuffix(_JSON) for name in names if name.endswith(_JSON))
+
+
+def _folder() -> Traversable:
+    return resources.files("phase_ppl.data") / "events"
+
+
+# --- reading ---------------------------------------------------------------------------------
+
+
+def load_event(
+    path: PathLike,
+    video: str | None = None,
+    turning: Turning | None = None,
+) -> Event:
+    """Read one event.
+
+    Args:
+        path: an event file, which is known by its content: JSON
+            (:mod:`phase_ppl.data.events_json`), NetCDF
+            (:mod:`phase_ppl.data.events_netcdf`) or a pickle of PHASE's authors
+            (:mod:`phase_ppl.data.authors.videos`), of which only plain data are read: no code
+            in it is run. Or the name of a bundled event, with or without ".json", where no file
+            of that name exists.
+        video: id of the wanted event; must be given if the file holds several.
+        turning: "both", "ccw" or "cw" instead of what the file says or shows.
+
+    Raises:
+        InvalidEventError: the file cannot be read as an event; the message names file and value.
+        UnknownNameError: the file holds no event ``video``; the message names close matches.
+        InvalidSettingError: the file holds several events and none was named.
+    """
+    _check_turning(turning)
+    entries = _entries(path)
+    ids = [name for name, _ in entries]
+    if video is None and len(ids) > 1:
+        some = ", ".join(repr(name) for name in ids[:3]) + (", ..." if len(ids) > 3 else "")
+        raise InvalidSettingError(f"{path} holds {len(ids)} videos; name one of them: {some}")
+    if video is not None:
+        with naming(path):
+            check_name("video", video, ids)
+    index = 0 if video is None else ids.index(video)
+    return _read(path, entries[index], turning)
+
+
+def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Event]:
+    """Read all events of a file, in the order of the file, or of a generated data set.
+
+    Args:
+        path: as for :func:`load_event`, or the folder of a generated data set, which comes as
+            :class:`~phase_ppl.data.generated.GeneratedEvents`, whose events are read
+            when they are asked for.
+        turning: as for :func:`load_event`.
+
+    Raises:
+        InvalidEventError, InvalidSettingError: as for :func:`load_event`.
+    """
+    _check_turning(turning)
+    folder = as_path(path)
+    if folder.is_dir() and any(
+        (folder / name).is_file() for name in ("plan.json", "manifest.json")
+    ):
+        from phase_ppl.data.generated import GeneratedEvents
+
+        return GeneratedEvents(folder, turning)
+    return [_read(path, entry, turning) for entry in _entries(path)]
+
+
+def _entries(path: PathLike) -> Entries:
+    bundled = _bundled_name(path)
+    if bundled is not None:
+        file = _folder() / f"{bundled}{_JSON}"
+        return [(bundled, lambda: event_from_record(parse_document(file.read_bytes())))]
+    from phase_ppl.data.hdf5 import is_hdf5
+
+    with naming(path):
+        if is_pickle(path):
+            # imported only here, as it brings the simulator
+            from phase_ppl.data.authors import videos
+
+            with in_front("is a pickle, of which only those of PHASE's authors are read: "):
+                entries = videos.read(path)
+        elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
+            # likewise xarray
+            from phase_ppl.data import events_netcdf
+
+            entries = events_netcdf.read(path)
+        else:
+            entries = events_json.read(read_document(path))
+        check_ids([name for name, _ in entries])
+    return entries
+
+
+def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turning | None) -> Event:
+    name, read = entry
+    with naming(path, name):
+        event = read()
+    return event if turning is None else turned(event, turning)
+
+
+def _bundled_name(path: PathLike) -> str | None:
+    """Return the bundled event that a bare name stands for, unless a file has that name."""
+    plain = as_path(path)
+    if os.fspath(path) != plain.name or (plain.exists() and not plain.is_dir()):
+        return None
+    name, known = plain.name.removesuffix(".json"), bundled_events()
+    if name not in known:
+        if plain.exists():
+            return None
+        raise InvalidEventError(
+            f"{path}: no such file and no such bundled event ({', '.join(known)})"
+        )
+    return name
+
+
+def _check_turning(turning: str | None) -> None:
+    if turning is not None:
+        check_name("turning", turning, TURNINGS)
+
+
+# --- writing ---------------------------------------------------------------------------------
+
+
+def save_event(event: Event, path: PathLike) -> None:
+    """Write ``event`` to a ".json" or ".nc" file; :func:`load_event` gives the same event back.
+
+    Judgments and predictions come back as JSON has them: tuples as lists, names as strings.
+
+    Raises:
+        OutputError: the file cannot be written.
+        InvalidEventError: judgments or predictions hold something that JSON has no form for, or
+            the id is no printable text.
+    """
+    _write(path, SUFFIXES, lambda: _format_of(path).event_bytes(event))
+
+
+def save_events(events: Sequence[Event], path: PathLike) -> None:
+    """Write several events to a ".json" or ".nc" file; :func:`load_events` gives them back.
+
+    Raises:
+        OutputError: the file cannot be written.
+        InvalidEventError: no events, an id given twice, or as for :func:`save_event`.
+    """
+    instance_of("events", events, Sequence, "a list of events")
+    events = list(events)
+    for event in events:
+        instance_of("event", event, Event, "a phase_ppl.Event")
+    with naming(path):
+        check_ids([event.id for event in events])
+    _write(path, SUFFIXES, lambda: _format_of(path).events_bytes(events))
+
+
+def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
+    """Write events to a file in a given format.
+
+    Args:
+        events: with different ids.
+        path: a name that ends as the format's files do, see ``EXPORTS``.
+        format: "json" or "netcdf", as :func:`save_events` writes them;
+            "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.data.events_json`);
+            "phase-processed", a pickle of plain data and arrays as the authors have them
+            (:mod:`phase_ppl.data.authors.videos`). All are read again by :func:`load_events`;
+            the first two keep everything, the others what they have a place for.
+
+    Raises:
+        UnknownNameError: there is no such format.
+        OutputError: the file cannot be written, or its name ends otherwise.
+        InvalidEventError: no events, an id given twice, or an event has something that the format
+            has no place for.
+    """
+    check_name("format", format, EXPORTS)
+    suffixes = EXPORTS[format]
+    check_output(path, suffixes)
+    if format in ("json", "netcdf"):
+        save_events(events, path)
+        return
+    with naming(path):
+        check_ids([event.id for event in events])
+    video: Callable[[Event], dict[str, Any]]
+    together: Callable[[list[dict[str, Any]]], bytes]
+    if format == "phase-test":
+        like = events[0].scene
+        video = functools.partial(events_json.video, like=like)
+        together = functools.partial(events_json.videos_bytes, scene=like)
+    else:
+        from phase_ppl.data.authors import videos as authors
+
+        video, together = authors.video, authors.pickled
+    videos = []
+    for event in events:
+        with naming(path, event.id):
+            videos.append(video(event))
+    _write(path, suffixes, lambda: together(videos))
+
+
+def _write(path: PathLike, suffixes: Sequence[str], content: Callable[[], bytes]) -> None:
+    check_output(path, suffixes)  # what is wrong with the place is said before what is in it
+    with naming(path):
+        made = content()
+    write_bytes(path, suffixes, made)
+
+
+def _is_netcdf(path: PathLike) -> bool:
+    return Path(path).suffix.lower() == _NETCDF
+
+
+def _format_of(path: PathLike) -> ModuleType:
+    """Return the module that writes a file; that for NetCDF brings xarray: only where needed."""
+    if not _is_netcdf(path):
+        return events_json
+    from phase_ppl.data import events_netcdf
+
+    return events_netcdf

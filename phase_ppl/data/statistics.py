@@ -1,0 +1,255 @@
+"""What is in a set of events, and how its bodies move, beside the original events."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from phase_ppl.data.generated import GeneratedEvents
+from phase_ppl.data.generation.situation import SIZES
+from phase_ppl.data.motion import SLOW, moves_to_the_end, seems_to_hold, speeds
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Truth
+from phase_ppl.world.goals import goal_literal
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Roles
+from phase_ppl.world.scene import PHASE, World
+
+GOAL_TYPES: Final = ("LMO+", "LMO-", "LMA+", "LMA-", "TE+", "TE-")
+"""Item to (+) or away from (-) a landmark, agent likewise, to or away from the other agent."""
+
+LEVELS: Final = tuple(f"{level:g}" for level in STRENGTH_LEVELS)
+"""Names of the strengths of the original world, newtons."""
+
+_MADE: Final = ("family", "layout", "reflection", "split")  # what a manifest tells of an event
+OTHER: Final = "other"  # what is none of the original strengths, sizes or types of goals
+_RESAMPLINGS: Final = 200
+
+Row: TypeAlias = tuple[str, str, int | None, float, float, float]
+
+COUNTS: Final[Mapping[str, Mapping[str, int]]] = {
+    "relation": {"friendly": 200, "neutral": 108, "adversarial": 192},
+    "scenario": {"collaborative": 200, "independent": 108, "competing": 54, "opposing": 138},
+    "goal_type": dict(zip(GOAL_TYPES, (584, 7, 215, 68, 63, 63), strict=True)),
+    "strength": dict(zip(LEVELS, (125, 200, 204, 271), strict=True)),
+    "agent_size": {"0.8": 484, "1.01": 120, "1.2": 136, "1.6": 60},
+    "reflection": {"none": 25, "up-down": 12, "left-right": 18, "about y=x": 21, "about y=-x": 24},
+    "split": {"train": 320, "validation": 80, "test": 100},
+}
+"""Of PHASE's 500 events; strengths and sizes without the test videos, reflections of these only."""
+
+FIGURES: Final[Mapping[str, Mapping[str, float]]] = {
+    "frames": {"min": 33, "median": 75, "max": 101},
+    "moves_to_the_end": {"mean": 0.38},
+    "speed": dict.fromkeys(("mean", "p99", "max"), math.nan),
+    "speed_150": {"mean": 4.5, "p99": 21, "max": 28},
+    "speed_300": {"mean": 6.6, "p99": 30, "max": 42},
+    "speed_450": {"mean": 8.4, "p99": 39, "max": 55},
+    "speed_600": {"mean": 9.1, "p99": 47, "max": 63},
+    "step": {"median": 0.38, "max": 5.1},
+    "agent_rests": {"mean": math.nan},  # from 0.19 to 0.31 by strength
+    "agent_holds": {"mean": 0.25},
+    "item_moves": {"mean": 0.24},
+}
+"""Of PHASE's 100 test videos; NaN is not known."""
+
+_HOW: Final[Mapping[str, Callable[[FloatArray], Any]]] = {
+    "min": np.min, "median": np.median, "mean": np.mean, "max": np.max,
+    "p99": functools.partial(np.percentile, q=99),
+}  # fmt: skip
+
+
+def shares(quantity: str) -> dict[str, float]:
+    """Return the shares of the labels of one of :data:`COUNTS`."""
+    total = sum(COUNTS[quantity].values())
+    return {label: count / total for label, count in COUNTS[quantity].items()}
+
+
+def statistics(events: Sequence[Event]) -> pd.DataFrame:
+    """Return what is in a set of events and how its bodies move, beside the events of PHASE.
+
+    Counted are ``relation``, ``scenario`` (in other worlds than PHASE of every pair of agents),
+    ``goal_type``, ``goal``, ``strength`` [N], ``agent_size`` and ``item_size`` [units], and of a
+    generated set ``family``, ``layout``, ``reflection`` and ``split``. Figures are ``frames``;
+    ``speed`` of agents [units/s simulated], ``speed_150`` and so on of those of a strength;
+    ``step`` of agents [units per frame]; ``agent_rests`` (slower than 0.5 units/s),
+    ``agent_holds`` (an item, as far as places tell) and ``item_moves``, shares of time; and
+    ``moves_to_the_end``, a share of events. What there is nothing to tell about is left out.
+
+    Args:
+        events: of one world; those without truth count where none is needed.
+
+    Returns:
+        A row for each ``quantity`` and ``label``, its index. ``count``, missing where nothing is
+        counted; ``value``, its share or the figure; ``error``, the standard error over events
+        without their copies, NaN for extremes and single events; ``phase``, the value of the
+        original events, NaN where it is not known. ``attrs`` has the numbers of ``events``,
+        ``units`` (without copies), ``without_truth`` (events) and ``without_strength`` (agents).
+
+    Example:
+        ``ppl.statistics(one).join(ppl.statistics(other)["value"].rename("other"))``
+
+    Raises:
+        InvalidEventError: there are no events, or they are of several worlds.
+    """
+    if not events:
+        raise InvalidEventError("there are no events to describe")
+    of_set = isinstance(events, GeneratedEvents)
+    told: Sequence[Any] = list(events.entries) if of_set else [{}] * len(events)  # type: ignore[attr-defined]
+    events = list(events)  # gone through twice; those of a stored set are read each time
+    world = events[0].scene.world
+    if any(event.scene.world != world for event in events):
+        raise InvalidEventError("the events are of several worlds, which are described one by one")
+    units = [str(entry.get("group", event.id)) for event, entry in zip(events, told, strict=True)]
+    labels = [_labels(event, entry) for event, entry in zip(events, told, strict=True)]
+    moves = [_moves(event) for event in events]
+    rows: list[Row] = []
+    for name in labels[0]:
+        rows += _counted(name, [one[name] for one in labels], units, world)
+    for name in FIGURES:
+        rows += _figures(name, [one[name] for one in moves], units)
+    table = pd.DataFrame(rows, columns=["quantity", "label", "count", "value", "error", "phase"])
+    table = table.astype({"count": "Int64"}).set_index(["quantity", "label"])
+    table.attrs = {
+        "events": len(events),
+        "units": len(set(units)),
+        "without_truth": sum(event.truth is None for event in events),
+        "without_strength": sum(force is None for event in events for force in _strengths(event)),
+    }
+    return table
+
+
+# --- what is counted ------------------------------------------------------------------------------
+
+
+def _labels(event: Event, entry: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return quantity -> the labels that an event counts for."""
+    truth, world = event.truth, event.scene.world
+    goals: list[str] = []
+    relations, scenarios = [], []
+    if isinstance(truth, Truth):
+        goals = [truth.goal_red, truth.goal_green]
+        relations, scenarios = [truth.relation], [truth.scenario]
+    elif isinstance(truth, Roles):
+        goals = [world.goals[goal] for goal in truth.effective_goals]
+        pairs = list(itertools.combinations(world.agents, 2))
+        relations = [truth.relation_between(*pair) for pair in pairs]
+        scenarios = [truth.scenario_between(*pair) for pair in pairs]
+    size = [
+        next((f"{one:g}" for one in SIZES if abs(radius - one) < 1e-3), OTHER)
+        for radius in event.scene.radius
+    ]
+    forces = [force for force in _strengths(event) if force is not None]
+    return {
+        "relation": relations,
+        "scenario": scenarios,
+        "goal_type": [goal_type(goal, world) for goal in goals],
+        "goal": goals,
+        "strength": [f"{force:g}" if force in STRENGTH_LEVELS else OTHER for force in forces],
+        "agent_size": size[: len(world.agents)],
+        "item_size": size[len(world.agents) :],
+        **{name: [str(entry[name])] if entry.get(name) is not None else [] for name in _MADE},
+    }
+
+
+def _counted(
+    name: str, labels: Sequence[Sequence[str]], units: Sequence[str], world: World
+) -> list[Row]:
+    """Return the rows of a quantity: labels that the original events have too, then others."""
+    counts = Counter(itertools.chain(*labels))
+    if not counts:
+        return []
+    first = {"goal": world.goals, "item_size": COUNTS["agent_size"]}.get(name, COUNTS.get(name, ()))
+    others = sorted({*counts} - {*first}, key=lambda one: (one == OTHER, one.zfill(9)))
+    n = len({unit for unit, given in zip(units, labels, strict=True) if given})
+    phase = shares(name) if name in COUNTS else {}
+    rows: list[Row] = []
+    for label in (*first, *others):
+        share = counts[label] / counts.total()
+        likely = (n * share + 2) / (n + 4)  # of Agresti and Coull: a share of 0 has an error too
+        error = math.sqrt(likely * (1 - likely) / (n + 4))
+        other = phase.get(label, 0.0 if phase else math.nan)
+        rows.append((name, label, counts[label], share, error, other))
+    return rows
+
+
+def goal_type(goal: str | int, world: World = PHASE) -> str:
+    """Return which of :data:`GOAL_TYPES` a goal is; "other" for a predicate of one's own."""
+    literal = goal_literal(goal, 0, world)
+    if literal.predicate.name == "OWN":
+        return OTHER
+    kind = "LMA" if literal.subject < len(world.agents) else "LMO"
+    kind = "TE" if literal.predicate.name == "TOUCH" else kind
+    return kind + ("+" if literal.positive else "-")
+
+
+def _strengths(event: Event) -> tuple[float | None, ...]:
+    """Return (agent,) strengths, newtons, as far as they are known."""
+    if isinstance(event.truth, Roles):
+        return event.truth.strengths
+    if event.truth is not None:
+        return event.truth.strength_red, event.truth.strength_green
+    return (None,) * len(event.scene.world.agents)
+
+
+# --- how bodies move ------------------------------------------------------------------------------
+
+
+def _moves(event: Event) -> dict[str, FloatArray]:
+    """Return the numbers of an event of which :data:`FIGURES` are."""
+    track, n = event.observation.trajectory, len(event.scene.world.agents)
+    speed = speeds(track)
+    agents = speed[:, :n].ravel()
+    numbers: dict[str, Any] = {
+        "frames": [len(track)],
+        "moves_to_the_end": [moves_to_the_end(track)],
+        "speed": agents,
+        "step": agents / FRAMES_PER_SECOND,
+        "agent_rests": agents < SLOW,
+        "agent_holds": seems_to_hold(track, event.scene.radius, n).ravel(),
+        "item_moves": speed[:, n:].ravel() >= SLOW,
+    }
+    for level, name in zip(STRENGTH_LEVELS, LEVELS, strict=True):
+        of_level = [agent for agent, force in enumerate(_strengths(event)) if force == level]
+        numbers[f"speed_{name}"] = speed[:, of_level].ravel()
+    return {name: np.asarray(given, np.float64) for name, given in numbers.items()}
+
+
+def _figures(name: str, per_event: Sequence[FloatArray], units: Sequence[str]) -> list[Row]:
+    """Return the rows of a quantity; events of a unit are resampled together."""
+    grouped: dict[str, list[FloatArray]] = {}
+    for unit, numbers in zip(units, per_event, strict=True):
+        if len(numbers):
+            grouped.setdefault(unit, []).append(numbers)
+    parts = [np.concatenate(arrays) for arrays in grouped.values()]
+    if not parts:
+        return []
+    rows: list[Row] = []
+    for label, phase in FIGURES[name].items():
+        how = _HOW[label]
+        error = math.nan if label in ("min", "max") else standard_error(parts, how)
+        rows.append((name, label, None, float(how(np.concatenate(parts))), error, phase))
+    return rows
+
+
+def standard_error(parts: Sequence[FloatArray], function: Callable[[FloatArray], Any]) -> float:
+    """Return the bootstrap's standard error of a function of all parts together.
+
+    NaN for a single part.
+    """
+    n = len(parts)
+    if n < 2:
+        return math.nan
+    rng = np.random.default_rng(0)
+    again = [
+        float(function(np.concatenate([parts[i] for i in rng.integers(n, size=n)])))
+        for _ in range(_RESAMPLINGS)
+    ]
+    return float(np.std(again, ddof=1))
