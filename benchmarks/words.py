@@ -1,8 +1,8 @@
 """Which sentences are hard to read: `python benchmarks/words.py [FOLDER OR FILE ...] [--worst N]`.
 
 A sentence scores a point for every five words beyond twenty, for every relative clause beyond one,
-and for every phrase that hides its point (``HIDING``). What scores two points or more is hard. Looks
-at Markdown, at docstrings and comments, and at texts of errors; code is left out.
+and for every phrase that hides its point (``HIDING``). Two points or more are hard. It looks at
+Markdown, docstrings, comments and texts of errors, not at code.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ FOLDERS: Final = (
 HARD: Final = 2
 
 HIDING: Final = re.compile(
-    r"\bof which\b|\bbut for\b|\bthere (?:is|are|was|were) to\b|\bthat of\b|\bthose of\b|\bso many\b"
+    r"\bof which\b|\bbut for\b|\bthere (?:is|are|was|were) to\b|\bthat of\b|\bthose of\b"
+    r"|\bso many\b"
     r"|\bwhat is [^.,;]{3,40} is\b|\bbe it\b|\bwhatever\b|\bas (?:it|they) (?:is|are) not\b"
     r"|\bfor want of\b|\bgone on with\b|\bcome to the same\b|\bin one word\b|\bof one's own\b",
     re.IGNORECASE,
@@ -68,9 +69,9 @@ def of_code(path: Path) -> Iterator[tuple[int, str]]:
     for node in ast.walk(ast.parse(source)):
         body = getattr(node, "body", None)
         for part in body if isinstance(body, list) else ():
-            if isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant):
-                if isinstance(part.value.value, str):
-                    yield part.lineno, part.value.value
+            value = part.value if isinstance(part, ast.Expr) else None
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                yield part.lineno, value.value
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             for text in node.exc.args:
                 yield node.lineno, "".join(_said(text))
