@@ -1,8 +1,8 @@
-"""One video under several priors: how much of an answer is owed to what was believed before?
+"""One video under several priors: how much of the answer comes from the prior?
 
 python examples/alternative_prior.py
 
-The video is read once, by the closed loop; another prior then takes milliseconds.
+The closed loop reads the video once. Another prior then takes milliseconds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import phase_ppl as ppl
 
 
 def friendly_world() -> None:
-    """How friendly people are is unknown, and inferred along with the rest."""
+    """A prior in which the share of helpers is unknown, and inferred too."""
     kindness = numpyro.sample("kindness", dist.Beta(4.0, 1.0))
     helps, hinders = 0.3 * kindness, 0.3 * (1 - kindness)
     ways = jnp.stack([0.4, helps, helps, hinders, hinders])  # neither, red or green helps, hinders
@@ -28,7 +28,7 @@ def friendly_world() -> None:
 
 def main() -> None:
     event = ppl.load_event("collaborate")
-    start = ppl.Observation(event.observation.trajectory[:20])  # too short to be sure
+    start = ppl.Observation(event.observation.trajectory[:20])  # too short for a sure answer
     event = dataclasses.replace(event, observation=start)
     model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
     post = ppl.infer(event, model)

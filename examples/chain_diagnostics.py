@@ -1,4 +1,4 @@
-"""Chains that are too short and long enough: what diagnostics say of both.
+"""What diagnostics say of chains that are too short, and of longer ones.
 
 python examples/chain_diagnostics.py
 """
@@ -20,7 +20,8 @@ def main() -> None:
         print(f"\n{iterations} iterations of 8 particles: {found['answer']}")
         for one in found["checks"]:
             print(f"    {one['state']:<8}{one['name']:<22}{one['value']} ({one['limit']})")
-        # moves change a hypothesis; between chains: how far each is from all, in total variation
+        # move_rate: share of iterations in which a particle's pair of goals changed
+        # between_chain_tv: mean and max over pairs of particles of the total variation
         for name in ("acceptance_rate", "move_rate", "distinct_goal_pairs", "between_chain_tv"):
             print(f"    {name:<22}{found[name]}")
         print("    red wants", *post.top("goal_red", 2))

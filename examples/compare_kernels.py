@@ -1,8 +1,8 @@
-"""Kernels on equal budgets: which comes nearest to the posterior that enumeration finds?
+"""Kernels on equal budgets: which comes nearest to the posterior by enumeration?
 
 python examples/compare_kernels.py
 
-With the package's own simulator it is the same call without a model; then it takes minutes.
+With the package's own simulator, leave the model out; it then takes minutes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""A simulator of a millisecond, on which the other examples run kernels.
+"""A fast simulator (a millisecond), which the kernel examples use.
 
 python examples/glide.py
 
-Agents and items glide straight to where they should, the faster the stronger the agent.
+Agents and items glide straight to their targets. Stronger agents are faster.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MODEL = ppl.Model(
 
 
 def seen(hypothesis: ppl.Hypothesis, frames: int = 12, start: str = "collaborate") -> ppl.Event:
-    """Return what would be seen of a hypothesis, in the scene of a bundled event."""
+    """Return a simulated event under a hypothesis, in the scene of a bundled event."""
     scene = ppl.load_event(start).scene
     run = itertools.islice(glide(scene, hypothesis, np.random.default_rng(0)), frames)
     red, green = (ppl.GOALS[code] for code in hypothesis.effective_goals)

@@ -2,8 +2,8 @@
 
     python examples/numpyro_native.py
 
-It traces the program, conditions it, runs SIMPLE's kernel on it in vectorised chains, and asks the
-posterior a question. A short video, so that it takes some seconds.
+It traces the program, conditions it, runs SIMPLE's kernel in vectorised chains, and asks the
+posterior a question. The video is short, so this takes some seconds.
 """
 
 import dataclasses
@@ -21,19 +21,19 @@ def main() -> None:
     event = ppl.load_event("collaborate")
     short = ppl.Observation(event.observation.trajectory[:8])
     event = dataclasses.replace(event, observation=short)
-    with ppl.program(event, workers=1) as program:  # its workers end with the block
-        # One run of the program: noise, a hypothesis from the prior, the simulation, its fit.
+    with ppl.program(event, workers=1) as program:  # its workers stop with the block
+        # One run of the program: a seed, a hypothesis from the prior, the simulation, its fit.
         trace = handlers.trace(handlers.seed(program, random.key(0))).get_trace()
         for name, site in trace.items():
             print(f"{name:15} {site['type']:14} {type(site.get('fn')).__name__}")
 
-        # What if red were strong? Handlers change the program as any other of NumPyro's.
+        # What if red were strong? NumPyro's handlers work on this program as on any other.
         strong = handlers.condition(program, {"strength_red": 600.0})
         for label, model in (("as drawn", program), ("strong red", strong)):
             again = handlers.trace(handlers.seed(model, random.key(0))).get_trace()
             print(f"{label}: off by {again['step_error']['value'].mean():.2f} units a frame")
 
-        # SIMPLE's kernel in NumPyro's hands. A step of all chains is one batch of simulations.
+        # NumPyro runs SIMPLE's kernel. One step of all chains is one batch of simulations.
         mcmc = MCMC(
             ppl.kernels.LocalMH(program),
             num_warmup=WARMUP,
@@ -46,7 +46,7 @@ def main() -> None:
         n = len(program.records)
         print(f"{CHAINS} chains x {WARMUP + DRAWS} steps: {n} simulations, {accepted:.0%} accepted")
 
-    # Our posterior of the draws; nothing is simulated again.
+    # A posterior from the draws. Nothing is simulated again.
     post = ppl.Posterior.from_numpyro(mcmc)
     print(post.marginal("relation").to_series().round(2).to_string())
     print("P(the agents want the same) =", post.query("P(relation=friendly)"))

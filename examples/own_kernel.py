@@ -1,8 +1,8 @@
-"""A kernel of one's own: proposals from the prior, accepted by their likelihood, in thirty lines.
+"""Your own kernel in thirty lines: proposals from the prior, accepted by their likelihood.
 
 python examples/own_kernel.py
 
-All of a chain is in its state, so that a run can be kept and gone on with.
+The state holds everything about a chain, so a run can be saved and continued.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import phase_ppl as ppl
 
 class State(NamedTuple):
     z: dict[str, jax.Array]  # the hypothesis
-    sim_seed: jax.Array  # with which it was simulated
+    sim_seed: jax.Array  # the seed of its simulation
     log_likelihood: jax.Array
     accepted: jax.Array
     rng_key: jax.Array

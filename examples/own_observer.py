@@ -1,8 +1,8 @@
-"""An observer of one's own, who takes every contact for an attack: what people make of a model.
+"""Your own observer: a model of a person who takes every contact for an attack.
 
 python examples/own_observer.py
 
-The videos and their raters are made up here, as those of a study would come from its files:
+Here videos and raters are made up. With those of a study it is
 events = ppl.load_events("videos.json"), and ppl.fit_people(events, "study.csv", timid).
 """
 
@@ -28,7 +28,7 @@ def timid(evidence: ppl.observers.Evidence) -> dict[str, Array]:
 
 
 def judged_events(n: int) -> tuple[list[ppl.Event], dict[str, ppl.Prediction]]:
-    """Return events with made-up judgments, and what a made-up model says of them."""
+    """Return events with made-up judgments, and a made-up model's predictions."""
     rng = np.random.default_rng(0)
     bundled = [ppl.load_event(name) for name in ppl.bundled_events()]
     events, model = [], {}
@@ -36,7 +36,7 @@ def judged_events(n: int) -> tuple[list[ppl.Event], dict[str, ppl.Prediction]]:
         event = bundled[i % len(bundled)]
         shares = rng.dirichlet([0.7, 0.7, 0.7])
         apart = np.subtract(*event.observation.positions[:, :2].swapaxes(0, 1))
-        fear = 0.6 * (np.linalg.norm(apart, axis=1).min() < 2.5)  # where the agents come close
+        fear = 0.6 * (np.linalg.norm(apart, axis=1).min() < 2.5)  # if the agents come close
         votes = rng.multinomial(15, (1 - fear) * shares + fear * np.array([0, 0, 1]))
         counts = dict(zip(("friendly", "neutral", "adversarial"), votes.tolist(), strict=True))
         judgments = {"relation_counts": counts}

@@ -1,4 +1,4 @@
-"""A simulator of one's own, sampled by a kernel as whole videos, and read step by step.
+"""Your own simulator, sampled by a kernel as whole videos, and read step by step.
 
 python examples/own_simulator.py
 """
@@ -25,7 +25,7 @@ GOALS = {
 
 
 class Walkers:
-    """What each agent wants to move goes straight to its target, the faster the stronger."""
+    """Each agent's goal entity goes straight to its target. Stronger agents are faster."""
 
     spread = 0.15  # of every body's step, units
 

@@ -1,4 +1,4 @@
-"""A world of one's own: its cast, rooms and goals; a video of it, and what the closed loop reads.
+"""Your own world: agents, rooms and goals. Simulate a video of it, and infer who wants what.
 
 python examples/own_world.py
 """
@@ -13,7 +13,7 @@ NURSERY = ppl.World(
     landmarks={"cot": (4, 4), "window": (20, 16)},
     arena=(0, 24, 0, 20),
     walls=[((12, 0), (12, 7)), ((12, 13), (12, 20))],
-    predicates=[ppl.Predicate("ball in the playroom", "ball", room="window")],  # one's own goal
+    predicates=[ppl.Predicate("ball in the playroom", "ball", room="window")],  # your own goal
 )
 
 
@@ -37,7 +37,8 @@ def main() -> None:
     print("Ann:", *post.top("goal_ann", 2))
     print("Ben:", *post.top("goal_ben", 2))
     print("P(Ben helps) =", post.query("P(alpha_ben_ann = 1)"))
-    ppl.plot.over_time(post).savefig("over_time.png")  # what could be believed at the moment
+    # what could be believed at each frame; one set of searches gives no errors, so no bands
+    ppl.plot.over_time(post).savefig("over_time.png")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What one can ask a posterior: quantities, conditions, definitions of one's own, words, tables.
+"""What one can ask a posterior: quantities, conditions, your own definitions, words, tables.
 
 python examples/posterior_queries.py
 """

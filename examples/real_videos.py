@@ -1,9 +1,9 @@
-"""Real videos of PHASE, as its authors' colleagues published them, read by the closed loop.
+"""The closed loop on real videos of PHASE, as published by its authors' colleagues.
 
 python examples/real_videos.py [Videos_Test_humanratings]
 
 The file is PHASE/Videos_Test_humanratings of https://github.com/Isik-lab/SocialGNN; without an
-argument it is looked for in the folder $PHASE_TEST, or in ../shared/phase-test.
+argument it is taken from the folder $PHASE_TEST, or from ../shared/phase-test.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ NAME = "Videos_Test_humanratings"
 
 
 def found() -> Path | None:
-    """Return the file, if it is anywhere."""
+    """Return the path of the file, or None."""
     beside = Path(__file__).parents[2] / "shared" / "phase-test"
     folder = Path(os.environ.get("PHASE_TEST", beside))
     given = [Path(name) for name in sys.argv[1:2]]
