@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from phase_ppl.evaluation.models.vlm import services as of_services
-from phase_ppl.evaluation.models.vlm.request import NoReply, Picture, Reply, Request, parse
-from phase_ppl.evaluation.models.vlm.services import SERVICES, Service, make_service
 from phase_ppl.evaluation.registry import is_installed, ready
+from phase_ppl.models.vlm import services as of_services
+from phase_ppl.models.vlm.request import NoReply, Picture, Reply, Request, parse
+from phase_ppl.models.vlm.services import SERVICES, Service, make_service
 from phase_ppl.world.errors import AnswerError, InvalidSettingError
 from tests.evaluation.toys import still
 from tests.evaluation.vlm.answers import from_google, from_openai

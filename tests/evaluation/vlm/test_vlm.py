@@ -20,8 +20,8 @@ from phase_ppl.cli import main
 from phase_ppl.evaluation import registry
 from phase_ppl.evaluation.models import vlm as vlm_model
 from phase_ppl.evaluation.models.vlm import ANSWER, vlm
-from phase_ppl.evaluation.models.vlm.request import NoReply, Reply, Request
 from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.models.vlm.request import NoReply, Reply, Request
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
@@ -266,10 +266,13 @@ def test_a_damaged_store_names_the_file(tmp_path: Path) -> None:
     record = json.loads(file.read_text())
     for damaged, reason in (
         ({**record, "request": {"model": "another"}}, "another request: .*model is 'toy', was 'a"),
-        ({**record, "attempts": [{"time": "now"}]}, r"attempts\[0\] has no number of seconds"),
+        (
+            {**record, "attempts": [{"time": "now"}]},
+            r"missing required field `seconds`.*attempts\[0\]",
+        ),
         ({**record, "attempts": [{"time": "", "seconds": 1, "text": 3}]}, r"attempts\[0\]\.text"),
-        ({**record, "attempts": None}, "attempts is None"),
-        ({**record, "schema": "x"}, "its schema is 'x'"),
+        ({**record, "attempts": None}, r"got `null` - at `\$\.attempts`"),
+        ({**record, "schema": "x"}, "schema is 'phase-ppl-answer-1', was 'x'"),
     ):
         file.write_text(json.dumps(damaged))
         with pytest.raises(InvalidEventError, match=rf"{file.name}: .*{reason}"):

@@ -21,8 +21,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from phase_ppl.evaluation.models.vlm.request import NoReply, Reply, Request, in_a_line
-from phase_ppl.evaluation.registry import check_installed
+from phase_ppl.models.vlm.request import NoReply, Reply, Request, in_a_line
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
 
 SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the module that it needs
@@ -304,8 +303,6 @@ def make_service(
     settings |= {option: value for option, value in named.items() if value is not None}
     if "model" not in settings:
         raise InvalidSettingError("client 'openai' needs name=, what the service calls the model")
-    if to_be_asked:
-        check_installed(f"client {name!r}", [SERVICES[name]], "vlm")
     variable = given.get("key_env", "NONE")
     if not isinstance(variable, str) or re.fullmatch("[A-Z_][A-Z0-9_]*", variable) is None:
         raise InvalidSettingError(  # not showing what may be a key
