@@ -247,12 +247,12 @@ class NoReply(AnswerError):
 
     Attributes:
         again: whether the same request may succeed later.
-        requests: how many were made.
+        wait: seconds after which, as whoever is asked says; 0: it does not.
     """
 
-    def __init__(self, reason: str, again: bool = False) -> None:
+    def __init__(self, reason: str, again: bool = False, wait: float = 0.0) -> None:
         super().__init__(reason)
-        self.again, self.requests = again, 1
+        self.again, self.wait = again, wait
 
 
 def sha256(*parts: str | bytes) -> str:
