@@ -171,7 +171,7 @@ def _google(service: Service, request: Request, key: str) -> tuple[Any, ...]:
     else:
         for picture in request.pictures:
             parts += [{"text": f"{picture.seconds:g} s"}, _inline("image/png", picture.png)]
-    config = {"responseMimeType": "application/json"}
+    config: dict[str, Any] = {"responseMimeType": "application/json"}
     if service.temperature is not None:
         config |= {"temperature": service.temperature}
     body = {
@@ -214,7 +214,7 @@ def _openai(service: Service, request: Request, key: str) -> tuple[Any, ...]:
         parts.append({"type": "text", "text": f"{picture.seconds:g} s"})
         parts.append({"type": "image_url", "image_url": {"url": url}})
     parts.append({"type": "text", "text": request.prompt})
-    body = {
+    body: dict[str, Any] = {
         "model": service.model,
         "messages": [{"role": "user", "content": parts}],
         "response_format": {"type": "json_object"},
