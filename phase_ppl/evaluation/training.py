@@ -5,7 +5,7 @@ The folder that it writes::
     DIR/
       training.json           what was asked for
       members/3.npz, 3.json   a finished network, by seed, and how its training went
-      extended.npz            all networks, called by their variant
+      extended.npz            all networks, called by their variant, and the report
       extended.json           the report
       extended.png            the curves
 
@@ -203,7 +203,6 @@ def _finish(
 
     variant, threads = settings.variant, settings.threads
     members = [store.load(folder / MEMBERS / f"{seed}.npz").members[0] for seed in seeds]
-    store.save(members, folder / f"{variant}.npz")
     networks = [Ensemble(Trained(variant, (member,)), threads) for member in members]
     said: list[dict[str, Shares]] = [{} for _ in networks]  # what each says of each event
     events = [event for of_split in splits.values() for event in of_split]
@@ -227,6 +226,8 @@ def _finish(
         ],
     }
     write_json(folder / f"{variant}.json", report)
+    written = (folder / f"{variant}.json").read_bytes()
+    store.save(members, folder / f"{variant}.npz", written)
     training_curves(report, folder / f"{variant}.png")
     return report
 

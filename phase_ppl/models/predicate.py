@@ -16,21 +16,23 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import shortest_path
 
 from phase_ppl.agents.symbols import (
+    GRIP_COST,
     NEAR_AGENT_ON,
     NEAR_ITEM_ON,
     NEAR_TOUCH,
+    PLACE_COST,
     TOUCH_COST,
     Node,
     Step,
     moves,
-    plan,
 )
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.data.motion import HELD_WITHIN, items_held
@@ -39,16 +41,18 @@ from phase_ppl.world.errors import (
     InvalidSettingError,
     check_name,
     nonnegative_number,
+    number_or_nan,
     positive_number,
     shown,
     whole_number,
 )
 from phase_ppl.world.event import Observation
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
-from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, possible_goals
-from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, STRENGTH
-from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.goals import goal_literal, possible_goals
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
+from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.scene import PHASE, Scene
+from phase_ppl.world.space import space_of
 
 FACTOR: Final = 3.0
 """By how much wider ON, and TOUCH of items, are here than where SIMPLE's planner is done with them:
@@ -57,11 +61,13 @@ recorded agents stop a little short. Chosen on half of 50 real videos
 
 
 @dataclasses.dataclass(frozen=True)
-class Thresholds:
-    """When a predicate holds, units. The defaults: SIMPLE's planner's, but for :data:`FACTOR`.
+class PredicateSettings:
+    """When a predicate holds, in units, and how rational agents are taken to be.
+
+    Thresholds are SIMPLE's planner's by default, but for :data:`FACTOR`.
 
     Raises:
-        InvalidSettingError: a threshold that is no positive number, or ``lasting`` no whole one.
+        InvalidSettingError: a value outside its range.
     """
 
     # ON(agent, landmark): from its centre to the landmark's centre
@@ -75,12 +81,24 @@ class Thresholds:
     # there for three frames
     attach: float = HELD_WITHIN
     lasting: int = 3  # frames for which a predicate must hold, or not hold, to count
+    rationality: float = 0.8  # inverse temperature, per unit of way; 0 is blind chance
+    operator_frames: float = 12.0  # frames that an operator takes in the mean, more than 1
+    # what waiting costs while something is left to do, units of way
+    wait_cost: float = 2 * TOUCH_COST
+    lapse: float = 0.02  # probability of doing just anything, in (0, 1)
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            check = whole_number if field.name == "lasting" else positive_number
-            check(field.name, value)
+        whole_number("lasting", self.lasting)
+        for name in ("rationality", "wait_cost"):
+            nonnegative_number(name, getattr(self, name))
+        for name in ("on_agent", "on_item", "touch_agent", "touch_item", "attach"):
+            positive_number(name, getattr(self, name))
+        if not number_or_nan(self.operator_frames) > 1:
+            raise InvalidSettingError(
+                f"operator_frames={shown(self.operator_frames)}, expected a number > 1"
+            )
+        if not 0 < number_or_nan(self.lapse) < 1:
+            raise InvalidSettingError(f"lapse={shown(self.lapse)}, expected a number in (0, 1)")
 
 
 class Moment(NamedTuple):
@@ -93,10 +111,10 @@ class Moment(NamedTuple):
 
 
 def symbolic_trajectory(
-    scene: Scene, observation: Observation, thresholds: Thresholds | None = None
+    scene: Scene, observation: Observation, settings: PredicateSettings | None = None
 ) -> list[Moment]:
     """Return the symbolic state of every frame."""
-    given = Thresholds() if thresholds is None else thresholds
+    given = settings or PredicateSettings()
     trajectory = observation.trajectory
     found = (
         scene.rooms.room_of(trajectory[..., :2]),
@@ -111,7 +129,7 @@ def symbolic_trajectory(
     ]
 
 
-def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> BoolArray:
+def _near(trajectory: FloatArray, scene: Scene, given: PredicateSettings) -> BoolArray:
     """Return (time, agent, entity)."""
     n, place, angle = len(scene.world.agents), trajectory[..., :2], trajectory[:, :, 2]
     agents, items = place[:, :n], place[:, n:]
@@ -127,7 +145,7 @@ def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> BoolArray:
     return near & (rooms[:, :n, None] == rooms[:, None])
 
 
-def _on(trajectory: FloatArray, scene: Scene, given: Thresholds) -> NDArray[np.int64]:
+def _on(trajectory: FloatArray, scene: Scene, given: PredicateSettings) -> NDArray[np.int64]:
     """Return (time, entity)."""
     place, centres = trajectory[..., :2], scene.landmark_centres
     apart = np.linalg.norm(place[:, :, None] - centres, axis=-1)
@@ -211,6 +229,9 @@ class CostToGo:
     Farthest of the rooms in reach; none is farther than one without a way. Of several landmarks in
     a room only that of the goal is one to be on.
 
+    Bodies that can do everything pass all doors, so that a plan is a way or two between rooms, with
+    letting go of what is in the way, touching, gripping and placing.
+
     Args:
         abilities: of the bodies, :func:`without_physics`.
         agent: who plans, its number.
@@ -220,17 +241,16 @@ class CostToGo:
     def __init__(self, abilities: Abilities, agent: int, goal: Literal) -> None:
         self.agent, self.goal = agent, goal
         predicate, subject, target, positive = goal
-        self._n_agents = len(abilities.passes) - len(abilities.fills)
-        self._by_others = agent != subject < self._n_agents
+        n_agents, touch = len(abilities.passes) - len(abilities.fills), predicate is Predicate.TOUCH
         if predicate is Predicate.ON:
             of_goal = list(abilities.landmark_in)
             of_goal[abilities.landmark_rooms[target]] = target
             abilities = dataclasses.replace(abilities, landmark_in=tuple(of_goal))
         self.abilities = abilities
-        self._closes = (NOTHING,) * len(abilities.fills)  # no item closes a door
-        touch = predicate is Predicate.TOUCH
+        self._way = _ways(abilities.room_distance, abilities.neighbours)
+        self._by_others = agent != subject < n_agents
         item = target if touch and self._by_others else subject
-        self._item = item if item >= self._n_agents else NOTHING  # that the agent is to move
+        self._item = item if item >= n_agents else NOTHING  # that the agent is to move
         if self._item != NOTHING:
             self.focus = self._item
         elif self._by_others:
@@ -238,11 +258,6 @@ class CostToGo:
         else:
             self.focus = target if touch and positive else NOTHING
         # ``focus`` is the entity that the agent has to be at for the goal
-        self._known_cost = functools.cache(self._cost)
-
-    def __call__(self, node: Node) -> float:
-        """Return the cost, units of way; inf where there is no plan."""
-        return self._known_cost(self._relevant(node))
 
     def node(self, state: Moment) -> Node:
         """Return a symbolic state as the planner's: being at the focus counts first."""
@@ -256,66 +271,71 @@ class CostToGo:
             on != NOTHING and on == there[room]
             for on, room in zip(state.on, state.rooms, strict=True)
         )
-        return Node(state.rooms, state.held, tuple(near), placed, self._closes)
+        no_door = (NOTHING,) * len(self.abilities.fills)  # that an item closes
+        return Node(state.rooms, state.held, tuple(near), placed, no_door)
 
-    def _relevant(self, node: Node) -> Node:
-        """Return the node without what makes no difference to the goal."""
-        agent, literal = self.agent, self.goal
-        entities = {agent, literal.subject}
-        if literal.predicate is Predicate.TOUCH:
-            entities.add(literal.target)
-        near = [NOTHING] * self._n_agents
-        if self.focus != NOTHING and node.near[agent] == self.focus:
-            near[agent] = self.focus
-        held = [NOTHING] * self._n_agents
-        held[agent] = node.held[agent]
-        return Node(
-            tuple(room if e in entities else 0 for e, room in enumerate(node.rooms)),
-            tuple(held),
-            tuple(near),
-            tuple(yes and e == literal.subject for e, yes in enumerate(node.placed)),
-            self._closes,
-        )
-
-    def _cost(self, node: Node) -> float:
+    def __call__(self, node: Node) -> float:
+        """Return the cost, units of way; inf where there is no plan."""
         agent, (predicate, subject, target, positive) = self.agent, self.goal
-        touch, focus = predicate is Predicate.TOUCH, self.focus
-        # who goes, and the room that the goal is about
-        mover = agent if self._item == NOTHING else self._item
-        if touch:
+        way, start, touch = self._way, node.rooms[agent], predicate is Predicate.TOUCH
+        free = 0.0 if node.held[agent] == NOTHING else GRIP_COST  # to have nothing in hand
+        if touch:  # the room that the goal is about
             room = node.rooms[subject if self._by_others else target]
         else:
             room = self.abilities.landmark_rooms[target]
-        if self._item == NOTHING and focus != NOTHING:
-            return self._plan(node, lambda n: n.near[agent] == focus)
-        if positive and self._by_others and self._item == NOTHING:
+        if self._item == NOTHING:
+            if self.focus != NOTHING:
+                if self.focus == node.held[agent] != node.near[agent]:
+                    return GRIP_COST
+                return 0.0 if self.focus == node.near[agent] else free + self._to_focus(node)
+            if positive and self._by_others:
+                return 0.0
+            if not positive:
+                return self._to_farthest(room, start, free)
+            there = start == room and node.placed[agent]
+            return 0.0 if there else free + way[start][room] + PLACE_COST
+        # an item is moved by who holds it
+        lies = node.rooms[self._item]
+        if node.held[agent] == self._item:
+            grip = 0.0
+        elif not free and node.near[agent] == self._item:
+            grip = GRIP_COST
+        else:
+            grip = free + self._to_focus(node) + GRIP_COST
+        apart = 0.0 if math.isfinite(way[start][lies]) else math.inf  # a wall between them
+        if not positive:
+            return grip + self._to_farthest(room, lies, apart)
+        if lies == room and (touch or node.placed[self._item]):
             return 0.0
-        if positive:
-            return self._plan(node, lambda n: n.rooms[mover] == room and (touch or n.placed[mover]))
-        away = self._farthest(room, node.rooms[mover])
-        return self._plan(
-            node, lambda n: n.rooms[mover] in away and mover in (agent, n.held[agent])
-        )
+        return grip + apart + way[lies][room] + (0.0 if touch else PLACE_COST)
 
-    def _plan(self, node: Node, is_goal: Callable[[Node], bool]) -> float:
-        own = {self.agent} if self.goal.positive else set[int]()
-        targets = frozenset(own if self.focus == NOTHING else {self.focus})
-        steps = plan(node, (self.agent,), targets, is_goal, lambda n: 0.0, self.abilities)
-        return math.inf if steps is None else sum(step.cost for step in steps)
+    def _to_focus(self, node: Node) -> float:
+        return self._way[node.rooms[self.agent]][node.rooms[self.focus]] + TOUCH_COST
 
-    def _farthest(self, room: int, start: int) -> frozenset[int]:
-        """Return the rooms farthest from ``room``, of those that one gets to from ``start``.
+    def _to_farthest(self, room: int, start: int, before: float) -> float:
+        """Return what it costs to get from ``start`` to the rooms farthest from ``room``.
 
-        None is farther than one without a way to it.
+        Of those in reach; none is farther than one without a way to it. Who is there already need
+        not pay what comes ``before``.
         """
         distance = self.abilities.room_distance
         there = [r for r in range(len(distance)) if math.isfinite(distance[start][r])]
         most = max(distance[room][r] for r in there)
-        return frozenset(r for r in there if distance[room][r] >= most - _TIE)
+        left = min(self._way[start][r] for r in there if distance[room][r] >= most - _TIE)
+        return before + left if left > 0 else 0.0
 
 
-# scenes of one layout share what it knows
-_cost_to_go = functools.lru_cache(maxsize=1024)(CostToGo)
+@functools.lru_cache(maxsize=64)
+def _ways(
+    distance: tuple[tuple[float, ...], ...], neighbours: tuple[tuple[tuple[int, int], ...], ...]
+) -> list[list[float]]:
+    """Return (room, room) how far it is through rooms that doors join, inf: there is no way."""
+    step = np.full((len(distance), len(distance)), np.inf)
+    for room, joined in enumerate(neighbours):
+        for _, following in joined:
+            step[room, following] = distance[room][following]
+    found: list[list[float]] = shortest_path(step).tolist()
+    return found
 
 
 # --- the forward model: how probable a symbolic trajectory is if an agent has a goal --------------
@@ -328,33 +348,6 @@ _cost_to_go = functools.lru_cache(maxsize=1024)(CostToGo)
 # ``wait_cost`` as long as there is something left to do and nothing otherwise, and cannot be told
 # from completing nothing. What comes true without an operator of the agent that explains it has
 # only the lapse. Facts that are no agent's doing (a pushed item, where a holder is) are given.
-
-
-@dataclasses.dataclass(frozen=True)
-class Rationality:
-    """How rational agents are taken to be.
-
-    Raises:
-        InvalidSettingError: a value outside its range.
-    """
-
-    rationality: float = 0.8  # inverse temperature, per unit of way; 0 is blind chance
-    operator_frames: float = 12.0  # frames that an operator takes in the mean, more than 1
-    # what waiting costs while something is left to do, units of way
-    wait_cost: float = 2 * TOUCH_COST
-    lapse: float = 0.02  # probability of doing just anything, in (0, 1)
-
-    def __post_init__(self) -> None:
-        for name in ("operator_frames", "lapse"):
-            positive_number(name, getattr(self, name))
-        for name in ("rationality", "wait_cost"):
-            nonnegative_number(name, getattr(self, name))
-        if not self.operator_frames > 1:
-            raise InvalidSettingError(
-                f"operator_frames={shown(self.operator_frames)}, expected a number > 1"
-            )
-        if not self.lapse < 1:
-            raise InvalidSettingError(f"lapse={shown(self.lapse)}, expected a number in (0, 1)")
 
 
 def own_changes(before: Moment, after: Moment, agent: int) -> Iterator[tuple[Moment, Literal]]:
@@ -393,30 +386,27 @@ def own_changes(before: Moment, after: Moment, agent: int) -> Iterator[tuple[Mom
 class ForwardModel:
     """Probabilities of symbolic trajectories in one scene, of which only the layout counts."""
 
-    def __init__(self, scene: Scene, rationality: Rationality | None = None) -> None:
-        self.rationality = Rationality() if rationality is None else rationality
+    def __init__(self, scene: Scene, settings: PredicateSettings | None = None) -> None:
+        self.settings = settings or PredicateSettings()
         for own in scene.world.predicates:
             raise InvalidSettingError(
                 f"predicate inverse planning knows no predicates of one's own, such as {own.name!r}"
             )
         abilities, self._world = without_physics(scene), scene.world
         self._cost_to_go = {
-            (agent, goal): _cost_to_go(abilities, agent, goal_literal(goal, agent, self._world))
+            (agent, goal): CostToGo(abilities, agent, goal_literal(goal, agent, self._world))
             for agent in range(len(self._world.agents))
             for goal in possible_goals(agent, self._world)
         }
         self._steps: dict[tuple[Any, ...], list[Step]] = {}
-        self._known_policy = functools.cache(self._policy)
+        self.policy = functools.cache(self._policy)
 
-    def policy(self, state: Moment, agent: int, goal: int) -> dict[Literal, float]:
+    def _policy(self, state: Moment, agent: int, goal: int) -> dict[Literal, float]:
         """Return P(operator | state, goal) by the literal that the operator makes true, sum 1.
 
         ``STOP`` is waiting; ``goal`` is the index of the effective goal.
         """
-        return self._known_policy(state, agent, goal)
-
-    def _policy(self, state: Moment, agent: int, goal: int) -> dict[Literal, float]:
-        given, left_after = self.rationality, self._cost_to_go[agent, goal]
+        given, left_after = self.settings, self._cost_to_go[agent, goal]
         node = left_after.node(state)
         left = left_after(node)
         costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
@@ -429,8 +419,11 @@ class ForwardModel:
             costs[step.literal] = step.cost + left_after(step.result)
         # where there is no way to the goal, nothing is better than anything else
         least = min(costs.values())
-        weights = {
-            literal: _weight(given.rationality, cost, least) for literal, cost in costs.items()
+        weights = {  # costs may be infinite
+            literal: 1.0
+            if given.rationality == 0 or cost == least
+            else math.exp(-given.rationality * (cost - least))
+            for literal, cost in costs.items()
         }
         total, even = sum(weights.values()), given.lapse / len(weights)
         return {
@@ -453,22 +446,16 @@ class ForwardModel:
         return found
 
     def _log_step(self, before: Moment, after: Moment, agent: int, goal: int) -> float:
-        completes = 1 / self.rationality.operator_frames
+        completes = 1 / self.settings.operator_frames
         did = [] if before == after else list(own_changes(before, after, agent))
         if not did:
             return math.log(1 - completes + completes * self.policy(before, agent, goal)[STOP])
         total = 0.0
         for state, literal in did:
             policy = self.policy(state, agent, goal)
-            unexplained = self.rationality.lapse / len(policy)
+            unexplained = self.settings.lapse / len(policy)
             total += math.log(completes * policy.get(literal, unexplained))
         return total
-
-
-def _weight(rationality: float, cost: float, least: float) -> float:
-    if rationality == 0 or cost == least:  # costs may be infinite
-        return 1.0
-    return math.exp(-rationality * (cost - least))
 
 
 def _put(values: tuple, index: int, value: object) -> tuple:  # type: ignore[type-arg]
@@ -509,39 +496,22 @@ def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> dict[str, Fl
     return {"goal_red": joint.sum(axis=1), "goal_green": joint.sum(axis=0), "relation": relation}
 
 
+@functools.cache
 def log_prior_of_pairs(name: str) -> FloatArray:
     """Return the log prior of pairs of effective goals (goal of red, goal of green), sum 1.
 
-    By name: :data:`INDEPENDENT`, or a ready-made prior of SIMPLE (:mod:`phase_ppl.models.priors`),
-    in all of which goals and strengths are independent.
+    By name: :data:`INDEPENDENT`, or a prior of SIMPLE (:mod:`phase_ppl.models.priors`).
     """
-    if name != INDEPENDENT:
+    if name == INDEPENDENT:
+        red, green = ~space_of(PHASE).impossible
+        prior = np.where(red[:, None] & green, 1.0, 0.0)
+    else:
         from phase_ppl.models import priors
+        from phase_ppl.models.effective import prior_of_pairs
 
         check_name("prior", name, [INDEPENDENT, *priors.available()])
-    return _log_prior_of_pairs(name)
-
-
-@functools.cache
-def _log_prior_of_pairs(name: str) -> FloatArray:
-    red, green = (
-        np.array([not is_self_referring(goal, agent) for goal in range(N_GOALS)])
-        for agent in range(len(AGENTS))
-    )
-    weights = 1.0 if name == INDEPENDENT else _of_simple(name)
-    prior = np.where(red[:, None] & green, weights, 0.0)
-    prior /= prior.sum()
+        prior = prior_of_pairs(priors.named(name))
     with np.errstate(divide="ignore"):
-        log_prior = np.log(prior)
+        log_prior = np.log(prior / prior.sum())
     log_prior.flags.writeable = False
     return log_prior
-
-
-def _of_simple(name: str) -> FloatArray:
-    from phase_ppl.models import priors
-    from phase_ppl.models.effective import log_prior_of_effective
-
-    pairs = np.argwhere(np.ones((N_GOALS, N_GOALS)))
-    strengths = dict.fromkeys(("strength_red", "strength_green"), np.full(len(pairs), STRENGTH))
-    log_prior = log_prior_of_effective(priors.named(name), pairs, strengths)
-    return np.exp(log_prior - log_prior.max()).reshape(N_GOALS, N_GOALS)

@@ -114,10 +114,6 @@ ARENA_PIXELS: Final = (800, 400)
 """Width and height of the arena at most: 20 pixels per unit in the original world of 20 units."""
 
 MARGINS: Final = (120, 40)  # pixels left and right of the arena, and above and below
-WALL_PIXELS: Final = 5
-BACKGROUND: Final[Colour] = (255, 255, 255)
-WALL_COLOUR: Final[Colour] = (0, 0, 0)
-EYE_COLOUR: Final[Colour] = (0, 0, 0)
 TRAIL_PIXELS: Final = 3
 
 SIGHT_COLOURS: Final[dict[Colour, Colour]] = {(255, 0, 0): (215, 0, 0), (0, 255, 0): (0, 150, 0)}
@@ -129,10 +125,6 @@ SIGHT_EDGE_OPACITY: Final = 0.45
 
 SIGHT_EDGE_PIXELS: Final = 1.25
 
-EYES: Final = np.array([[-0.24, 0.62], [0.24, 0.62]])
-"""Centres of the eyes of an agent of size 1 in its body frame."""
-
-EYE_RADIUS: Final = 0.14
 FINE: Final = 8  # subpixels per pixel and axis
 _FAINT: Final = 0.7  # how much of the floor shows through what is drawn faintly
 _SIGHT_FINE = 4  # the same for fields of view, which are large
@@ -159,13 +151,13 @@ class Painter:
         eyes, eye_radius: (2, 2) centres and the size of its eyes, in the same frame.
     """
 
-    background: ClassVar = BACKGROUND
-    wall_colour: ClassVar = WALL_COLOUR
-    wall_pixels: ClassVar = WALL_PIXELS
+    background: ClassVar[Colour] = (255, 255, 255)
+    wall_colour: ClassVar[Colour] = (0, 0, 0)
+    wall_pixels: ClassVar = 5
     corners: ClassVar = UNIT_TRAPEZOID
-    eyes: ClassVar = EYES
-    eye_colour: ClassVar = EYE_COLOUR
-    eye_radius: ClassVar = EYE_RADIUS
+    eyes: ClassVar = np.array([[-0.24, 0.62], [0.24, 0.62]])
+    eye_colour: ClassVar[Colour] = (0, 0, 0)
+    eye_radius: ClassVar = 0.14
 
     def __init__(
         self,
@@ -181,8 +173,7 @@ class Painter:
         self._looking: Sequence[int] = whose
         self._colours = scene.world.entity_colours
         self._order = (*range(n_agents, n), *range(n_agents))
-        self._fine = fine
-        self._pale = pale
+        self._fine, self._pale = fine, pale
         x0, x1, y0, y1 = scene.arena
         sides = np.array([x1 - x0, y1 - y0])
         self.scale = float((ARENA_PIXELS / sides).min())
@@ -223,7 +214,7 @@ class Painter:
                 _paste(picture, colour, points, line, self._fine, margin=TRAIL_PIXELS)
         for entity in self._order:
             self._draw_entity(picture, entity, pose[entity])
-        picture.paste(WALL_COLOUR, mask=self.walls)
+        picture.paste(self.wall_colour, mask=self.walls)
         return picture
 
     def pixel(self, points: ArrayLike) -> FloatArray:
@@ -240,7 +231,7 @@ class Painter:
     @functools.cached_property
     def floor(self) -> Image.Image:
         """Background and landmarks."""
-        picture = Image.new("RGB", self.size, BACKGROUND)
+        picture = Image.new("RGB", self.size, self.background)
         scene = self.scene
         for centre, half, one in zip(
             scene.landmark_centres, scene.half_widths, scene.world.landmarks, strict=True
@@ -248,14 +239,14 @@ class Painter:
             corners = self.pixel(centre + half * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]))
             self._polygon(picture, one.colour, corners)
         if self._pale:
-            return Image.blend(picture, Image.new("RGB", picture.size, BACKGROUND), self._pale)
+            return Image.blend(picture, Image.new("RGB", picture.size, self.background), self._pale)
         return picture
 
     @functools.cached_property
     def walls(self) -> Image.Image:
         """Mask of the outer and inner walls."""
         mask = Image.new("L", self.size, 0)
-        half = WALL_PIXELS / 2
+        half = self.wall_pixels / 2
         for wall in (*self.scene.border, *self.scene.walls):
             ends = self.pixel(wall)
             # walls run along an axis; those that meet overlap in a square, so no corner is open
@@ -282,9 +273,9 @@ class Painter:
             self._disc(picture, colour, self.pixel(pose[:2]), radius)
             return
         turn = radius * rotation(pose[2]).T
-        self._polygon(picture, colour, self.pixel(pose[:2] + UNIT_TRAPEZOID @ turn))
-        for eye in self.pixel(pose[:2] + EYES @ turn):
-            self._disc(picture, EYE_COLOUR, eye, EYE_RADIUS * radius)
+        self._polygon(picture, colour, self.pixel(pose[:2] + self.corners @ turn))
+        for eye in self.pixel(pose[:2] + self.eyes @ turn):
+            self._disc(picture, self.eye_colour, eye, self.eye_radius * radius)
 
     def _polygon(self, picture: Image.Image, colour: Colour | int, corners: FloatArray) -> None:
         _paste(picture, colour, corners, lambda draw, at: draw.polygon(at, fill=255), self._fine)
@@ -346,7 +337,7 @@ def panel(frame: Image.Image) -> Image.Image:
 def side_by_side(panels: list[Image.Image], below: int = 0) -> Image.Image:
     """Return ``panels`` from left to right, each over so many blank pixels."""
     width, height = (max(sizes) for sizes in zip(*(part.size for part in panels), strict=True))
-    picture = Image.new("RGB", (width * len(panels), height + below), BACKGROUND)
+    picture = Image.new("RGB", (width * len(panels), height + below), Painter.background)
     for index, part in enumerate(panels):
         x = index * width + (width - part.width) // 2
         picture.paste(part, (x, (height - part.height) // 2))
@@ -544,7 +535,7 @@ def _page(
         2 * _MARGIN - _GAP + columns * across,
         2 * _MARGIN - _GAP + legend + math.ceil(len(events) / columns) * down,
     )
-    picture = Image.new("RGB", size, BACKGROUND)
+    picture = Image.new("RGB", size, Painter.background)
     if captions:
         _write_legend(picture, events, text_size)
     for index, event in enumerate(events):
@@ -563,7 +554,7 @@ def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
     painter = Painter(event.scene, fine=_SHEET_FINE, pale=_SHEET_PALE)
     drawn = panel(painter.draw(track[-1], trail=track, faint=track[0]))
     arena = ImageOps.crop(drawn, _TRIM)
-    return ImageOps.pad(arena, (side, side), Image.Resampling.LANCZOS, BACKGROUND)
+    return ImageOps.pad(arena, (side, side), Image.Resampling.LANCZOS, Painter.background)
 
 
 def _scenario(event: Event) -> str:

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from PIL import Image
@@ -39,10 +39,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, atomic_output, writable_folder
 from phase_ppl.world.progress import Bar, counted
 from phase_ppl.world.scene import Scene
-
-GIF_COLOURS: Final = 256
-_FREQUENT_COLOURS: Final = 128
-"""Colours of a GIF that are in it for being frequent; the rest for being unlike those."""
 
 MAX_GIF_FPS: Final = 50
 """Frames of a GIF last whole hundredths of a second, and viewers slow down those that last one."""
@@ -88,26 +84,9 @@ def encode_gif(
     """
     with tempfile.TemporaryDirectory() as folder:
         palette = Path(folder) / "palette.png"
-        _palette(samples).save(palette)
+        _encode(samples, fps, ["-vf", "palettegen=reserve_transparent=0", str(palette)])
         filters = ["-i", str(palette), "-lavfi", "paletteuse=dither=none:diff_mode=rectangle"]
         _encode(frames, fps, [*filters, "-loop", "0", str(path)])
-
-
-def _palette(samples: Iterable[Image.Image]) -> Image.Image:
-    """Return up to 256 colours as a picture of 16 x 16 pixels."""
-    counts: Counter[Any] = Counter()
-    for sample in samples:
-        counts.update({c: n for n, c in sample.getcolors(sample.width * sample.height) or ()})
-    colours = np.array([colour for colour, _ in counts.most_common()], float)
-    chosen = colours[:_FREQUENT_COLOURS]
-    # then always the one that is worst represented: edges between shapes that seldom meet
-    missed = np.min([((colours - one) ** 2).sum(axis=1) for one in chosen], axis=0)
-    while len(chosen) < GIF_COLOURS and missed.any():
-        worst = colours[missed.argmax()]
-        chosen = np.concatenate([chosen, worst[None]])
-        missed = np.minimum(missed, ((colours - worst) ** 2).sum(axis=1))
-    filled = chosen[np.arange(GIF_COLOURS) % len(chosen)]
-    return Image.fromarray(filled.reshape(16, -1, 3).astype(np.uint8))
 
 
 def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) -> None:
@@ -225,7 +204,7 @@ def video(
         frames = map(draw, counted(range(n_frames), progress, "frame", "drawing"))
         if as_gif:
             chosen = np.linspace(0, n_frames - 1, min(_SAMPLES, n_frames)).round().astype(int)
-            encode_gif(frames, part, fps, samples=map(draw, chosen))
+            encode_gif(frames, part, fps, map(draw, chosen))
         else:
             encode_mp4(frames, part, fps)
     return Film(path)

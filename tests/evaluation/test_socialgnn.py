@@ -7,6 +7,7 @@ import json
 import pickle
 import shutil
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,8 @@ def test_networks_come_with_the_package_and_how_they_were_made(variant: Any) -> 
     assert len(found.members) == len(seeds)
     folder = Path(ppl.__file__).parent / "models" / "socialgnn" / "weights"
     assert sum(file.stat().st_size for file in folder.glob("*.npz")) < 1_500_000
-    made = json.loads((folder / f"{variant}.json").read_text())
+    with zipfile.ZipFile(folder / f"{variant}.npz") as packed:
+        made = json.loads(packed.read("report.json"))
     assert [member["seed"] for member in made["members"]] == seeds
     assert made["settings"] == vars(TrainingSettings.of(variant))
     assert made["data"]["events"] == {"train": 320, "validation": 80, "test": 100}

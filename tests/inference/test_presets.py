@@ -16,7 +16,7 @@ from phase_ppl.evaluation.registry import ready
 from phase_ppl.inference.entries import entries
 from phase_ppl.inference.run import Run
 from phase_ppl.inference.settings import PRESETS, completed
-from phase_ppl.models.predicate import INDEPENDENT, Thresholds
+from phase_ppl.models.predicate import INDEPENDENT, PredicateSettings
 from phase_ppl.simulator.joint import DynamicsNoise
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import walkers, walking_event
@@ -82,7 +82,7 @@ def test_lesions_plan_as_the_preset_does() -> None:
 
 def test_predicates_as_printed_have_a_uniform_prior_and_the_planners_thresholds() -> None:
     kept = ready("predicate", {"preset": "as_printed"}).record["model_settings"]
-    usual = Thresholds()
+    usual = PredicateSettings()
     assert kept["prior"] == INDEPENDENT
     for name in ("on_agent", "on_item", "touch_item"):
         assert kept[name] == pytest.approx(getattr(usual, name) / 3)

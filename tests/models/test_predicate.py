@@ -19,8 +19,7 @@ from phase_ppl.models.predicate import (
     CostToGo,
     ForwardModel,
     Moment,
-    Rationality,
-    Thresholds,
+    PredicateSettings,
     log_prior_of_pairs,
     own_changes,
     posterior,
@@ -41,7 +40,7 @@ BLUE, GREEN, RED, YELLOW = range(4)
 """Rooms. Landmarks of neighbouring rooms are 15 apart where there are no walls."""
 
 BLUE_ROOM_SHUT = [FULL_WALL_UP, [[16.0, 12.0], [6.0, 12.0]]]
-GIVEN = Rationality(rationality=0.1, operator_frames=4.0, wait_cost=6.0, lapse=0.04)
+GIVEN = PredicateSettings(rationality=0.1, operator_frames=4.0, wait_cost=6.0, lapse=0.04)
 MODEL = ForwardModel(scene(), GIVEN)
 H = 1 / 4
 
@@ -183,7 +182,7 @@ def test_bodies_make_no_difference() -> None:
 
 
 def test_a_room_without_a_way_is_nobodys_to_reach_and_nothing_is_farther() -> None:
-    model = ForwardModel(scene(walls=BLUE_ROOM_SHUT), Rationality(rationality=0.8))
+    model = ForwardModel(scene(walls=BLUE_ROOM_SHUT), PredicateSettings(rationality=0.8))
     there, away = (goal_index(f"Get red agent {way} red lm") for way in ("to", "away from"))
     for goal in (there, away):
         policy = model.policy(state(), 0, goal)
@@ -229,7 +228,7 @@ def test_all_pairs_are_alike_under_the_independent_prior() -> None:
 def states(poses: Any, **changes: Any) -> Any:
     trajectory = np.asarray(poses, float)
     where = scene(red=tuple(trajectory[0, 0]), walls=changes.pop("walls", []))
-    return symbolic_trajectory(where, Observation(trajectory), Thresholds(**changes))
+    return symbolic_trajectory(where, Observation(trajectory), PredicateSettings(**changes))
 
 
 def still(n: int = 8) -> np.ndarray:
@@ -294,7 +293,7 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
     whole = np.zeros(1, np.bool_)
     describe(bodies, held, 0, goal, whole, model.params, model.layout, facts, done, costs)
     found = symbolic_trajectory(
-        where, Observation(poses), Thresholds(touch_item=GRAB_REACH, lasting=1)
+        where, Observation(poses), PredicateSettings(touch_item=GRAB_REACH, lasting=1)
     )
     near = [[*state.near[0][2:], *state.near[1][2:]] for state in found]
     assert np.array_equal(near, facts[:, 6:10])

@@ -11,7 +11,7 @@ import pytest
 from phase_people.observers import Perception
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models.likelihood import RadialLikelihood
-from phase_ppl.models.predicate import Rationality, Thresholds
+from phase_ppl.models.predicate import PredicateSettings
 from phase_ppl.models.socialgnn.store import TrainingSettings
 from phase_ppl.simulator.joint import DynamicsNoise
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
@@ -26,11 +26,11 @@ WRONG: list[tuple[Callable[..., Any], str, tuple[Any, ...], str]] = [
     (Tracking, "strengths", ((300, 300),), "a strength is named twice"),
     (Tracking, "states", (0,), WHOLE),
     (Tracking, "noise", (-1.0,), NOT_NEGATIVE),
-    (Thresholds, "on_agent", (0,), POSITIVE),
-    (Thresholds, "lasting", (0, 1.5), WHOLE),
-    (Rationality, "rationality", (-1, "high", False, 10**400), NOT_NEGATIVE),
-    (Rationality, "operator_frames", (1,), "expected a number > 1"),
-    (Rationality, "lapse", (1,), "expected a number in (0, 1)"),
+    (PredicateSettings, "on_agent", (0,), POSITIVE),
+    (PredicateSettings, "lasting", (0, 1.5), WHOLE),
+    (PredicateSettings, "rationality", (-1, "high", False, 10**400), NOT_NEGATIVE),
+    (PredicateSettings, "operator_frames", (1,), "expected a number > 1"),
+    (PredicateSettings, "lapse", (1,), "expected a number in (0, 1)"),
     (Perception, "missed", (1.0,), "expected a number in [0, 1)"),
     (TrainingSettings, "epochs", (0,), WHOLE),
     (TrainingSettings, "learning_rate", (NAN,), "expected a number from 1e-07 to 1"),

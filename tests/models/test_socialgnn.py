@@ -345,8 +345,8 @@ def test_networks_come_back_bit_by_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [
-        ("0/lstm.bias_hh_l0", None, r"lstm\.bias_hh_l0 has shape None, expected"),
-        ("0/more", np.zeros(3, np.float16), r"more has shape \(3,\), expected None"),
+        ("0/lstm.bias_hh_l0", None, r"0/lstm\.bias_hh_l0 has shape None, expected"),
+        ("0/more", np.zeros(3, np.float16), r"0/more has shape \(3,\), expected None"),
         ("0/node.bias", np.zeros(3, np.float16), r"has shape \(3,\), expected \(16,\)"),
         ("0/node.bias", np.full(16, np.nan, np.float16), "something else than finite numbers"),
         ("0/edge.bias", np.zeros(32), "something else than finite numbers in half"),

@@ -19,7 +19,7 @@ from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
-    from phase_ppl.models.predicate import Rationality, Thresholds
+    from phase_ppl.models.predicate import PredicateSettings
     from phase_ppl.models.roles import Masses
 
 
@@ -29,15 +29,14 @@ class PredicateInversePlanning:
 
     prior: str  # name of the prior over pairs of effective goals
     log_prior: NDArray[np.float64]  # (goal of red, goal of green)
-    thresholds: Thresholds
-    rationality: Rationality
+    given: PredicateSettings
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
         """Return the marginals of the effective goals and of the relations; nothing is random."""
         from phase_ppl.models.predicate import ForwardModel, posterior, symbolic_trajectory
 
-        trajectory = symbolic_trajectory(scene, observation, self.thresholds)
-        likelihood = ForwardModel(scene, self.rationality).log_likelihood(trajectory)
+        trajectory = symbolic_trajectory(scene, observation, self.given)
+        likelihood = ForwardModel(scene, self.given).log_likelihood(trajectory)
         if scene.world != PHASE:
             prior = prior_in(scene.world, self.prior)
             return Prediction("", marginals(likelihood, prior, scene.world), world=scene.world)
@@ -45,11 +44,7 @@ class PredicateInversePlanning:
 
     def settings(self) -> dict[str, Any]:
         """Return what determines the answers."""
-        return {
-            "prior": self.prior,
-            **dataclasses.asdict(self.thresholds),
-            **dataclasses.asdict(self.rationality),
-        }
+        return {"prior": self.prior, **dataclasses.asdict(self.given)}
 
 
 @functools.lru_cache(16)
@@ -127,9 +122,9 @@ def _given_way(
 
 def more_options(given: Mapping[str, Any]) -> list[str]:
     """Return the options beside the prior: thresholds and rationality, whatever is given."""
-    from phase_ppl.models.predicate import Rationality, Thresholds
+    from phase_ppl.models.predicate import PredicateSettings
 
-    return [field.name for kind in (Thresholds, Rationality) for field in dataclasses.fields(kind)]
+    return [field.name for field in dataclasses.fields(PredicateSettings)]
 
 
 @register_model("predicate", more_options=more_options, any_world=True)
@@ -143,16 +138,13 @@ def predicate(
             "independent", under which all pairs of effective goals are alike.
         preset: of :func:`phase_ppl.preset`; what else is given goes before it. The paper's have
             its uniform P(g), "independent", and the thresholds of SIMPLE's planner.
-        **options: fields of :class:`~phase_ppl.models.predicate.Thresholds` and of
-            :class:`~phase_ppl.models.predicate.Rationality`.
+        **options: fields of :class:`~phase_ppl.models.predicate.PredicateSettings`.
     """
     from phase_ppl.inference.settings import preset as check_preset
-    from phase_ppl.models.predicate import AS_THE_PAPER, Rationality, Thresholds, log_prior_of_pairs
+    from phase_ppl.models.predicate import AS_THE_PAPER, PredicateSettings, log_prior_of_pairs
 
     if preset is not None:
         check_preset(preset)
-    usual = AS_THE_PAPER if preset in ("as_printed", "as_intended") else {}
-    prior = usual.get("prior", "uniform") if prior is None else prior
     known = more_options(options)
     for name in options:
         if name not in known:
@@ -160,11 +152,8 @@ def predicate(
                 f"{name} is no option of model 'predicate': allowed are "
                 f"{', '.join(['prior', 'preset', *known])}"
             )
-    options, of_thresholds = {**usual, **options}, {f.name for f in dataclasses.fields(Thresholds)}
-    options.pop("prior", None)
-    return PredicateInversePlanning(
-        prior,
-        log_prior_of_pairs(prior),
-        Thresholds(**{name: v for name, v in options.items() if name in of_thresholds}),
-        Rationality(**{name: v for name, v in options.items() if name not in of_thresholds}),
-    )
+    usual = AS_THE_PAPER if preset in ("as_printed", "as_intended") else {"prior": "uniform"}
+    asked = {**usual, **options}
+    named = asked.pop("prior") if prior is None else prior
+    asked.pop("prior", None)
+    return PredicateInversePlanning(named, log_prior_of_pairs(named), PredicateSettings(**asked))

@@ -61,8 +61,8 @@ def socialgnn(
     """SocialGNN: a graph neural network that says goals and relation from the motion alone.
 
     Those that come with the package were trained on events that the package generated, not on
-    PHASE: on the splits train and validation of the set that their ``.json`` names, of which only
-    the split test is new to them. ``phase-ppl train socialgnn`` makes others.
+    PHASE: on the splits train and validation of the set that ``report.json`` in their files names,
+    of which only the split test is new to them. ``phase-ppl train socialgnn`` makes others.
 
     Args:
         variant: "extended", the paper's and the default; "original", the authors', which says the

@@ -2,14 +2,13 @@
 
 A file such as ``original.npz``, called by its variant, holds one or more *members*, networks of the
 same variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
-being 0, 1, ... The JSON file beside it says how they were made.
+being 0, 1, ... ``report.json`` in it says how they were made; older files have it beside them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import hashlib
 import importlib
 import os
@@ -167,6 +166,7 @@ def torch_threads(number: int) -> Iterator[None]:
 Arrays = Mapping[str, NDArray[np.float16]]
 
 _WEIGHTS: Final = resources.files("phase_ppl.models.socialgnn") / "weights"
+REPORT: Final = "report.json"
 _LARGEST: Final = 64 * 2**20  # bytes that weights unpack to; the package's are under one megabyte
 
 
@@ -195,15 +195,14 @@ def halved(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]
     return found
 
 
-def save(members: Sequence[Arrays], file: str | Path) -> None:
-    """Write members to an npz file."""
-    arrays = {
-        f"{number}/{name}": array
-        for number, member in enumerate(members)
-        for name, array in member.items()
-    }
+def save(members: Sequence[Arrays], file: str | Path, report: bytes = b"") -> None:
+    """Write members to an npz file, with the JSON of a report where there is one."""
+    arrays = {f"{n}/{name}": array for n, one in enumerate(members) for name, array in one.items()}
     with atomic_output(file, (".npz",)) as part:
         np.savez_compressed(part, allow_pickle=False, **arrays)
+        if report:
+            with zipfile.ZipFile(part, "a", zipfile.ZIP_DEFLATED) as packed:
+                packed.writestr(REPORT, report)
 
 
 def load(path: str | os.PathLike[str]) -> Trained:
@@ -224,7 +223,7 @@ def load(path: str | os.PathLike[str]) -> Trained:
             if sum(entry.file_size for entry in packed.infolist()) > _LARGEST:
                 raise ValueError(f"it unpacks to more than {_LARGEST} bytes")
         with open(source, "rb") as file, np.load(file, allow_pickle=False) as kept:
-            return _checked({name: kept[name] for name in kept.files})
+            return _checked({name: kept[name] for name in kept.files if name != REPORT})
     except Exception as error:  # NumPy has a dozen kinds for what is not as it should be
         reason = str(getattr(error, "strerror", None) or error)
         words = textwrap.shorten(reason, 200, placeholder="...")  # NumPy shows what it cannot read
@@ -234,40 +233,28 @@ def load(path: str | os.PathLike[str]) -> Trained:
 def shipped(variant: str) -> Trained:
     """Return the networks that come with the package; UnknownNameError: of no such variant."""
     check_name("variant", variant, VARIANTS)
-    return _shipped(variant)
-
-
-@functools.cache
-def _shipped(variant: str) -> Trained:
     with resources.as_file(_WEIGHTS / f"{variant}.npz") as file:
         return load(file)
 
 
-def _checked(arrays: dict[str, NDArray[Any]]) -> Trained:
-    by_member: dict[str, dict[str, NDArray[Any]]] = {}
-    for key, array in arrays.items():
-        number, _, name = key.partition("/")
-        by_member.setdefault(number, {})[name] = array
-    if not by_member or set(by_member) != {str(n) for n in range(len(by_member))}:
-        names = ", ".join(sorted(by_member)) or "none"
-        raise ValueError(f"expected members 0, 1, ..., found {names}")
-    first = by_member["0"]
-    variant: Variant = "extended" if "heads.goal_red.weight" in first else "original"
-    if "node.weight" in first:
+def _checked(arrays: Mapping[str, NDArray[Any]]) -> Trained:
+    layers = {key.partition("/")[2] for key in arrays}
+    variant: Variant = "extended" if "heads.goal_red.weight" in layers else "original"
+    if "node.weight" in layers:
         variant = "message_passing"
-    wanted, kind = shapes(variant), np.dtype(np.float16)
-    for number, arrays_of in by_member.items():
-        found = {name: array.shape for name, array in arrays_of.items()}
-        for name in sorted(found.keys() | wanted.keys()):
-            shape = found.get(name), wanted.get(name)
-            if shape[0] != shape[1]:
-                raise ValueError(
-                    f"member {number}: {name} has shape {shape[0]}, expected {shape[1]}"
-                )
-            array = arrays_of[name]
-            if array.dtype != kind or not np.isfinite(array).all():
-                raise ValueError(
-                    f"member {number}: {name} holds something else than finite numbers in half "
-                    "precision"
-                )
-    return Trained(variant, tuple(by_member[str(number)] for number in range(len(by_member))))
+    numbers = {key.partition("/")[0] for key in arrays}
+    if numbers != set(map(str, range(max(1, len(numbers))))):
+        raise ValueError(
+            f"expected members 0, 1, ..., found {', '.join(sorted(numbers)) or 'none'}"
+        )
+    wanted = {f"{n}/{name}": s for n in sorted(numbers) for name, s in shapes(variant).items()}
+    for key in sorted(arrays.keys() | wanted.keys()):
+        found = arrays[key].shape if key in arrays else None
+        if found != wanted.get(key):
+            raise ValueError(f"{key} has shape {found}, expected {wanted.get(key)}")
+        if arrays[key].dtype != np.float16 or not np.isfinite(arrays[key]).all():
+            raise ValueError(f"{key} holds something else than finite numbers in half precision")
+    return Trained(
+        variant,
+        tuple({name: arrays[f"{n}/{name}"] for name in layers} for n in range(len(numbers))),
+    )

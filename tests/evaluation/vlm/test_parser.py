@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.evaluation.models.vlm.request import parse
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.models.vlm.request import parse
 from phase_ppl.world.errors import AnswerError
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.vlm.answers import SHARES, answer, goals, text

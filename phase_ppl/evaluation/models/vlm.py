@@ -1,24 +1,8 @@
 """A vision-language model that watches the animation (paper, Appendix "Gemini 2.5 Pro").
 
 Its answers can be kept, so that an evaluation can be repeated without asking again: one JSON file
-for each request and seed, ``KEY-SEED.json``, where KEY is a hash of what determines the request::
-
-    {
-     "schema": "phase-ppl-answer-1",
-     "request": {...},         client, model, address, hashes of prompt and film, settings
-     "seed": 0,
-     "prompt": "...",
-     "film": {...},            what was drawn for it: sizes and hashes of the files
-     "attempts": [             each request that was made, once or again by a service's library
-      {"time": "2026-01-31T12:00:00+00:00", "seconds": 21.3, "text": "...", ...},
-      {"time": ..., "seconds": ..., "failure": "..."}
-     ]
-    }
-
-An attempt has either a text or a failure, and what is known of ``finish``, ``model``,
-``tokens_in``, ``tokens_out`` and ``requests``
-(:class:`~phase_ppl.evaluation.models.vlm.request.Reply`); one request goes without saying.
-``seconds`` include the drawing.
+for each request and seed, ``KEY-SEED.json``, where KEY is a hash of what determines the request. It
+holds a :class:`Record`.
 """
 
 from __future__ import annotations
@@ -26,22 +10,18 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import json
-import math
 import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
-from phase_ppl.data.documents import (
-    check_schema,
-    in_front,
-    of_kind,
-    optional,
-    read_json,
-    require,
-)
-from phase_ppl.evaluation.models.vlm.request import (
+import msgspec
+
+from phase_ppl.data.documents import read_json
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.registry import Answer, register_model
+from phase_ppl.models.vlm.request import (
     REMAINING,
     TEXT,
     Client,
@@ -55,9 +35,7 @@ from phase_ppl.evaluation.models.vlm.request import (
     sha256,
     writable,
 )
-from phase_ppl.evaluation.models.vlm.services import LONGEST_WAIT, Service, make_service
-from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.registry import Answer, register_model
+from phase_ppl.models.vlm.services import make_service
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
@@ -65,7 +43,6 @@ from phase_ppl.world.errors import (
     OutputError,
     check_name,
     instance_of,
-    number_or_nan,
     shown,
     whole_number,
 )
@@ -79,57 +56,55 @@ SCHEMA: Final = "phase-ppl-answer-1"
 ANSWER: Final = "answer.json"
 """The file in an event's folder that holds the request and all that came of it."""
 
-FIRST_WAIT: Final = 2.0
-"""Seconds to wait after a failure that may pass: doubled every time, up to ``LONGEST_WAIT``."""
-
-Attempt: TypeAlias = dict[str, Any]
+FIRST_WAIT, LONGEST_WAIT = 2.0, 120.0
+"""Seconds to wait after a failure that may pass, doubled every time, at least and at most."""
 
 pause = time.sleep
 
 
-class Store:
-    """A folder of answers, made when the first is kept.
+class Attempt(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """A request that was made: a text came, or a failure.
 
-    Raises:
-        OutputError: there is something else at ``path``.
+    What else is known is as of :class:`~phase_ppl.models.vlm.request.Reply`.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        if self.path.exists() and not self.path.is_dir():
-            raise OutputError(f"{self.path} is a file, expected a folder for answers")
+    time: str  # in UTC, ISO 8601
+    seconds: float  # that it took, the drawing included
+    text: str | None = None
+    failure: str | None = None
+    finish: str | None = None
+    model: str | None = None
+    tokens_in: int | None = None
+    tokens_out: int | None = None
+    requests: int = 1  # more where a library made it again
 
-    def file_of(self, request: Mapping[str, Any], seed: int) -> Path:
-        """Return the file of a request, whether it is there or not."""
-        return self.path / f"{sha256(json.dumps(request, sort_keys=True))[:20]}-{seed}.json"
+    def __post_init__(self) -> None:
+        if (self.text is None) == (self.failure is None):
+            raise ValueError("expected either a text or a failure")
 
-    def find(self, request: Mapping[str, Any], seed: int) -> dict[str, Any] | None:
-        """Return the record of a request; None where there is none."""
-        source = self.file_of(request, seed)
-        if not source.exists():
-            return None
-        record = read_json(source)
-        check_schema(record, SCHEMA, source)
-        with in_front(f"{source}: "):
-            apart = differences(require(record, "request", dict), request)
-            if require(record, "seed", int) != seed:
-                apart.append(f"seed is {seed}, was {record['seed']}")
-            if apart:
-                raise InvalidEventError(f"is the answer to another request: {'; '.join(apart)}")
-            for place, attempt in enumerate(require(record, "attempts", list)):
-                where = f"attempts[{place}]"
-                require(of_kind(where, attempt, dict), "time", str, where)
-                if math.isnan(number_or_nan(attempt.get("seconds"))):
-                    raise InvalidEventError(f"{where} has no number of seconds")
-                require(attempt, "failure" if "failure" in attempt else "text", str, where)
-                for name in ("tokens_in", "tokens_out", "requests"):
-                    optional(attempt, name, int, where)
-        return record
 
-    def keep(self, record: Mapping[str, Any]) -> None:
-        """Write a record, in place of the one before."""
-        writable_folder(self.path)
-        write_json(self.file_of(record["request"], record["seed"]), record)
+class Record(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """A request, and all that came of it."""
+
+    schema: str
+    request: dict[str, Any]  # client, model, address, hashes of prompt and film, settings
+    seed: int
+    prompt: str
+    attempts: list[Attempt]
+    film: dict[str, Any] = {}  # what was drawn for it: sizes and hashes of the files
+
+    @classmethod
+    def read(cls, source: Path, request: Mapping[str, Any], seed: int) -> Record:
+        """Return the record of a request in a file; InvalidEventError: it is of another."""
+        try:
+            found = msgspec.convert(read_json(source), cls)
+        except msgspec.ValidationError as error:
+            raise InvalidEventError(f"{source}: {error}") from None
+        was = {"schema": found.schema, **found.request, "seed": found.seed}
+        if apart := differences(was, {"schema": SCHEMA, **request, "seed": seed}):
+            words = "; ".join(apart)
+            raise InvalidEventError(f"{source}: is the answer to another request: {words}")
+        return found
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +115,7 @@ class Vlm:
     # what of the client determines its answers: ``client``, ``model`` and settings
     named: Mapping[str, Any]
     pictures: int  # how many frames there are to see, at most
-    store: Store | None  # keeps the answers, if they are to be kept
+    store: Path | None  # folder that keeps the answers, if they are to be kept
     replay: bool  # whether stored answers are all there is
     retries: int  # how often an event is asked about again, at most
     remaining: str  # what becomes of probability that an answer gives to no goal
@@ -154,34 +129,43 @@ class Vlm:
         )
         hashes = {"prompt_sha256": sha256(request.prompt), "film_sha256": request.digest}
         determines = {**self.named, **hashes}
-        record = self.store.find(determines, seed) if self.store else None
-        if record is None:
-            record = {"schema": SCHEMA, "request": determines, "seed": seed}
-            record |= {"prompt": request.prompt, "attempts": []}
-        attempts: list[Attempt] = record["attempts"]
-        place, parsed, reason = self._first_readable(attempts)
+        key = sha256(json.dumps(determines, sort_keys=True))[:20]
+        file = None if self.store is None else self.store / f"{key}-{seed}.json"
+        if file is not None and file.exists():
+            record = Record.read(file, determines, seed)
+        else:
+            record = Record(
+                schema=SCHEMA, request=determines, seed=seed, prompt=request.prompt, attempts=[]
+            )
+        place, parsed, reason = self._first_readable(record.attempts)
         from_store = parsed is not None
-        if self.replay and not from_store:
-            raise AnswerError(self._missing(determines, seed, reason))
+        if self.replay and parsed is None and file is not None:
+            if reason is not None:
+                raise AnswerError(f"{file} has no answer that can be used; the last: {reason}")
+            words = f"{file.parent} has no answer to this request: {file.name} is missing"
+            others = any(file.parent.glob(f"{key}-*.json"))
+            raise AnswerError(words + "; it has been answered for other seeds only" * others)
         made, wait = 0, FIRST_WAIT
         while parsed is None:
             # the same request, as if for the first time: an answer never knows of another
-            attempt, again = self._try(request, self.retries - made)
-            attempts.append(attempt)
-            record["film"] = request.drawn()
-            if self.store and any("text" in each for each in attempts):
-                self.store.keep(record)
-            made += _requests(attempt)
-            place, parsed, reason = self._first_readable(attempts)
+            attempt, again, asked_for = self._try(request)
+            record.attempts.append(attempt)
+            record.film = request.drawn()
+            if file is not None and any(each.text is not None for each in record.attempts):
+                writable_folder(file.parent)
+                write_json(file, msgspec.to_builtins(record))
+            made += attempt.requests
+            place, parsed, reason = self._first_readable(record.attempts)
             if parsed is None and (made > self.retries or not again):
                 requests = f"{made} request{'s' * (made > 1)}"
                 raise AnswerError(f"no answer that can be used in {requests}; the last: {reason}")
-            if "text" not in attempt:
-                pause(wait)
-                wait = min(2 * wait, LONGEST_WAIT)
-        cost = _cost(attempts[: place + 1], len(parsed.repairs), from_store)
+            if attempt.text is None:
+                pause(min(max(wait, asked_for), LONGEST_WAIT))
+                wait *= 2
+        cost = _cost(record.attempts[: place + 1], len(parsed.repairs), from_store)
         prediction = Prediction("", probabilities=parsed.probabilities, cost=cost)
-        kept = {**record, "repairs": list(parsed.repairs), "remaining": self.remaining}
+        kept = {"repairs": list(parsed.repairs), "remaining": self.remaining}
+        kept = {**msgspec.to_builtins(record), **kept}
         return Answer(prediction, {ANSWER: lambda path: write_json(path, kept)})
 
     def settings(self) -> dict[str, Any]:
@@ -192,23 +176,22 @@ class Vlm:
         """Return the place of the first answer that can be used, it, and why the last cannot."""
         reason = None
         for place, attempt in enumerate(attempts):
-            reason = attempt.get("failure")
-            if reason is None:
+            reason = attempt.failure
+            if attempt.text is not None:
                 try:
-                    return place, parse(attempt["text"], self.remaining), None
+                    return place, parse(attempt.text, self.remaining), None
                 except AnswerError as error:
-                    ended = attempt.get("finish")
-                    reason = f"{error} (ended by: {ended})" if ended else str(error)
+                    ended = f" (ended by: {attempt.finish})" if attempt.finish else ""
+                    reason = f"{error}{ended}"
         return len(attempts), None, reason
 
-    def _try(self, request: Request, retries: int) -> tuple[Attempt, bool]:
-        """Return an attempt, and whether to try again if it was in vain."""
+    def _try(self, request: Request) -> tuple[Attempt, bool, float]:
+        """Return an attempt, and whether to try again if it was in vain, and after how long."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        clock, again = time.perf_counter(), True
+        clock, again, wait = time.perf_counter(), True, 0.0
         found: dict[str, Any]
         try:
-            client = self.client
-            given = client(request, retries) if isinstance(client, Service) else client(request)
+            given = self.client(request)
             reply = Reply(given) if isinstance(given, str) else given
             if not isinstance(reply, Reply):
                 raise NoReply(f"the client returned {shown(reply)}, expected text")
@@ -216,48 +199,32 @@ class Vlm:
             found = {name: word and in_a_line(word) for name, word in words.items()}
             found = {**vars(reply), **found, "text": writable(reply.text)}
         except NoReply as error:
-            found = {"failure": writable(str(error)), "requests": error.requests}
-            again = error.again
+            found = {"failure": writable(str(error))}
+            again, wait = error.again, error.wait
         except (ConnectionError, TimeoutError) as error:
             found = {"failure": in_a_line(f"{type(error).__name__}: {error}")}
         seconds = round(time.perf_counter() - clock, 3)
-        if found.get("requests") == 1:
-            del found["requests"]
-        known = {name: value for name, value in found.items() if value is not None}
-        return {"time": now, "seconds": seconds, **known}, again
-
-    def _missing(self, determines: Mapping[str, Any], seed: int, reason: str | None) -> str:
-        assert self.store is not None
-        folder, name = self.store.path, self.store.file_of(determines, seed).name
-        if reason is not None:
-            return f"{folder / name} has no answer that can be used; the last: {reason}"
-        words = f"{folder} has no answer to this request: {name} is missing"
-        others = any(folder.glob(f"{name.partition('-')[0]}-*.json"))
-        return f"{words}; it has been answered for other seeds only" if others else words
-
-
-def _requests(attempt: Attempt) -> int:
-    return int(attempt.get("requests", 1))
+        return Attempt(time=now, seconds=seconds, **found), again, wait
 
 
 def _cost(attempts: Sequence[Attempt], repairs: int, from_store: bool) -> dict[str, Any]:
     """Return what an answer cost when it was given, even if that was long ago."""
     cost = {
-        "requests": sum(_requests(each) for each in attempts),
-        "failures": sum(_requests(each) - ("text" in each) for each in attempts),
-        "refused": sum("text" in each for each in attempts[:-1]),
+        "requests": sum(each.requests for each in attempts),
+        "failures": sum(each.requests - (each.text is not None) for each in attempts),
+        "refused": sum(each.text is not None for each in attempts[:-1]),
         "repairs": repairs,
         "from_store": from_store,
-        "answer_seconds": sum(each["seconds"] for each in attempts),
+        "answer_seconds": sum(each.seconds for each in attempts),
     }
     for name in ("tokens_in", "tokens_out"):
-        known = [each[name] for each in attempts if name in each]
+        known = [count for each in attempts if (count := getattr(each, name)) is not None]
         if known:
             cost[name] = sum(known)
     return cost
 
 
-@register_model("vlm", parallel=False, extra="vlm")  # one request at a time: services count them
+@register_model("vlm", parallel=False)  # one request at a time: services count them
 def vlm(
     *,
     client: str | Client | None = None,
@@ -279,7 +246,7 @@ def vlm(
 
     Args:
         client: "google", "openai" (or whatever speaks the same), or a function that takes a
-            :class:`~phase_ppl.evaluation.models.vlm.request.Request` and returns a text.
+            :class:`~phase_ppl.models.vlm.request.Request` and returns a text.
         name: of the model, as the service calls it; for Google the paper's, gemini-2.5-pro. For a
             function, the name under which its answers are kept, by default its own.
         store: folder in which answers are kept; one that is there is not asked for again.
@@ -296,9 +263,9 @@ def vlm(
         timeout: seconds that a service may take for an answer; by default 300.
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
-        remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.models.vlm.request.REMAINING`).
+        remaining: "spread" or "zero" (:data:`phase_ppl.models.vlm.request.REMAINING`).
         prompt: a text file with a prompt of one's own, in which ``{goals}`` stands for the names of
-            the goals; by default :data:`phase_ppl.evaluation.models.vlm.request.TEXT`.
+            the goals; by default :data:`phase_ppl.models.vlm.request.TEXT`.
     """
     if client is None:
         raise InvalidSettingError(
@@ -312,9 +279,11 @@ def vlm(
         raise InvalidSettingError(f"name={shown(name)}, expected a name")
     whole_number("frames", frames, minimum=2)
     whole_number("retries", retries, minimum=0)
-    kept = None if store is None else Store(store)
-    if replay and (kept is None or not any(kept.path.glob("*.json"))):
-        where = "store is not given" if kept is None else f"there are none in {kept.path}"
+    kept = None if store is None else Path(store)
+    if kept is not None and kept.exists() and not kept.is_dir():
+        raise OutputError(f"{kept} is a file, expected a folder for answers")
+    if replay and (kept is None or not any(kept.glob("*.json"))):
+        where = "store is not given" if kept is None else f"there are none in {kept}"
         raise InvalidSettingError(f"replay needs a store with answers, but {where}")
     of_services = {
         **{"base_url": base_url, "key_env": key_env, "timeout": timeout},

@@ -22,7 +22,6 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from phase_ppl.data.documents import parse_text
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     AnswerError,
@@ -37,6 +36,8 @@ from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS
 from phase_ppl.world.scene import Scene
+
+QUESTIONS: Final = {"goal_red": GOALS, "goal_green": GOALS, "relation": RELATIONS}
 
 N_NAMED: Final = 10  # goals that an answer names for each agent
 
@@ -79,10 +80,10 @@ How the agents may stand to each other:
 {{relations}}
 
 Answer with a single JSON object and nothing before or after it. It has exactly three keys:
-- "{GOAL_QUESTIONS[AGENTS[0]]}": the {N_NAMED} goals that the {AGENTS[0]} most probably has, each \
+- "goal_red": the {N_NAMED} goals that the {AGENTS[0]} most probably has, each \
 name with its probability; exactly {N_NAMED} different names, spelled as above, and probabilities \
 that sum to 1.
-- "{GOAL_QUESTIONS[AGENTS[1]]}": the same for the {AGENTS[1]}.
+- "goal_green": the same for the {AGENTS[1]}.
 - "relation": the probabilities of {", ".join(f'"{name}"' for name in RELATIONS)}, all three of \
 them, which sum to 1.
 
@@ -246,12 +247,12 @@ class NoReply(AnswerError):
 
     Attributes:
         again: whether the same request may succeed later.
-        requests: how many were made.
+        wait: seconds after which, as whoever is asked says; 0: it does not.
     """
 
-    def __init__(self, reason: str, again: bool = False) -> None:
+    def __init__(self, reason: str, again: bool = False, wait: float = 0.0) -> None:
         super().__init__(reason)
-        self.again, self.requests = again, 1
+        self.again, self.wait = again, wait
 
 
 def sha256(*parts: str | bytes) -> str:
