@@ -20,7 +20,7 @@ import msgspec
 
 from phase_ppl.data.documents import read_json
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.registry import Answer, register_model
+from phase_ppl.evaluation.registry import Answer, check_installed, register_model
 from phase_ppl.models.vlm.request import (
     REMAINING,
     TEXT,
@@ -35,7 +35,7 @@ from phase_ppl.models.vlm.request import (
     sha256,
     writable,
 )
-from phase_ppl.models.vlm.services import make_service
+from phase_ppl.models.vlm.services import LONGEST_WAIT, SERVICES, Service, make_service
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
@@ -56,14 +56,14 @@ SCHEMA: Final = "phase-ppl-answer-1"
 ANSWER: Final = "answer.json"
 """The file in an event's folder that holds the request and all that came of it."""
 
-FIRST_WAIT, LONGEST_WAIT = 2.0, 120.0
-"""Seconds to wait after a failure that may pass, doubled every time, at least and at most."""
+FIRST_WAIT: Final = 2.0
+"""Seconds to wait after a failure that may pass: doubled every time, up to ``LONGEST_WAIT``."""
 
 pause = time.sleep
 
 
 class Attempt(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """A request that was made: a text came, or a failure.
+    """A request that was made, once or again by a service's library: a text came, or a failure.
 
     What else is known is as of :class:`~phase_ppl.models.vlm.request.Reply`.
     """
@@ -76,7 +76,7 @@ class Attempt(msgspec.Struct, kw_only=True, omit_defaults=True):
     model: str | None = None
     tokens_in: int | None = None
     tokens_out: int | None = None
-    requests: int = 1  # more where a library made it again
+    requests: int = 1
 
     def __post_init__(self) -> None:
         if (self.text is None) == (self.failure is None):
@@ -148,7 +148,7 @@ class Vlm:
         made, wait = 0, FIRST_WAIT
         while parsed is None:
             # the same request, as if for the first time: an answer never knows of another
-            attempt, again, asked_for = self._try(request)
+            attempt, again = self._try(request, self.retries - made)
             record.attempts.append(attempt)
             record.film = request.drawn()
             if file is not None and any(each.text is not None for each in record.attempts):
@@ -160,8 +160,8 @@ class Vlm:
                 requests = f"{made} request{'s' * (made > 1)}"
                 raise AnswerError(f"no answer that can be used in {requests}; the last: {reason}")
             if attempt.text is None:
-                pause(min(max(wait, asked_for), LONGEST_WAIT))
-                wait *= 2
+                pause(wait)
+                wait = min(2 * wait, LONGEST_WAIT)
         cost = _cost(record.attempts[: place + 1], len(parsed.repairs), from_store)
         prediction = Prediction("", probabilities=parsed.probabilities, cost=cost)
         kept = {"repairs": list(parsed.repairs), "remaining": self.remaining}
@@ -185,13 +185,14 @@ class Vlm:
                     reason = f"{error}{ended}"
         return len(attempts), None, reason
 
-    def _try(self, request: Request) -> tuple[Attempt, bool, float]:
-        """Return an attempt, and whether to try again if it was in vain, and after how long."""
+    def _try(self, request: Request, retries: int) -> tuple[Attempt, bool]:
+        """Return an attempt, and whether to try again if it was in vain."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        clock, again, wait = time.perf_counter(), True, 0.0
+        clock, again = time.perf_counter(), True
         found: dict[str, Any]
         try:
-            given = self.client(request)
+            client = self.client
+            given = client(request, retries) if isinstance(client, Service) else client(request)
             reply = Reply(given) if isinstance(given, str) else given
             if not isinstance(reply, Reply):
                 raise NoReply(f"the client returned {shown(reply)}, expected text")
@@ -199,12 +200,12 @@ class Vlm:
             found = {name: word and in_a_line(word) for name, word in words.items()}
             found = {**vars(reply), **found, "text": writable(reply.text)}
         except NoReply as error:
-            found = {"failure": writable(str(error))}
-            again, wait = error.again, error.wait
+            found = {"failure": writable(str(error)), "requests": error.requests}
+            again = error.again
         except (ConnectionError, TimeoutError) as error:
             found = {"failure": in_a_line(f"{type(error).__name__}: {error}")}
         seconds = round(time.perf_counter() - clock, 3)
-        return Attempt(time=now, seconds=seconds, **found), again, wait
+        return Attempt(time=now, seconds=seconds, **found), again
 
 
 def _cost(attempts: Sequence[Attempt], repairs: int, from_store: bool) -> dict[str, Any]:
@@ -224,7 +225,7 @@ def _cost(attempts: Sequence[Attempt], repairs: int, from_store: bool) -> dict[s
     return cost
 
 
-@register_model("vlm", parallel=False)  # one request at a time: services count them
+@register_model("vlm", parallel=False, extra="vlm")  # one request at a time: services count them
 def vlm(
     *,
     client: str | Client | None = None,
@@ -304,6 +305,8 @@ def vlm(
         named: dict[str, Any] = {"client": who, "model": name or who, "show": show or "video"}
     else:
         service = make_service(client, name, show, given, to_be_asked=not replay)
+        if not replay:
+            check_installed(f"client {client!r}", [SERVICES[service.name]], "vlm")
         asked, named = service, service.named()
     text = TEXT if prompt is None else _own_prompt(prompt)
     return Vlm(asked, named, frames, kept, replay, retries, remaining, text)

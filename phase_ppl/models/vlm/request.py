@@ -247,12 +247,12 @@ class NoReply(AnswerError):
 
     Attributes:
         again: whether the same request may succeed later.
-        wait: seconds after which, as whoever is asked says; 0: it does not.
+        requests: how many were made.
     """
 
-    def __init__(self, reason: str, again: bool = False, wait: float = 0.0) -> None:
+    def __init__(self, reason: str, again: bool = False) -> None:
         super().__init__(reason)
-        self.again, self.wait = again, wait
+        self.again, self.requests = again, 1
 
 
 def sha256(*parts: str | bytes) -> str:

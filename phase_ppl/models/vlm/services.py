@@ -1,7 +1,8 @@
-"""The services that can be asked, by one POST of JSON each: Google's and OpenAI's.
+"""The services that can be asked, through their own libraries: google-genai and openai.
 
-A key is read from the environment when a request is made, and is hidden in whatever comes back. No
-redirection is followed, which would take the request along; an answer has a largest size and a
+The libraries try again where a failure may pass, and ask for JSON. A key is read from the
+environment when a request is made, goes to the library alone, and is hidden in whatever comes back.
+No redirection is followed, which would take the request along; an answer has a largest size and a
 latest moment.
 """
 
@@ -10,23 +11,28 @@ from __future__ import annotations
 import base64
 import contextlib
 import dataclasses
-import http.client
+import importlib
 import ipaddress
-import json
 import os
 import re
 import time
 import urllib.parse
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from phase_ppl.models.vlm.request import NoReply, Reply, Request, in_a_line
-from phase_ppl.world.errors import InvalidSettingError, check_name, number_or_nan, shown
+from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
+
+SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the module that it needs
 
 MAX_REPLY: Final = 8 * 2**20  # largest answer that is read, bytes; a good one has a few thousand
+FIRST_WAIT: Final = 4.0
+LONGEST_WAIT: Final = 120.0
+"""Seconds that are waited before a request is made again, doubled every time, and at most; of
+Google's library, which does not heed Retry-After. OpenAI's has its own."""
 
-SERVICES: Final[Mapping[str, Mapping[str, Any]]] = {
+_USUAL: Final[Mapping[str, Mapping[str, Any]]] = {
     "google": {
         "model": "gemini-2.5-pro",  # the paper's
         "base_url": "https://generativelanguage.googleapis.com",
@@ -39,8 +45,6 @@ SERVICES: Final[Mapping[str, Mapping[str, Any]]] = {
         "show": "pictures",
     },
 }
-"""Name of a service -> its usual settings."""
-
 _MOST: Final = {"timeout": 86_400.0, "temperature": 2.0, "video_fps": 24.0}
 _NO_KEY: Final = "none"  # sent as the key to a server of one's own that asks for none
 _SECRET_LENGTH: Final = 12
@@ -50,7 +54,7 @@ hiding it would spoil the answers."""
 
 @dataclasses.dataclass(frozen=True)
 class Service:
-    """A service that is asked over the network."""
+    """A service that is asked over the network through its library."""
 
     name: str  # one of ``SERVICES``
     model: str  # as of the model ``vlm``; None leaves the last two to the service
@@ -58,61 +62,32 @@ class Service:
     # the environment variables that may hold the key, the first that does counts
     variables: tuple[str, ...]
     show: str
-    timeout: float = 300.0  # seconds for a whole answer
+    timeout: float = 300.0
     temperature: float | None = None
     video_fps: float | None = None
     needs_key: bool = True  # whether it is an error if there is none
 
-    def __call__(self, request: Request) -> Reply:
-        """Return the answer to a request, which is made once."""
-        key, ask = self._key(), _google if self.name == "google" else _openai
-        path, headers, body, read = ask(self, request, key)
+    def __call__(self, request: Request, retries: int = 0) -> Reply:
+        """Return the answer to a request, made again by the library up to ``retries`` times."""
+        key = self._key()
+        _ = request.video if self.show == "video" else request.pictures  # that fails by itself
+        failure: NoReply | InvalidSettingError
+        guard = _Guard(key, self.timeout)
+        client = {"follow_redirects": False, "event_hooks": guard.hooks}
+        ask = _google if self.name == "google" else _openai
         try:
-            status, content, wait = self._answer(path, headers, body)
-        except (OSError, http.client.HTTPException) as error:
-            words = in_a_line(f"{type(error).__name__}: {getattr(error, 'reason', error)}")
-            raise NoReply(words, again=True) from None
-        if len(key) >= _SECRET_LENGTH:
-            content = content.replace(key.encode(), b"[key]")
-        if status != 200:
-            raise self._failure(status, content.decode(errors="replace"), wait)
-        with contextlib.suppress(ValueError, RecursionError):
-            found = json.loads(content)
-            if isinstance(found, dict):
-                return read(found)
-        raise NoReply(f"{self.base_url} sends no JSON object", again=True)
-
-    def _answer(
-        self, path: str, headers: Mapping[str, str], body: Mapping[str, Any]
-    ) -> tuple[int, bytes, float]:
-        """Return status and content of an answer, and for how long it asks to wait, seconds."""
-        import urllib.error
-        import urllib.request
-
-        class Stays(urllib.request.HTTPRedirectHandler):
-            def redirect_request(self, *given: Any) -> None:
-                return None
-
-        asked = urllib.request.Request(
-            f"{self.base_url.rstrip('/')}/{path}",
-            json.dumps(body).encode(),
-            {"Content-Type": "application/json", **headers},
-        )
-        end, content = time.monotonic() + self.timeout, bytearray()
-        try:
-            answer = urllib.request.build_opener(Stays).open(asked, timeout=self.timeout)
-        except urllib.error.HTTPError as error:
-            answer = error
-        with answer:
-            while piece := answer.read1(2**16):
-                content += piece
-                if len(content) > MAX_REPLY:
-                    most = MAX_REPLY // 2**20
-                    raise NoReply(f"the answer is larger than the {most} MB that are read")
-                if time.monotonic() > end:
-                    raise TimeoutError(f"no complete answer within {self.timeout:g} s")
-        wait = answer.headers.get("retry-after", "")
-        return answer.status, bytes(content), float(wait) if wait.isdecimal() else 0.0
+            reply = ask(self, request, retries, key, client)
+        except Exception as error:
+            try:
+                failure = self._failure(error, key)
+            except Exception:  # a library's error that has no words
+                failure = NoReply(type(error).__name__)
+        else:
+            parts = {name: _hidden(value, key) for name, value in vars(reply).items()}
+            return Reply(**parts | {"requests": guard.requests})
+        if isinstance(failure, NoReply):
+            failure.requests = max(1, guard.requests)
+        raise failure  # from here it has no context, which would hold the request with its key
 
     def named(self) -> dict[str, Any]:
         """Return what determines the answers, as plain data."""
@@ -136,116 +111,181 @@ class Service:
             f"{' or '.join(self.variables)}"
         )
 
-    def _failure(self, status: int, words: str, wait: float) -> NoReply | InvalidSettingError:
-        """Return an answer that is none as an error of ours."""
+    def _failure(self, error: Exception, key: str) -> NoReply | InvalidSettingError:
+        """Return an error of a library, or of what came, as one of ours."""
+        status = getattr(error, "status_code", getattr(error, "code", None))  # openai's, Google's
+        if not isinstance(status, int):
+            cause = error.__cause__ or error
+            if isinstance(cause, NoReply):
+                return NoReply(_line(str(cause), key), cause.again)
+            # pydantic's words have pieces of what was sent
+            words = "an answer of another form" if hasattr(cause, "error_count") else str(cause)
+            return NoReply(_line(f"{type(cause).__name__}: {words}", key), again=True)
         where = f"{self.base_url} answers HTTP {status}"
         # the words of such answers like to repeat part of the key
-        if status in (401, 403) or "API_KEY_INVALID" in words:
+        if status in (401, 403) or "API_KEY_INVALID" in str(getattr(error, "details", "")):
             variables = " or ".join(self.variables) or "(none was sent)"
             return InvalidSettingError(f"{where}: the key in {variables} is refused")
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            words = str(json.loads(words)["error"]["message"])
+        body = getattr(error, "body", None) or getattr(error, "message", None)
+        words = _line(str(body.get("message", body) if isinstance(body, Mapping) else body), key)
         if status == 404:
-            return InvalidSettingError(f"{where} to name={self.model!r}: {in_a_line(words)}")
-        again = status in (408, 409, 429) or status >= 500
-        return NoReply(f"HTTP {status}: {in_a_line(words)}", again, wait)
+            return InvalidSettingError(f"{where} to name={self.model!r}: {words}")
+        return NoReply(f"HTTP {status}: {words}")  # the library has tried again where that helps
 
 
-def _at(found: Any, *path: str | int) -> Any:
-    """Return a part of an answer; None where it is not there, or the whole is of another form."""
-    for step in path:
-        try:
-            found = found[step]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return found
+def _hidden(given: Any, key: str) -> Any:
+    """Return ``given``, if it is a text, without the key."""
+    secret = isinstance(given, str) and len(key) >= _SECRET_LENGTH
+    return given.replace(key, "[key]") if secret else given
 
 
-def _google(service: Service, request: Request, key: str) -> tuple[Any, ...]:
-    """Return path, headers and body of what Google is asked, and what reads the answer."""
-    parts: list[dict[str, Any]] = []
+def _line(words: str, key: str) -> str:
+    # hidden before the cut, which could leave half of it
+    return in_a_line(_hidden(words, key))
+
+
+class _Guard:
+    """Sees what a library's HTTP client (httpx or httpx2) sends and gets before the library does.
+
+    It keeps the time from a request to the end of its answer: the libraries' own limits are for
+    each piece of an answer, and a server that sends a byte now and then keeps to them.
+    """
+
+    def __init__(self, key: str, timeout: float) -> None:
+        self.requests = 0
+        self.hooks = {"request": [self._sent], "response": [self._answered]}
+        self._key, self._timeout, self._end = key, timeout, 0.0
+        self._refusal: NoReply | None = None
+
+    def _sent(self, request: Any) -> None:
+        if self._refusal is not None:  # by a library that tries again after whatever was raised
+            raise self._refusal
+        self.requests += 1
+        self._end = time.monotonic() + self._timeout
+        request.headers["Accept-Encoding"] = "identity"  # an answer is as large as what is sent
+
+    def _answered(self, response: Any) -> None:
+        """Take the answer in, and give the library what was taken, without the key."""
+        if response.headers.get("content-encoding", "identity").lower() != "identity":
+            raise self._refused("the answer is compressed, which was not asked for")
+        content = bytearray()
+        for piece in response.stream:
+            content += piece
+            if len(content) > MAX_REPLY:
+                most = MAX_REPLY // 2**20
+                raise self._refused(f"the answer is larger than the {most} MB that are read")
+            if time.monotonic() > self._end:
+                raise NoReply(f"no complete answer within {self._timeout:g} s", again=True)
+        response.stream.close()
+        if len(self._key) >= _SECRET_LENGTH:  # libraries write what they get into logs
+            content = content.replace(self._key.encode(), b"[key]")
+        library = importlib.import_module(type(response).__module__.partition(".")[0])
+        response.stream = library.ByteStream(bytes(content))
+
+    def _refused(self, words: str) -> NoReply:
+        self._refusal = NoReply(words)
+        return self._refusal
+
+
+def _google(
+    service: Service, request: Request, retries: int, key: str, client: dict[str, Any]
+) -> Reply:
+    from google import genai
+    from google.genai import types
+
+    options = types.HttpOptions(
+        base_url=service.base_url,
+        timeout=round(1000 * service.timeout),
+        retry_options=types.HttpRetryOptions(
+            attempts=retries + 1, initial_delay=FIRST_WAIT, max_delay=LONGEST_WAIT
+        ),
+        client_args=client,
+    )
+    config = types.GenerateContentConfig(
+        temperature=service.temperature, response_mime_type="application/json"
+    )
+    parts: list[Any] = []
     if service.show == "video":
-        parts.append(_inline("video/mp4", request.video))
-        if service.video_fps:
-            parts[0]["videoMetadata"] = {"fps": service.video_fps}
+        chosen = types.VideoMetadata(fps=service.video_fps) if service.video_fps else None
+        blob = types.Blob(data=request.video, mime_type="video/mp4")
+        parts.append(types.Part(inline_data=blob, video_metadata=chosen))
     else:
         for picture in request.pictures:
-            parts += [{"text": f"{picture.seconds:g} s"}, _inline("image/png", picture.png)]
-    config: dict[str, Any] = {"responseMimeType": "application/json"}
-    if service.temperature is not None:
-        config |= {"temperature": service.temperature}
-    body = {
-        "contents": [{"role": "user", "parts": [*parts, {"text": request.prompt}]}],
-        "generationConfig": config,
-    }
-    path = f"v1beta/models/{urllib.parse.quote(service.model)}:generateContent"
-    return path, {"x-goog-api-key": key}, body, _from_google
-
-
-def _inline(kind: str, content: bytes) -> dict[str, Any]:
-    return {"inlineData": {"mimeType": kind, "data": base64.b64encode(content).decode()}}
-
-
-def _from_google(found: dict[str, Any]) -> Reply:
-    said = _at(found, "candidates", 0, "content", "parts")
-    texts = [_at(part, "text") for part in said or () if not _at(part, "thought")]
-    finish = _at(found, "candidates", 0, "finishReason")
-    if blocked := _at(found, "promptFeedback", "blockReason"):
-        finish = f"blocked: {blocked}"
+            parts.append(types.Part.from_text(text=f"{picture.seconds:g} s"))
+            parts.append(types.Part.from_bytes(data=picture.png, mime_type="image/png"))
+    parts.append(types.Part.from_text(text=request.prompt))
+    with genai.Client(api_key=key, vertexai=False, http_options=options) as asked:
+        found = asked.models.generate_content(model=service.model, contents=parts, config=config)
+    usage, finish = found.usage_metadata, None
+    if found.candidates:
+        finish = getattr(found.candidates[0].finish_reason, "value", None)
+    elif found.prompt_feedback:
+        finish = f"blocked: {getattr(found.prompt_feedback.block_reason, 'value', None)}"
     # what it thought is paid for too, also where it thought until the limit
-    counts = (
-        _at(found, "usageMetadata", f"{name}TokenCount") for name in ("candidates", "thoughts")
-    )
-    written = [count for count in counts if isinstance(count, int)]
+    counts = (usage.candidates_token_count, usage.thoughts_token_count) if usage else ()
+    written = [count for count in counts if count is not None]
     return Reply(
-        text="".join(text for text in texts if isinstance(text, str)),
+        text=found.text or "",
         finish=finish,
-        model=found.get("modelVersion"),
-        tokens_in=_at(found, "usageMetadata", "promptTokenCount"),
+        model=found.model_version,
+        tokens_in=usage.prompt_token_count if usage else None,
         tokens_out=sum(written) if written else None,
     )
 
 
-def _openai(service: Service, request: Request, key: str) -> tuple[Any, ...]:
-    """Return path, headers and body of what OpenAI is asked, and what reads the answer."""
-    parts: list[dict[str, Any]] = []
-    for picture in request.pictures:
-        url = f"data:image/png;base64,{base64.b64encode(picture.png).decode()}"
-        parts.append({"type": "text", "text": f"{picture.seconds:g} s"})
-        parts.append({"type": "image_url", "image_url": {"url": url}})
-    parts.append({"type": "text", "text": request.prompt})
-    body: dict[str, Any] = {
-        "model": service.model,
-        "messages": [{"role": "user", "content": parts}],
-        "response_format": {"type": "json_object"},
-    }
-    if service.temperature is not None:
-        body["temperature"] = service.temperature
-    return "chat/completions", {"Authorization": f"Bearer {key}"}, body, _from_openai
+def _openai(
+    service: Service, request: Request, retries: int, key: str, client: dict[str, Any]
+) -> Reply:
+    import openai
 
-
-def _from_openai(found: dict[str, Any]) -> Reply:
-    said = _at(found, "choices", 0, "message")
-    content, refusal = _at(said, "content"), _at(said, "refusal")
-    finish = f"refusal: {refusal}" if refusal else _at(found, "choices", 0, "finish_reason")
+    chosen = {} if service.temperature is None else {"temperature": service.temperature}
+    with openai.OpenAI(
+        api_key=key,
+        base_url=service.base_url,
+        timeout=service.timeout,
+        max_retries=retries,
+        http_client=openai.DefaultHttpxClient(**client),
+    ) as asked:
+        found: Any = asked.chat.completions.create(
+            model=service.model,
+            messages=[{"role": "user", "content": list(_openai_parts(request))}],
+            stream=False,
+            response_format={"type": "json_object"},
+            **chosen,
+        )
+    if isinstance(found, str):  # the library hands on, unchecked, whatever a server sends
+        return Reply(found)
+    choice = next(iter(getattr(found, "choices", None) or ()), None)
+    said, usage = getattr(choice, "message", None), getattr(found, "usage", None)
+    content, refusal = getattr(said, "content", None), getattr(said, "refusal", None)
+    finish = f"refusal: {refusal}" if refusal else getattr(choice, "finish_reason", None)
     return Reply(
         text="" if content is None else str(content),
-        finish=finish or found.get("error"),  # some servers send one with status 200
-        model=found.get("model"),
-        tokens_in=_at(found, "usage", "prompt_tokens"),
-        tokens_out=_at(found, "usage", "completion_tokens"),
+        finish=finish or getattr(found, "error", None),  # some servers send one with status 200
+        model=getattr(found, "model", None),
+        tokens_in=getattr(usage, "prompt_tokens", None),
+        tokens_out=getattr(usage, "completion_tokens", None),
     )
+
+
+def _openai_parts(request: Request) -> Iterator[dict[str, Any]]:
+    for picture in request.pictures:
+        yield {"type": "text", "text": f"{picture.seconds:g} s"}
+        url = f"data:image/png;base64,{base64.b64encode(picture.png).decode()}"
+        yield {"type": "image_url", "image_url": {"url": url}}
+    yield {"type": "text", "text": request.prompt}
 
 
 # --- settings -------------------------------------------------------------------------------------
 
 
 def make_service(
-    name: str, model: str | None, show: str | None, given: Mapping[str, Any], to_be_asked: bool
+    name: object, model: str | None, show: str | None, given: Mapping[str, Any], to_be_asked: bool
 ) -> Service:
     """Return a service, ready to be asked."""
-    check_name("client", name, SERVICES)
-    settings: dict[str, Any] = dict(SERVICES[name])
+    if not isinstance(name, str) or name not in SERVICES:
+        raise unknown_name("client", name, SERVICES)
+    settings: dict[str, Any] = dict(_USUAL[name])
     for option, most in _MOST.items():
         if option in given:
             number, may_be_0 = number_or_nan(given[option]), option == "temperature"

@@ -1,17 +1,18 @@
-"""Google's and OpenAI's services, played by a server on this machine that misbehaves."""
+"""Google's and OpenAI's libraries against a server on this machine that misbehaves."""
 
 from __future__ import annotations
 
 import base64
 import logging
 import re
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import pytest
 
-from phase_ppl.evaluation.registry import ready
+from phase_ppl.evaluation.registry import is_installed, ready
 from phase_ppl.models.vlm import services as of_services
 from phase_ppl.models.vlm.request import NoReply, Picture, Reply, Request, parse
 from phase_ppl.models.vlm.services import SERVICES, Service, make_service
@@ -45,11 +46,11 @@ class Asked(NamedTuple):
     def envelope(self, content: str | None, **more: Any) -> Any:
         return ENVELOPES[self.name](content, **more)
 
-    def reply(self, *behaviours: Any, **more: Any) -> Reply:
+    def reply(self, *behaviours: Any, retries: int = 0, **more: Any) -> Reply:
         """Return the reply to what the server does, or sends."""
         self.server.seen.clear()
         self.server.behaviours = [one if callable(one) else sends(one) for one in behaviours]
-        return self.service(**more)(request())
+        return self.service(**more)(request(), retries)
 
     def failure(self, *behaviours: Any, **more: Any) -> NoReply:
         """Return the failure that comes of what the server does."""
@@ -68,11 +69,14 @@ def listening() -> Iterator[Server]:
 def asked(
     request: pytest.FixtureRequest, listening: Server, monkeypatch: pytest.MonkeyPatch
 ) -> Asked:
+    name = str(request.param)
+    if not is_installed(SERVICES[name]):
+        pytest.skip(f"{SERVICES[name]} is not installed (extra vlm)")
     without_keys(monkeypatch)
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
     monkeypatch.setenv("GEMINI_API_KEY", KEY)
     listening.seen.clear()
-    return Asked(str(request.param), listening)
+    return Asked(name, listening)
 
 
 of_google, of_openai = (
@@ -129,7 +133,7 @@ def test_openai_gets_pictures_with_their_times_then_the_question(asked: Asked) -
     seen = asked.server.seen[0]
     assert seen.path == "/chat/completions"
     assert seen.headers["authorization"] == f"Bearer {KEY}"
-    assert set(seen.body) == {"model", "messages", "response_format"}
+    assert set(seen.body) == {"model", "messages", "stream", "response_format"}
     assert seen.body["response_format"] == {"type": "json_object"}
     parts = seen.body["messages"][0]["content"]
     assert [part.get("text") for part in parts] == ["0 s", None, "0.5 s", None, request().prompt]
@@ -137,18 +141,35 @@ def test_openai_gets_pictures_with_their_times_then_the_question(asked: Asked) -
     assert first == "data:image/png;base64," + base64.b64encode(b"first").decode()
 
 
-def test_a_failure_that_may_pass_says_so_and_after_how_long(asked: Asked) -> None:
-    for status, again in ((429, True), (503, True), (408, True), (400, False), (302, False)):
-        found = asked.failure(sends({"error": {"message": "slow"}}, status, retry_after="7"))
-        assert (str(found), found.again, found.wait) == (f"HTTP {status}: slow", again, 7)
-    assert asked.failure(sends("{}", 503, retry_after="soon")).wait == 0
+@pytest.fixture
+def sleeps(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """What the libraries, which sleep by the clock of Python, would have slept."""
+    found: list[float] = []
+    real = time.sleep
+    monkeypatch.setattr(time, "sleep", lambda s: found.append(s) if s > 0.05 else real(s))
+    return found
+
+
+def test_the_library_tries_again_where_a_failure_may_pass_up_to_a_limit(
+    asked: Asked, sleeps: list[float]
+) -> None:
+    busy = sends({"error": {"message": "slow down"}}, 429, retry_after="7")
+    oops = sends({"error": {"message": "oops"}}, 503)
+    reply = asked.reply(busy, oops, asked.envelope("{}"), retries=3)
+    assert (reply.text, reply.requests, len(asked.server.seen)) == ("{}", 3, 3)
+    assert len(sleeps) == 2
+    # Google's library does not heed the header
+    assert sleeps[0] == 7 if asked.name == "openai" else sleeps[0] >= 4
+    found = asked.failure(busy, retries=2)
+    assert (str(found), found.again) == ("HTTP 429: slow down", False)
+    assert found.requests == len(asked.server.seen) == 3
 
 
 INVALID = {"code": 400, "message": "API key not valid.", "details": [{"reason": "API_KEY_INVALID"}]}
 
 
 REFUSALS: list[tuple[int, Any, type[Exception], str]] = [
-    (501, "<h1>Oh dear</h1>", NoReply, "^HTTP 501: .*Oh dear"),
+    (503, "<h1>Oh dear</h1>", NoReply, "^HTTP 503: .*Oh dear"),
     (400, {"error": {"message": "video too long"}}, NoReply, "^HTTP 400: video too long$"),
     (401, {"error": {"message": f"bad {KEY[:9]}***"}}, InvalidSettingError, "KEY is refused"),
     (403, {"error": {"message": f"bad {KEY[:9]}***"}}, InvalidSettingError, "KEY is refused"),
@@ -160,8 +181,8 @@ def test_a_refusal_ends_it_and_says_why(asked: Asked) -> None:
     google = [(400, {"error": INVALID}, InvalidSettingError, "is refused")]
     for status, body, error, reason in REFUSALS + google * (asked.name == "google"):
         with pytest.raises(error, match=reason) as caught:
-            asked.reply(sends(body, status))
-        assert getattr(caught.value, "again", False) is (status > 500)
+            asked.reply(sends(body, status), retries=0)
+        assert not getattr(caught.value, "again", False)
         assert KEY[:9] not in str(caught.value)
         assert len(asked.server.seen) == 1
 
@@ -207,7 +228,17 @@ def test_a_reply_without_a_text_or_with_odd_parts_is_one(asked: Asked) -> None:
         assert {part: getattr(reply, part) for part in expected} == expected
 
 
+@of_google
+def test_an_answer_of_another_form_does_not_show_pieces_of_the_key(asked: Asked) -> None:
+    text = "x" * 15 + KEY + "y" * 60  # a cut would go through the key
+    found = asked.failure({"candidates": [{"content": {"parts": text}}]})
+    assert found.again
+    assert "of another form" in str(found)
+    assert KEY[:6] not in str(found)
+
+
 def test_an_answer_that_takes_too_long_is_given_up(asked: Asked) -> None:
+    asked.service()  # imports the library
     for behaviour in (says_nothing, sends_for_ever(b" ", 0.05)):
         with running() as server:  # of its own: what is given up may come to it later
             found = asked._replace(server=server).failure(behaviour, timeout=0.2)
@@ -215,11 +246,25 @@ def test_an_answer_that_takes_too_long_is_given_up(asked: Asked) -> None:
         assert re.search(r"0\.2 s|[Tt]imeout|timed out", str(found))
 
 
-def test_an_answer_without_end_is_cut(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_without_words_is_named_by_its_kind(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_services, "in_a_line", lambda words: 1 / 0)
+    found = asked.failure(sends({"error": {"message": f"you sent {KEY}"}}, 503))
+    assert str(found).endswith("ServerError")  # as the library calls it
+    assert found.__context__ is None
+
+
+def test_an_answer_without_end_is_cut_and_one_that_would_unpack_to_much_refused(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(of_services, "MAX_REPLY", 2**20)
-    found = asked.failure(sends_for_ever(bytes(2**16)))
+    found = asked.failure(sends_for_ever(bytes(2**16)), retries=3)
     assert str(found) == "the answer is larger than the 1 MB that are read"
-    assert (found.again, len(asked.server.seen)) == (False, 1)
+    assert (found.again, found.requests, len(asked.server.seen)) == (False, 1, 1)
+    found = asked.failure(sends("{}", content_encoding="gzip"))
+    assert str(found) == "the answer is compressed, which was not asked for"
+    assert asked.server.seen[0].headers["accept-encoding"] == "identity"
 
 
 def test_a_redirection_is_not_followed_and_where_nobody_listens_may_somebody_later(
