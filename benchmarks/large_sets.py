@@ -173,7 +173,7 @@ def instant(
     gone = np.linspace(0, 0.5, frames)[:, None, None]
     nothing = np.zeros((frames, len(AGENTS)), bool)
     track = start + gone * (there - start)
-    hypothesis = situation.roles.of_its_world()
+    hypothesis = situation.roles
     return Recording(situation.scene, hypothesis, situation.layout, track, nothing, nothing)
 
 

@@ -343,7 +343,9 @@ class Person:
     def _labels(self, goals: Sequence[str]) -> list[str]:
         likely: dict[str, float] = {}
         world, n = self.settings.world, len(goals)
-        wanted = ppl.Roles(world, tuple(map(world.goal_index, goals)), (None,) * n, (1.0,) * n)
+        wanted = ppl.Hypothesis.coded(
+            world, tuple(map(world.goal_index, goals)), (None,) * n, (1.0,) * n
+        )
         for pair in itertools.combinations(world.agents, 2):
             likely |= _LIKELY[wanted.scenario_between(*pair)]
         for goal in goals:

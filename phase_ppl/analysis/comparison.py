@@ -30,7 +30,7 @@ from phase_ppl.world.errors import InvalidEventError, check_name
 from phase_ppl.world.event import Truth
 from phase_ppl.world.files import existing_file, write_json
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.hypothesis import RELATIONS, Roles
+from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 from phase_ppl.world.picture import Printed, plain
 from phase_ppl.world.space import space_of
 
@@ -287,7 +287,7 @@ def distances(found: Marginals, reference: Marginals | None) -> dict[str, float]
 
 
 def accuracy(
-    post: Posterior, reference: Marginals | None, truth: Truth | Roles | None
+    post: Posterior, reference: Marginals | None, truth: Truth | Hypothesis | None
 ) -> dict[str, float]:
     """Return how near a posterior is to a reference and to the truth; NaN where there is none.
 
@@ -307,19 +307,19 @@ def accuracy(
 
 
 def _accuracy(
-    found: Marginals, pair: float, reference: Marginals | None, truth: Truth | Roles | None
+    found: Marginals, pair: float, reference: Marginals | None, truth: Truth | Hypothesis | None
 ) -> dict[str, float]:
     return distances(found, reference) | {"p_pair": pair} | of_truth(found, truth)
 
 
-def _true_goals(post: Posterior, truth: Truth | Roles) -> dict[str, str]:
+def _true_goals(post: Posterior, truth: Truth | Hypothesis) -> dict[str, str]:
     goals, codes = post.world.goals, _true_codes(truth).items()
     return {name: goals[code] for name, code in codes if name.startswith("goal_")}
 
 
-def _true_codes(truth: Truth | Roles) -> dict[str, int]:
+def _true_codes(truth: Truth | Hypothesis) -> dict[str, int]:
     """Return the labels of goals and relations, as codes."""
-    if isinstance(truth, Roles):
+    if isinstance(truth, Hypothesis):
         space, goals = space_of(truth.world), np.array(truth.effective_goals)
         relations = {name: int(code) for name, code in space.relation_codes(goals).items()}
         return dict(zip(space.goal_sites, goals.tolist(), strict=True)) | relations
@@ -330,7 +330,7 @@ def _true_codes(truth: Truth | Roles) -> dict[str, int]:
     }
 
 
-def of_truth(found: Marginals, truth: Truth | Roles | None) -> dict[str, float]:
+def of_truth(found: Marginals, truth: Truth | Hypothesis | None) -> dict[str, float]:
     """Return what marginals make of the truth, as :func:`accuracy`; NaN where there is none."""
     if truth is None:
         return dict.fromkeys(("p_goals", "p_relation", "map_goals", "map_relation"), np.nan)
@@ -379,7 +379,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
 
 
 def curve(
-    post: Posterior, reference: Marginals | None, truth: Truth | Roles | None
+    post: Posterior, reference: Marginals | None, truth: Truth | Hypothesis | None
 ) -> pd.DataFrame:
     """Return :func:`accuracy` of what a run had after ever more simulations.
 
@@ -414,7 +414,7 @@ def _of_first(
     length: int,
     done: NDArray[np.bool_],
     reference: Marginals | None,
-    truth: Truth | Roles | None,
+    truth: Truth | Hypothesis | None,
 ) -> dict[str, float]:
     """Return :func:`accuracy` of the first draws, and of the simulations done until then."""
     tree, n_draws = post.tree, post.tree["posterior"].sizes["draw"]

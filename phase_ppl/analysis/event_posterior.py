@@ -28,7 +28,6 @@ from phase_ppl.world.errors import InvalidSettingError, QueryError, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.picture import plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
@@ -86,8 +85,7 @@ class EventPosterior(Hypotheses):
         """Return the most probable hypothesis; its goals are the stated ones.
 
         Returns:
-            A :class:`phase_ppl.Hypothesis`; in other worlds than PHASE
-            :class:`phase_ppl.world.hypothesis.Roles`.
+            A :class:`phase_ppl.Hypothesis`.
         """
         raise NotImplementedError
 
@@ -95,7 +93,7 @@ class EventPosterior(Hypotheses):
         """Return :meth:`map` as plain data; in PHASE ``goal_*`` are the effective goals."""
         best = self.map()
         record = best.to_dict()
-        if not isinstance(best, Hypothesis):
+        if "goals" in record:
             return dict(record)
         red, green = best.effective_goals
         return {

@@ -289,8 +289,7 @@ class Posterior(EventPosterior):
         ``.scenario`` give the rest. The simulator is noisy, so this is the best single simulation.
 
         Returns:
-            A :class:`phase_ppl.Hypothesis`; in other worlds than PHASE
-            :class:`phase_ppl.world.hypothesis.Roles`.
+            A :class:`phase_ppl.Hypothesis`.
         """
         row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
         space = self._words.space

@@ -35,7 +35,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.goals import goal_index, goal_literal, is_true, planned_as
-from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, Roles, checked_strength
+from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, checked_strength
 from phase_ppl.world.names import Literal, Predicate
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
@@ -278,7 +278,7 @@ class Change:
         words += [] if walls is None else ["other walls"]
         return cls(world, sites, goals, removed, walls, ", ".join(words))
 
-    def hypothesis(self, sites: Mapping[str, Any]) -> Hypothesis | Roles:
+    def hypothesis(self, sites: Mapping[str, Any]) -> Hypothesis:
         """Return a hypothesis, given by its sites, with the change: stated first, then effective.
 
         Raises:
@@ -428,7 +428,7 @@ def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
 def _simulate(
     run: Simulator,
     scene: Scene,
-    hypothesis: Hypothesis | Roles,
+    hypothesis: Hypothesis,
     seed: int,
     frames: int,
     past: Past | None,

@@ -96,7 +96,7 @@ def _simulate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _roles(options: argparse.Namespace, event: Event) -> phase_ppl.Hypothesis | phase_ppl.Roles:
+def _roles(options: argparse.Namespace, event: Event) -> phase_ppl.Hypothesis:
     """Return who wants what."""
     named = options.goal, options.relation, options.strength
     of_phase = options.goal_red, options.goal_green
@@ -106,7 +106,7 @@ def _roles(options: argparse.Namespace, event: Event) -> phase_ppl.Hypothesis | 
         goals = {name: goal for name, goal in (_parts(one, "goal", 2) for one in options.goal)}
         told = (_parts(one, "relation", 3) for one in options.relation)
         strengths = (_parts(one, "strength", 2) for one in options.strength)
-        return phase_ppl.Roles.of(
+        return phase_ppl.Hypothesis.of(
             event.scene.world,
             goals,
             {(who, whom): word for who, word, whom in told},

@@ -27,7 +27,7 @@ from phase_ppl.simulator.processes import (
 )
 from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.errors import SimulationError, shown
-from phase_ppl.world.hypothesis import Hypothesis, Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 
 _STREAM: Final = 0x4E87
@@ -44,7 +44,7 @@ class NextFrame(NamedTuple):
 
     simulator: Any
     scene: Scene
-    hypotheses: Sequence[Hypothesis | Roles]  # with effective goals
+    hypotheses: Sequence[Hypothesis]  # with effective goals
     samples: int  # 0: the simulator has a density
     scale: float  # of kernels, see ``next_frame.log_density``; and so the next
     noise: float
@@ -72,9 +72,7 @@ class NextFrame(NamedTuple):
             far.append(nearest.min())
         return np.concatenate(found, axis=1), float(min(far))
 
-    def _drawn(
-        self, hypothesis: Hypothesis | Roles, seen: FloatArray, seed: tuple[int, ...]
-    ) -> FloatArray:
+    def _drawn(self, hypothesis: Hypothesis, seen: FloatArray, seed: tuple[int, ...]) -> FloatArray:
         rng = np.random.default_rng(seed)
         frames = next_frames(self.simulator, self.scene, hypothesis, seen, rng, self.samples)
         return frames[:, :, :2].reshape(self.samples, -1)
@@ -123,7 +121,7 @@ class SimulatorFilter:
         self,
         simulator: Any,
         scene: Scene,
-        hypotheses: Sequence[Hypothesis | Roles],
+        hypotheses: Sequence[Hypothesis],
         read: BoolArray,
         frames: Sequence[FloatArray],
         tracking: Tracking,

@@ -157,7 +157,7 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
     known: Truth | Roles | None = None
     if truth is not None:
         only(truth, _TRUTH_FIELDS, "truth")
-        known = _truth(truth) if world == PHASE else Roles.from_dict(world, truth)
+        known = _truth(truth) if world == PHASE else Roles.from_dict(truth, world)
     return Event(
         scene=_scene(require(record, "scene", dict), observation.trajectory[0], world),
         observation=observation,

@@ -41,7 +41,7 @@ from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown, whole_number
 from phase_ppl.world.goals import possible_goals
-from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Roles
+from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import COMPANY_SITE, HypothesisSpace, space_of
@@ -85,30 +85,24 @@ def uniform(world: World, social: float = SOCIAL) -> None:
     strengths(world)
 
 
-def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Roles:
-    """Return roles drawn from a prior, for :func:`phase_ppl.simulate`.
+def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Hypothesis:
+    """Return a hypothesis drawn from a prior, for :func:`phase_ppl.simulate`.
 
     Args:
         world: whose agents and goals.
         seed: the same seed gives the same roles.
-        prior: NumPyro program of a world, or a ready-made one. Roles in which somebody helps or
+        prior: NumPyro program of a world, or a ready-made one. Those in which somebody helps or
             hinders and has nothing to do are not drawn.
 
     Raises:
         InvalidSettingError: it gives (nearly) all mass to others.
     """
     program = functools.partial(role_prior(prior, world), world)
-    space, ways = space_of(world), hypothesis.all_ways(len(world.agents))
-    key = jax.random.key(whole_number("seed", seed, 0))
+    space, key = space_of(world), jax.random.key(whole_number("seed", seed, 0))
     for _ in range(_DRAWS):
-        values = density.draw(program, key)
-        towards = ways[int(values[COMPANY_SITE])]
-        own = [int(values[name]) for name in space.goal_sites]
-        stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
-        strengths = tuple(float(values[name]) for name in space.strength_sites)
-        roles = Roles(world, stated, towards, strengths)
-        if roles.is_possible:
-            return roles
+        found = space.hypothesis(density.draw(program, key))
+        if found.is_possible:
+            return found
         key = jax.random.fold_in(key, 1)
     raise InvalidSettingError(
         f"the prior {qualified_name(prior)} draws none but agents that help or hinder with goals "

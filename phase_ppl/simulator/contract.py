@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import PhasePPLError, SimulationError, shown
-from phase_ppl.world.hypothesis import Hypothesis, Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 
 Result = TypeVar("Result")
@@ -41,7 +41,7 @@ class Simulator(Protocol):
     """Yields frames (entity, 3) = x, y [units], angle [rad] until it is closed.
 
     The first frame is compared with the first observed one. ``hypothesis`` holds effective goals
-    and alpha = (0, 0), or is a :class:`Roles` of them in other worlds than PHASE. All randomness
+    and nobody who helps or hinders. All randomness
     comes from ``rng``. Ending early, raising, or a value that is not finite is a failed simulation.
 
     A simulator may have more methods:
@@ -93,7 +93,7 @@ class OutOfTime(Cancelled):
 class SimulationResult:
     """One simulation, complete or not."""
 
-    hypothesis: Hypothesis | Roles  # as requested (stated goals and who helps or hinders whom)
+    hypothesis: Hypothesis  # as requested (stated goals and who helps or hinders whom)
     seed: int  # as requested
     # (time, entity, coord) x, y [units], angle [rad]; NaN where not simulated
     trajectory: FloatArray
@@ -111,7 +111,7 @@ class SimulationResult:
 
     @classmethod
     def failed(
-        cls, hypothesis: Hypothesis | Roles, seed: int, n_frames: int, why: str, seconds: float = 0
+        cls, hypothesis: Hypothesis, seed: int, n_frames: int, why: str, seconds: float = 0
     ) -> SimulationResult:
         """Return the result of a simulation that gave nothing."""
         trajectory = np.full((n_frames, len(hypothesis.world.entities), 3), np.nan)
@@ -127,7 +127,7 @@ def random_generator(seed: int) -> np.random.Generator:
 def simulate_one(
     simulator: Simulator,
     scene: Scene,
-    hypothesis: Hypothesis | Roles,
+    hypothesis: Hypothesis,
     seed: int,
     observed_positions: FloatArray,
     error_ceiling: float = math.inf,
@@ -312,7 +312,7 @@ class _Turn:
 def simulate_together(
     simulator: Any,
     scene: Scene,
-    hypotheses: Sequence[Hypothesis | Roles],
+    hypotheses: Sequence[Hypothesis],
     seeds: Sequence[int],
     observed_positions: FloatArray,
 ) -> list[SimulationResult]:
@@ -351,7 +351,7 @@ def simulate_together(
 
 
 def simulate_trajectory(
-    simulator: Simulator, scene: Scene, hypothesis: Hypothesis | Roles, seed: int, n_frames: int
+    simulator: Simulator, scene: Scene, hypothesis: Hypothesis, seed: int, n_frames: int
 ) -> FloatArray:
     """Return a simulated trajectory (time, entity, coord); nothing is observed."""
     shape = len(scene.world.entities), 3
@@ -369,7 +369,7 @@ def simulate_trajectory(
 def log_prob_next(
     simulator: Any,
     scene: Scene,
-    hypothesis: Hypothesis | Roles,
+    hypothesis: Hypothesis,
     seen: FloatArray,
     frame: FloatArray,
 ) -> float:
@@ -389,7 +389,7 @@ def log_prob_next(
 def next_frames(
     simulator: Any,
     scene: Scene,
-    hypothesis: Hypothesis | Roles,
+    hypothesis: Hypothesis,
     seen: FloatArray,
     rng: np.random.Generator,
     n: int,
@@ -410,7 +410,7 @@ def next_frames(
 
 
 @contextlib.contextmanager
-def _named(method: str, hypothesis: Hypothesis | Roles, seen: FloatArray) -> Iterator[None]:
+def _named(method: str, hypothesis: Hypothesis, seen: FloatArray) -> Iterator[None]:
     """Say of an error which frame and hypothesis it was about."""
     try:
         yield
@@ -423,7 +423,7 @@ def _named(method: str, hypothesis: Hypothesis | Roles, seen: FloatArray) -> Ite
 
 def _follow(
     start: Callable[[], Iterable[NDArray[Any]]],
-    hypothesis: Hypothesis | Roles,
+    hypothesis: Hypothesis,
     seed: int,
     observed_positions: FloatArray,
     error_ceiling: float = math.inf,

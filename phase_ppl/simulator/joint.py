@@ -27,7 +27,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import MIN_FRAMES, Event, Observation, State, Thoughts, Truth
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, deepest_overlap
-from phase_ppl.world.hypothesis import STRENGTH, Hypothesis, Roles
+from phase_ppl.world.hypothesis import STRENGTH, Hypothesis
 from phase_ppl.world.scene import Scene
 
 
@@ -97,7 +97,7 @@ class JointSimulator:
         run_briefly(JointSimulator(dataclasses.replace(self.planner, simulations=2)))
 
     def __call__(
-        self, scene: Scene, hypothesis: Hypothesis | Roles, rng: np.random.Generator
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
     ) -> Iterator[NDArray[np.float64]]:
         """Yield frames (entity, 3) = x, y [units], angle [rad], the start first."""
         return (frame for frame, _ in self.steps(scene, hypothesis, rng))
@@ -105,7 +105,7 @@ class JointSimulator:
     def steps(
         self,
         scene: Scene,
-        hypothesis: Hypothesis | Roles,
+        hypothesis: Hypothesis,
         rng: np.random.Generator,
         past: Past | None = None,
         removed: Collection[int] = (),
@@ -192,7 +192,7 @@ def _thoughts(decisions: Sequence[Decision], scene: Scene) -> tuple[Any, ...]:
 
 def simulate(
     scene: Scene,
-    hypothesis: Hypothesis | Roles | None = None,
+    hypothesis: Hypothesis | None = None,
     *,
     goals: Mapping[str, str | int] | None = None,
     relation: Mapping[tuple[str, str], str] | None = None,
@@ -236,21 +236,18 @@ def simulate(
     """
     instance_of("scene", scene, Scene, "a phase_ppl.Scene")
     if goals is not None:
-        roles = Roles.of(scene.world, goals, relation, strength)
         if hypothesis is not None:
             raise InvalidSettingError("both a hypothesis and goals are given; one says it all")
-        hypothesis = roles
+        hypothesis = Hypothesis.of(scene.world, goals, relation, strength)
     elif relation is not None or strength != STRENGTH:
         raise InvalidSettingError("relation and strength go with goals=; a hypothesis has its own")
-    instance_of("hypothesis", hypothesis, (Hypothesis, Roles), "a phase_ppl.Hypothesis, or goals=")
+    instance_of("hypothesis", hypothesis, Hypothesis, "a phase_ppl.Hypothesis, or goals=")
     assert hypothesis is not None
     if hypothesis.world != scene.world:
         raise InvalidSettingError(
             f"the hypothesis is of the world {hypothesis.world.name}, the scene of "
             f"{scene.world.name}: give goals="
         )
-    if isinstance(hypothesis, Roles):
-        hypothesis = hypothesis.of_its_world()
     seed = whole_number("seed", seed, 0)
     frames = whole_number("frames", frames, MIN_FRAMES)
     check_memory(f"frames={frames}", _FRAME_BYTES * frames)
@@ -271,9 +268,10 @@ def simulate(
 
     source = functools.partial(noted, run) if type(run) is JointSimulator else run
     trajectory = simulate_trajectory(source, scene, hypothesis, seed, frames)
-    truth = hypothesis if isinstance(hypothesis, Roles) else Truth.of(hypothesis)
     thoughts = None
     if notes:
         subgoals, *others = zip(*notes, strict=True)
         thoughts = Thoughts(subgoals, *map(np.array, others))
-    return Event(scene, Observation(trajectory), id=id, truth=truth, thoughts=thoughts)
+    return Event(
+        scene, Observation(trajectory), id=id, truth=Truth.of(hypothesis), thoughts=thoughts
+    )

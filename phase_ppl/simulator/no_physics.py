@@ -22,7 +22,7 @@ from phase_ppl.simulator.joint import run_briefly
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import positive_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, State
-from phase_ppl.world.hypothesis import Hypothesis, Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import NOTHING, Literal, Predicate
 from phase_ppl.world.scene import Scene
 
@@ -73,7 +73,7 @@ class PathSimulator:
         run_briefly(self)
 
     def __call__(
-        self, scene: Scene, hypothesis: Hypothesis | Roles, rng: np.random.Generator
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
     ) -> Iterator[FloatArray]:
         """Yield frames (entity, 3) = x, y [units], angle [rad], the start first."""
         model = WorldModel.of(scene, hypothesis.strengths, self.planner)

@@ -43,10 +43,10 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.event import Observation
-from phase_ppl.world.hypothesis import Hypothesis, Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 
-Request = tuple[Hypothesis | Roles, int, float]  # hypothesis, seed, error ceiling
+Request = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
 
 POLICIES: Final = ("reject", "raise", "retry")
 """A failed simulation is a result without likelihood; ends the run; is run again."""
@@ -87,7 +87,7 @@ class Work(NamedTuple):
 
     def simulate(
         self,
-        what: Hypothesis | Roles,
+        what: Hypothesis,
         seed: int,
         ceiling: float,
         limit: float = math.inf,
@@ -206,7 +206,7 @@ class Runner:
 
     def run(
         self,
-        hypotheses: Sequence[Hypothesis | Roles],
+        hypotheses: Sequence[Hypothesis],
         seeds: Sequence[int],
         error_ceilings: Sequence[float] | None = None,
     ) -> list[SimulationResult]:

@@ -24,7 +24,6 @@ from phase_ppl.world.hypothesis import (
     RELATIONS,
     SCENARIOS,
     Hypothesis,
-    Roles,
     checked_strength,
     relation,
     scenario,
@@ -200,8 +199,13 @@ class Truth:
                 object.__setattr__(self, name, checked_strength(f"truth.{name}", value))
 
     @classmethod
-    def of(cls, hypothesis: Hypothesis | Roles) -> Truth:
-        """Return the truth of an event that was generated under a hypothesis."""
+    def of(cls, hypothesis: Hypothesis) -> Truth | Hypothesis:
+        """Return the truth of an event that was generated under a hypothesis.
+
+        In PHASE effective goals and strengths, in other worlds the hypothesis as it is.
+        """
+        if hypothesis.world != PHASE:
+            return hypothesis
         red, green = (GOALS[goal] for goal in hypothesis.effective_goals)
         one, other = hypothesis.strengths
         return cls(red, green, strength_red=one, strength_green=other)
@@ -215,7 +219,7 @@ class Event:
         scene: what is known before anybody moves.
         observation: the trajectories.
         id: name of the event; of no meaning to inference.
-        truth: what generated it, if known: a ``Truth`` in PHASE, ``Roles`` in another world.
+        truth: what generated it, if known: a ``Truth`` in PHASE, a ``Hypothesis`` in another world.
         judgments: human judgments, as read from the file.
         predictions: stored predictions of other models, as read from the file.
         thoughts: what the agents thought, of events that were simulated just now; not in files.
@@ -238,7 +242,7 @@ class Event:
         check_inside(self.observation.trajectory, self.scene, "trajectory")
         of_phase = self.scene.world == PHASE
         if self.truth is not None and isinstance(self.truth, Truth) is not of_phase:
-            kind = "a phase_ppl.Truth" if of_phase else "Roles"
+            kind = "a phase_ppl.Truth" if of_phase else "a phase_ppl.Hypothesis"
             raise InvalidSettingError(
                 f"truth={shown(self.truth)}, expected {kind} in the world {self.scene.world.name}"
             )
@@ -248,7 +252,7 @@ class Event:
 
     def _words(self) -> str:
         words = f"{self.id}: {self.observation.duration}"
-        if isinstance(self.truth, Roles):
+        if isinstance(self.truth, Hypothesis):
             words += f"; {self.truth}"
         elif self.truth is not None:
             words += f"; red: {self.truth.goal_red}, green: {self.truth.goal_green}"

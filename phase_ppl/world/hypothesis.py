@@ -7,7 +7,7 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     UnknownNameError,
-    check_fields,
     check_name,
     instance_of,
     shown,
@@ -147,111 +146,6 @@ def checked_strength(name: str, value: object) -> float:
     return force
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
-class Hypothesis(Printed):
-    """What the two agents want, how they stand to each other, and how strong they are.
-
-    Attributes:
-        goal_red: stated goal of the red agent, index into ``GOALS`` (a goal string is accepted).
-        goal_green: stated goal of the green agent, likewise.
-        alpha: signs of (alpha red -> green, alpha green -> red), one of ``ALPHAS``.
-        strength_red: maximum force of the red agent, newtons.
-        strength_green: maximum force of the green agent, newtons.
-
-    Raises:
-        UnknownNameError: a goal is unknown.
-        InvalidSettingError: alpha or a strength is not allowed, or an agent is to get to itself.
-    """
-
-    goal_red: int
-    goal_green: int
-    alpha: tuple[int, int] = (0, 0)
-    strength_red: float = STRENGTH
-    strength_green: float = STRENGTH
-
-    if TYPE_CHECKING:  # what fields can be made of
-
-        def __init__(
-            self,
-            goal_red: str | int,
-            goal_green: str | int,
-            alpha: Sequence[int] = (0, 0),
-            strength_red: float = STRENGTH,
-            strength_green: float = STRENGTH,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        for holder, name in ((RED, "goal_red"), (GREEN, "goal_green")):
-            index = goal_index(getattr(self, name))
-            if is_self_referring(index, holder):
-                raise InvalidSettingError(
-                    f"{name}={GOALS[index]!r} names its own holder, the {AGENTS[holder]}"
-                )
-            object.__setattr__(self, name, index)
-        alpha = next((a for a in ALPHAS if np.array_equal(self.alpha, a)), None)
-        if alpha is None:
-            raise InvalidSettingError(f"alpha={shown(self.alpha)} is none of {list(ALPHAS)}")
-        object.__setattr__(self, "alpha", alpha)
-        for name in ("strength_red", "strength_green"):
-            object.__setattr__(self, name, checked_strength(name, getattr(self, name)))
-
-    world: ClassVar[World] = PHASE
-
-    @property
-    def effective_goals(self) -> tuple[int, int]:
-        """Effective goals of (red, green), indices into ``GOALS``."""
-        return effective_goals(self.goal_red, self.goal_green, self.alpha)
-
-    def effective(self) -> Hypothesis:
-        """Return the same hypothesis with effective goals as stated ones and alpha = (0, 0)."""
-        red, green = self.effective_goals
-        return dataclasses.replace(self, goal_red=red, goal_green=green, alpha=(0, 0))
-
-    @property
-    def strengths(self) -> tuple[float, float]:
-        return self.strength_red, self.strength_green
-
-    @property
-    def relation(self) -> str:
-        return relation(*self.effective_goals)
-
-    @property
-    def scenario(self) -> str:
-        return scenario(*self.effective_goals)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the plain form: goal strings, alpha, strengths in newtons."""
-        return {
-            "goal_red": GOALS[self.goal_red],
-            "goal_green": GOALS[self.goal_green],
-            "alpha": list(self.alpha),
-            "strength_red": self.strength_red,
-            "strength_green": self.strength_green,
-        }
-
-    @classmethod
-    def from_dict(cls, record: dict[str, Any]) -> Hypothesis:
-        """Return the hypothesis written by :meth:`to_dict`.
-
-        Raises:
-            UnknownNameError: a field that a hypothesis does not have.
-            InvalidSettingError: a goal is missing.
-        """
-        check_fields(record, cls, "a hypothesis", ("goal_red", "goal_green"))
-        return cls(**{**record, "alpha": tuple(record.get("alpha", (0, 0)))})
-
-    def __repr__(self) -> str:
-        values = ", ".join(f"{name}={value!r}" for name, value in self.to_dict().items())
-        return f"Hypothesis({values})"
-
-    def __str__(self) -> str:
-        red, green = self.effective_goals
-        return (
-            f"red: {GOALS[red]} ({self.strength_red:.0f} N), "
-            f"green: {GOALS[green]} ({self.strength_green:.0f} N), {self.relation}"
-        )
-
-
 STANCES: Final = {"help": 1, "hinder": -1}
 """What an agent may do with another's goal, and the sign of alpha."""
 
@@ -266,7 +160,7 @@ Towards = tuple[tuple[int, int] | None, ...]
 
 @functools.cache
 def all_ways(n_agents: int) -> tuple[Towards, ...]:
-    """Return all ways in which agents can stand to each other, as :attr:`Roles.towards`.
+    """Return all ways in which agents can stand to each other, as :attr:`Hypothesis.towards`.
 
     Whoever is helped or hindered pursues its own goal. The first is that nobody does either.
     """
@@ -281,23 +175,75 @@ def all_ways(n_agents: int) -> tuple[Towards, ...]:
     )
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
-class Roles:
-    """Who wants what in any world, whom each helps or hinders, and how strong all are.
+@dataclasses.dataclass(frozen=True, repr=False, init=False)
+class Hypothesis(Printed):
+    """Who wants what, whom each helps or hinders, and how strong all are.
 
-    An agent pursues its own goal, or helps or hinders one other with the other's own.
+    An agent pursues its own goal, or helps or hinders one other with the other's own. Made as
+    below it is of PHASE; :meth:`of` makes one of any world.
+
+    Args:
+        goal_red: stated goal of the red agent, a goal string or an index into ``GOALS``.
+        goal_green: stated goal of the green agent, likewise.
+        alpha: signs of (alpha red -> green, alpha green -> red), one of ``ALPHAS``.
+        strength_red: maximum force of the red agent, newtons.
+        strength_green: maximum force of the green agent, newtons.
 
     Attributes:
         world: whose agents and goals.
         stated: (agent,) own goal of each, an index into ``world.goals``; None of one without.
+            ``goal_<agent>``, with the agents' ``world.keys``, is the same; of one without, what it
+            would want for itself as it does for whom it helps or hinders.
         towards: (agent,) another agent, and 1 where it is helped, -1 where it is hindered; None.
-        strengths: (agent,) maximum forces, newtons.
+        strengths: (agent,) maximum forces, newtons; ``strength_<agent>`` is one of them.
+
+    Raises:
+        UnknownNameError: a goal is unknown.
+        InvalidSettingError: alpha or a strength is not allowed, or an agent is to get to itself.
     """
 
     world: World
     stated: tuple[int | None, ...]
     towards: Towards
     strengths: tuple[float, ...]
+
+    def __init__(
+        self,
+        goal_red: str | int,
+        goal_green: str | int,
+        alpha: Sequence[int] = (0, 0),
+        strength_red: float = STRENGTH,
+        strength_green: float = STRENGTH,
+    ) -> None:
+        given = {"goal_red": goal_red, "goal_green": goal_green}
+        for holder, (name, goal) in enumerate(given.items()):
+            given[name] = goal_index(goal)
+            if is_self_referring(goal, holder):
+                raise InvalidSettingError(
+                    f"{name}={GOALS[given[name]]!r} names its own holder, the {AGENTS[holder]}"
+                )
+        if (signs := next((one for one in ALPHAS if np.array_equal(alpha, one)), None)) is None:
+            raise InvalidSettingError(f"alpha={shown(alpha)} is none of {list(ALPHAS)}")
+        forces = {"strength_red": strength_red, "strength_green": strength_green}
+        vars(self).update(
+            world=PHASE,
+            stated=tuple(given.values()),
+            towards=tuple((1 - one, sign) if sign else None for one, sign in enumerate(signs)),
+            strengths=tuple(checked_strength(name, force) for name, force in forces.items()),
+        )
+
+    @classmethod
+    def coded(
+        cls,
+        world: World,
+        stated: tuple[int | None, ...],
+        towards: Towards,
+        strengths: tuple[float, ...],
+    ) -> Hypothesis:
+        """Return the hypothesis with these attributes, unchecked."""
+        made = cls.__new__(cls)
+        vars(made).update(world=world, stated=stated, towards=towards, strengths=strengths)
+        return made
 
     @classmethod
     def of(
@@ -306,8 +252,8 @@ class Roles:
         goals: Mapping[str, str | int],
         relation: Mapping[tuple[str, str], str] | None = None,
         strength: Mapping[str, float] | float = STRENGTH,
-    ) -> Roles:
-        """Return the roles said in names.
+    ) -> Hypothesis:
+        """Return the hypothesis said in names.
 
         Args:
             world: whose agents and goals.
@@ -371,7 +317,7 @@ class Roles:
             checked_strength(f"strength of the {name}", forces.get(name, STRENGTH))
             for name in agents
         )
-        return cls(world, tuple(stated), tuple(towards), strengths)
+        return cls.coded(world, tuple(stated), tuple(towards), strengths)
 
     @property
     def effective_goals(self) -> tuple[int, ...]:
@@ -388,24 +334,10 @@ class Roles:
         except UnknownNameError:
             return False
 
-    def of_its_world(self) -> Hypothesis | Roles:
-        """Return it in the form that its world has: in PHASE a hypothesis.
-
-        In that whoever helps or hinders would want for itself what it would want as a helper.
-        """
-        if self.world != PHASE:
-            return self
-        red, green = (
-            own if one is None else shared_goal(self.stated[one[0]] or 0, one[0])
-            for own, one in zip(self.stated, self.towards, strict=True)
-        )
-        to_green, to_red = (0 if one is None else one[1] for one in self.towards)
-        return Hypothesis(red or 0, green or 0, (to_green, to_red), *self.strengths)
-
-    def effective(self) -> Roles:
+    def effective(self) -> Hypothesis:
         """Return the same with effective goals as stated ones, and nobody who helps or hinders."""
         nobody = (None,) * len(self.towards)
-        return dataclasses.replace(self, stated=self.effective_goals, towards=nobody)
+        return self.coded(self.world, self.effective_goals, nobody, self.strengths)
 
     @property
     def goals(self) -> dict[str, str]:
@@ -414,7 +346,7 @@ class Roles:
         return dict(zip(self.world.agents, found, strict=True))
 
     @property
-    def relation(self) -> dict[tuple[str, str], str]:
+    def stances(self) -> dict[tuple[str, str], str]:
         """(who, whom) -> "help" or "hinder", of those who do."""
         agents = self.world.agents
         return {
@@ -433,19 +365,73 @@ class Roles:
         goal, other_goal = (self.effective_goals[agent] for agent in pair)
         return scenario(goal, other_goal, self.world, pair)
 
+    @property
+    def alpha(self) -> tuple[int, int]:
+        """Signs of (alpha one -> other, alpha other -> one), of two agents."""
+        to_other, to_one = (0 if one is None else one[1] for one in self._of_two(self.towards))
+        return to_other, to_one
+
+    @property
+    def relation(self) -> str:
+        """:meth:`relation_between` two agents."""
+        return self.relation_between(*self._of_two(self.world.agents))
+
+    @property
+    def scenario(self) -> str:
+        """:meth:`scenario_between` two agents."""
+        return self.scenario_between(*self._of_two(self.world.agents))
+
+    def _of_two(self, each: Sequence[Any]) -> Sequence[Any]:
+        if len(each) != 2:
+            raise AttributeError(
+                f"{self.world.name!r} has other agents than two: ask for relation_between, "
+                "scenario_between or stances"
+            )
+        return each
+
+    def __getattr__(self, name: str) -> Any:
+        what, _, key = name.partition("_")
+        if what not in ("goal", "strength") or key not in self.world.keys:
+            raise AttributeError(f"a hypothesis about {self.world.name!r} has no {name}")
+        agent = self.world.keys.index(key)
+        if what == "strength":
+            return self.strengths[agent]
+        own, towards = self.stated[agent], self.towards[agent]
+        if own is None and towards is not None:
+            return shared_goal(self.stated[towards[0]] or 0, towards[0], agent, self.world)
+        return own
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the plain form, which :meth:`from_dict` reads."""
-        agents = self.world.agents
-        own = zip(agents, self.stated, strict=True)
+        """Return the plain form, which :meth:`from_dict` reads: names, strengths in newtons."""
+        agents, goals, keys = self.world.agents, self.world.goals, self.world.keys
+        if self.world == PHASE:
+            return {
+                **{f"goal_{key}": goals[getattr(self, f"goal_{key}")] for key in keys},
+                "alpha": list(self.alpha),
+                **{f"strength_{k}": one for k, one in zip(keys, self.strengths, strict=True)},
+            }
+        own = zip(agents, self.stated, self.towards, strict=True)
         return {
-            "goals": {name: self.world.goals[goal] for name, goal in own if goal is not None},
-            "relation": [[*pair, word] for pair, word in self.relation.items()],
+            "goals": {name: goals[goal or 0] for name, goal, other in own if other is None},
+            "relation": [[*pair, word] for pair, word in self.stances.items()],
             "strengths": dict(zip(agents, self.strengths, strict=True)),
         }
 
     @classmethod
-    def from_dict(cls, world: World, record: Mapping[str, Any]) -> Roles:
-        """Return the roles written by :meth:`to_dict`. Errors as of :meth:`of`."""
+    def from_dict(cls, record: Mapping[str, Any], world: World = PHASE) -> Hypothesis:
+        """Return the hypothesis written by :meth:`to_dict`.
+
+        Raises:
+            UnknownNameError: a field that a hypothesis does not have.
+            InvalidSettingError: a goal is missing; and as of :meth:`of`.
+        """
+        if world == PHASE:
+            names = ["goal_red", "goal_green", "alpha", "strength_red", "strength_green"]
+            for name in record:
+                check_name("field of a hypothesis", name, names)
+            if missing := [name for name in names[:2] if name not in record]:
+                raise InvalidSettingError(f"a hypothesis needs {', '.join(missing)}")
+            return cls(**record)
         if not isinstance(record.get("goals"), Mapping):
             raise InvalidSettingError("roles need goals, by the names of agents")
         told = record.get("relation", [])
@@ -456,20 +442,24 @@ class Roles:
         pairs = {(who, whom): word for who, whom, word in told}
         return cls.of(world, record["goals"], pairs, record.get("strengths", STRENGTH))
 
-    def __getattr__(self, name: str) -> Any:
-        if name in ("goal_red", "goal_green", "scenario", "strength_red", "strength_green"):
-            raise AttributeError(
-                f"{name} is of events of the world PHASE only; this one is of {self.world.name}"
-            )
-        raise AttributeError(name)
-
     def __repr__(self) -> str:
-        return f"Roles({self})"
+        if self.world != PHASE:
+            return f"Hypothesis({self})"
+        values = ", ".join(f"{name}={value!r}" for name, value in self.to_dict().items())
+        return f"Hypothesis({values})"
 
     def __str__(self) -> str:
+        names = self.world.keys if self.world == PHASE else self.world.agents
         said = [
             f"{name}: {goal} ({force:.0f} N)"
-            for (name, goal), force in zip(self.goals.items(), self.strengths, strict=True)
+            for name, goal, force in zip(names, self.goals.values(), self.strengths, strict=True)
         ]
-        said += [f"the {who} {word}s the {whom}" for (who, whom), word in self.relation.items()]
+        if self.world == PHASE:
+            said.append(self.relation)
+        else:
+            said += [f"the {who} {word}s the {whom}" for (who, whom), word in self.stances.items()]
         return ", ".join(said)
+
+
+Roles = Hypothesis
+"""The same, as files and simulations of other worlds than PHASE call it."""

@@ -26,7 +26,6 @@ from phase_ppl.world.hypothesis import (
     RELATION_OF_SCENARIO,
     RELATIONS,
     Hypothesis,
-    Roles,
     all_ways,
     scenario,
 )
@@ -43,7 +42,7 @@ class HypothesisSpace:
     Attributes:
         world: whose agents and goals.
         is_phase: whether it is the paper's.
-        ways: in which agents can stand to each other, by code; each as :attr:`Roles.towards`.
+        ways: in which agents can stand to each other, by code; each as :attr:`Hypothesis.towards`.
         company_site: name of the site of the ways.
         goal_sites: names of the sites of stated goals; in files and posteriors, of effective ones.
         stated_sites: names of stated goals in files and posteriors.
@@ -141,20 +140,13 @@ class HypothesisSpace:
             inside &= (sites[name] > 0) & (sites[name] <= MOST_STRENGTH)
         return inside
 
-    def hypothesis(self, sites: Mapping[str, Any]) -> Any:
-        """Return what values of the sites stand for, as simulators take it.
-
-        A :class:`Hypothesis` in PHASE, :class:`Roles` elsewhere.
-        """
-        goals = [int(sites[name]) for name in self.goal_sites]
-        way = int(sites[self.company_site])
-        strengths = [float(sites[name]) for name in self.strength_sites]
-        if self.is_phase:
-            red, green = goals
-            return Hypothesis(red, green, ALPHAS[way], *strengths)
-        towards = self.ways[way]
-        stated = tuple(None if one else goal for goal, one in zip(goals, towards, strict=True))
-        return Roles(self.world, stated, towards, tuple(strengths))
+    def hypothesis(self, sites: Mapping[str, Any]) -> Hypothesis:
+        """Return what values of the sites stand for, as simulators take it."""
+        goals = tuple(int(sites[name]) for name in self.goal_sites)
+        strengths = tuple(float(sites[name]) for name in self.strength_sites)
+        return Hypothesis.coded(
+            self.world, goals, self.ways[int(sites[self.company_site])], strengths
+        )
 
     @functools.cached_property
     def relations(self) -> dict[tuple[int, int], NDArray[np.int64]]:

@@ -219,7 +219,7 @@ def rivals_of(h: Hypothesis) -> list[Hypothesis]:
         for landmark in LANDMARKS:
             other = f"{goal.rsplit(' to ', 1)[0]} to {landmark}"
             if other in GOALS and other != goal:
-                found.append(dataclasses.replace(h, **{name: GOALS.index(other)}))
+                found.append(Hypothesis.from_dict({**h.to_dict(), name: other}))
     return found
 
 

@@ -291,7 +291,6 @@ def test_it_answers_in_the_names_of_its_world() -> None:
     for words in ("purple agent", "red & purple", "green & purple ", "strength"):
         assert words in str(post)
     roles = post.map()
-    assert isinstance(roles, Roles)
     assert set(roles.goals) == set(post.summary()["goals"]) == set(CAST.agents)
     found = post.over_time()["goal_red"]
     np.testing.assert_allclose(found[-1], post.marginal("goal_red"), atol=1e-6)

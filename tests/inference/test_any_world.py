@@ -93,7 +93,6 @@ def test_sites_stand_for_the_roles_that_have_their_effective_goals(world: World)
     assert space.in_support(columns).all()
     for row, effective in enumerate(space.effective(columns).tolist()):
         one = space.hypothesis({name: values[row] for name, values in columns.items()})
-        assert isinstance(one, Roles)
         assert list(one.effective_goals) == effective
 
 
@@ -323,7 +322,6 @@ def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None
     assert float(post.mean("strength_red")) == pytest.approx(expected, rel=1e-3)
     assert post.untried == pytest.approx(0.0, abs=1e-5)
     best = post.map()
-    assert isinstance(best, Roles)
     assert best.goals == {"red agent": SOLO.goals[SOLO.goal_index(TRUE_GOAL)]}
     assert best.strengths == (450.0,)
 

@@ -347,7 +347,8 @@ def test_chains_may_be_ones_own(reference: ppl.Posterior) -> None:
 
 def straight(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Any]:
     """``walkers`` without chance, all agents alike."""
-    alike = dataclasses.replace(hypothesis, strength_red=400.0, strength_green=400.0)
+    forces = {"strength_red": 400.0, "strength_green": 400.0}
+    alike = Hypothesis.from_dict({**hypothesis.to_dict(), **forces})
     return walkers(scene, alike, np.random.default_rng(0))
 
 

@@ -31,7 +31,7 @@ from phase_ppl.world.errors import UnknownNameError
 from phase_ppl.world.event import Observation, State
 from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.goals import effective_goal, goal_index, goal_literal, possible_goals
-from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Roles, all_ways
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, Hypothesis, all_ways
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
@@ -329,7 +329,7 @@ def test_three_agents_are_summed_over_as_if_all_roles_were_listed() -> None:
             log_p = prior.company[number] + likelihood[range(3), goals].sum()
             log_p += sum(prior.goals[a, stated[a]] for a, one in enumerate(way) if one is None)
             if (goals[0], goals[2]) not in relations:
-                roles = Roles(THREE, goals, (None,) * 3, (450.0,) * 3)
+                roles = Hypothesis.coded(THREE, goals, (None,) * 3, (450.0,) * 3)
                 name = roles.relation_between("ann", "cy")
                 relations[goals[0], goals[2]] = RELATIONS.index(name)
             expected["goal_ann"][goals[0]] += np.exp(log_p)

@@ -71,7 +71,7 @@ def test_each_of_three_agents_acts_on_its_own(trio: ppl.Event) -> None:
         "green agent": "get to purple agent",
         "purple agent": "Get blue ball away from home",
     }
-    assert truth.relation == {("purple agent", "red agent"): "hinder"}
+    assert truth.stances == {("purple agent", "red agent"): "hinder"}
     assert truth.strengths == (300.0, 450.0, 600.0)
     assert truth.relation_between("purple agent", "red agent") == "adversarial"
     assert truth.relation_between("green agent", "red agent") == "neutral"
@@ -85,7 +85,7 @@ def test_each_of_three_agents_acts_on_its_own(trio: ppl.Event) -> None:
     assert (thoughts.held[:, 0] == 3).any()  # red gets hold of the ball behind it
     again = ppl.simulate(
         YARD, goals=dict(itertools.islice(truth.goals.items(), 2)), frames=5, seed=1, planner=QUICK,
-        relation=truth.relation, strength={"red agent": 300, "purple agent": 600},
+        relation=truth.stances, strength={"red agent": 300, "purple agent": 600},
     )  # fmt: skip
     assert np.array_equal(again.observation.trajectory, track[:5])
 

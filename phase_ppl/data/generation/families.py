@@ -41,7 +41,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.geometry import deepest_overlap
 from phase_ppl.world.goals import goal_literal, is_true
-from phase_ppl.world.hypothesis import SCENARIOS, Hypothesis, Roles, scenario
+from phase_ppl.world.hypothesis import SCENARIOS, Hypothesis, scenario
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.registry import Registry
 from phase_ppl.world.rooms import ROOMS_OF_RAY
@@ -56,7 +56,7 @@ class Drawn(NamedTuple):
     """A situation with how it was drawn."""
 
     scene: Scene
-    roles: Roles
+    roles: Hypothesis
     layout: int  # number of the layout
     # that its family made, in order; places and angles are not among them
     choices: tuple[tuple[Any, bool], ...] = ()
@@ -114,7 +114,7 @@ class Family:
             draw.refuse("it returned None")
         told = f"family {self.name!r} drew {shown(found)}, expected a scene and roles"
         match found:
-            case (Scene() as scene, Roles() as roles):
+            case (Scene() as scene, Hypothesis() as roles):
                 pass
             case _:
                 raise InvalidSettingError(f"{told}, or None")
@@ -135,7 +135,7 @@ class Family:
         return Drawn(scene, roles, draw.layout, tuple(draw.choices))
 
 
-def pairs_showing(what: str, wanted: Hypothesis | Roles) -> list[tuple[int, int]]:
+def pairs_showing(what: str, wanted: Hypothesis) -> list[tuple[int, int]]:
     """Return the pairs of agents whose effective goals make the scenario ``what``."""
     goals = wanted.effective_goals
     return [

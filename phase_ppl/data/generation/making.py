@@ -22,7 +22,7 @@ from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import goal_literal, is_true, literal_goal, possible_goals
-from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, Roles, all_ways
+from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis, all_ways
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, NOTHING, Predicate
 from phase_ppl.world.scene import Scene, Turning, World
 
@@ -37,7 +37,7 @@ class Recording:
     """A simulated situation."""
 
     scene: Scene  # what was known at the start
-    hypothesis: Hypothesis | Roles  # in the form of its world
+    hypothesis: Hypothesis
     layout: int  # number of the layout, before any reflection
     trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
     # (time, agent) whether the action that led to the frame pushes, and whether the agent held an
@@ -50,7 +50,7 @@ def record(
     situation: Drawn, simulator: JointSimulator, frames: int, rng: np.random.Generator
 ) -> Recording:
     """Simulate a situation for ``frames``, 12 per simulated second."""
-    scene, hypothesis = situation.scene, situation.roles.of_its_world()
+    scene, hypothesis = situation.scene, situation.roles
     steps = simulator.steps(scene, hypothesis, rng)
     taken = list(itertools.islice(steps, frames))
     trajectory = np.array([frame for frame, _ in taken], np.float64)
@@ -214,13 +214,13 @@ def measures(recording: Recording) -> dict[str, Any]:
             for of_agent in in_vain.T.tolist()
         ],
     }
-    if isinstance(wanted, Roles):
+    if not is_as_before(wanted.world):
         return {**found, "reached": _reached(wanted, found)}
     (found["closest"],), (found["met"],) = closest.values(), met.values()
     return {**found, "held": recording.holds.mean(axis=0).tolist()}
 
 
-def _reached(roles: Roles, found: Measures) -> list[bool]:
+def _reached(roles: Hypothesis, found: Measures) -> list[bool]:
     """Return (agent,) whether it has a goal of its own that became true."""
     own = zip(roles.stated, found["at_start"], found["at_end"], strict=True)
     return [goal is not None and end and not start for goal, start, end in own]
@@ -231,7 +231,7 @@ def _named(world: World, pair: tuple[int, int]) -> str:
     return " & ".join(world.keys[agent] for agent in pair)
 
 
-def reason_against(scenario: str, wanted: Hypothesis | Roles, found: Measures) -> str | None:
+def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | None:
     """Return why an event does not show its scenario; None where it does.
 
     Of three agents and more, two are enough that want what makes the scenario, and show it;
@@ -385,7 +385,7 @@ class _Making:
         if self.family is not None:
             entry |= {"family": self.family.name, "variant": self.family.variant}
         wanted = shown.hypothesis
-        if isinstance(wanted, Roles):
+        if not is_as_before(wanted.world):
             entry |= {"world": wanted.world.name, "seed": made["seed"], "roles": wanted.to_dict()}
         else:
             entry |= {
@@ -403,17 +403,16 @@ class _Making:
 
 def event_of(recording: Recording, id: str) -> Event:
     """Return a recording as an event with its truth."""
-    wanted = recording.hypothesis
-    truth = wanted if isinstance(wanted, Roles) else Truth.of(wanted)
+    truth = Truth.of(recording.hypothesis)
     return Event(recording.scene, Observation(recording.trajectory), id=id, truth=truth)
 
 
-def _drawn_roles(plan: Plan, seed: int) -> Roles | str:
+def _drawn_roles(plan: Plan, seed: int) -> Hypothesis | str:
     """Return the roles of a random scene, or why there are none."""
     roles = (plan.roles or uniform_roles)(plan.world, seed)
     if roles is None:
         return "roles that are not wanted"
-    instance_of("what roles returned", roles, Roles, "phase_ppl's Roles, or None")
+    instance_of("what roles returned", roles, Hypothesis, "phase_ppl's Roles, or None")
     if roles.world != plan.world:
         raise InvalidSettingError(
             f"roles returned those of the world {roles.world.name!r}, not {plan.world.name!r}"
@@ -421,7 +420,7 @@ def _drawn_roles(plan: Plan, seed: int) -> Roles | str:
     return roles if roles.is_possible else "nobody can act on such roles"
 
 
-def uniform_roles(world: World, seed: int) -> Roles:
+def uniform_roles(world: World, seed: int) -> Hypothesis:
     """Return roles of which all goals are alike, and all ways to help or hinder (Appendix 4B)."""
     rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
     ways = all_ways(len(world.agents))
@@ -429,4 +428,5 @@ def uniform_roles(world: World, seed: int) -> Roles:
     towards = ways[int(rng.integers(1, len(ways))) if social else 0]
     own = [int(rng.choice(possible_goals(agent, world))) for agent in range(len(towards))]
     stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
-    return Roles(world, stated, towards, tuple(rng.uniform(*STRENGTH_RANGE, len(own)).tolist()))
+    forces = tuple(rng.uniform(*STRENGTH_RANGE, len(own)).tolist())
+    return Hypothesis.coded(world, stated, towards, forces)

@@ -133,17 +133,17 @@ def test_the_command_takes_a_prior_and_a_family_of_a_file(
     monkeypatch.setattr("phase_ppl.cli.generate.generate", quick)
     (fetched,) = made("two", "--world", f"{source}:mine", "--cell", f"{source}:fetch=1")
     assert fetched.id == "fetch-00000"
-    assert fetched.truth.relation == {("green agent", "red agent"): "help"}
+    assert fetched.truth.stances == {("green agent", "red agent"): "help"}
 
 
 def test_all_goals_and_ways_to_help_or_hinder_are_drawn_alike() -> None:
     drawn = [uniform_roles(TRIO, seed) for seed in range(150)]
-    alone = np.mean([not roles.relation for roles in drawn])
+    alone = np.mean([not roles.stances for roles in drawn])
     assert abs(alone - 1 / 3) < 4 * np.sqrt(2 / 9 / len(drawn))
     own = {roles.stated[0] for roles in drawn} - {None}
     assert own <= set(possible_goals(0, TRIO))
     assert len(own) > 0.8 * len(possible_goals(0, TRIO))
-    helped = np.array([bool(roles.relation) for roles in drawn])
+    helped = np.array([bool(roles.stances) for roles in drawn])
     place = np.array([TRIO.random_scene(seed).start[0, 0] for seed in range(150)])
     apart = place[helped].mean() - place[~helped].mean()
     assert abs(apart) < 4 * place.std() * np.sqrt(1 / helped.sum() + 1 / (~helped).sum())

@@ -23,7 +23,7 @@ from phase_ppl.inference.table_run import _Table
 from phase_ppl.models import roles, sites
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis, Roles, all_ways
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis, all_ways
 from tests.inference.toy import (
     ALPHA_CODES,
     ALPHA_MASS,
@@ -160,7 +160,7 @@ FEW = ppl.Tracking(strengths=STRONG)
 POSES = {name: (8.0 + 8 * i, 8.0, 0.0) for i, name in enumerate(SMALL.agents)}
 EVENT_OF_THREE = simulated(
     SMALL.scene({**POSES, "ball": (20.0, 16.0)}),
-    Roles(SMALL, (0, 1, None), (None, None, (0, 1)), (300.0, 600.0, 600.0)),
+    Hypothesis.coded(SMALL, (0, 1, None), (None, None, (0, 1)), (300.0, 600.0, 600.0)),
 )
 
 
@@ -185,10 +185,10 @@ def test_in_another_world_goals_ways_and_strengths_are_summed_over() -> None:
             for owner, goal in zip(owners, own, strict=True):
                 stated[owner] = OWN_GOALS[goal]
                 prior *= OWN_MASS[goal]
-            if not Roles(SMALL, tuple(stated), way, (300.0,) * 3).is_possible:
+            if not Hypothesis.coded(SMALL, tuple(stated), way, (300.0,) * 3).is_possible:
                 continue
             for strengths in itertools.product(STRONG, repeat=3):
-                h = Roles(SMALL, tuple(stated), way, strengths)
+                h = Hypothesis.coded(SMALL, tuple(stated), way, strengths)
                 of_strengths = np.prod([0.25 if one == STRONG[0] else 0.75 for one in strengths])
                 mass = prior * of_strengths * np.exp(0.7 * log_likelihood(event, h))
                 total += mass
