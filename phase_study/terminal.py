@@ -38,13 +38,9 @@ def new(options: Any) -> None:
 
     example: phase-ppl study new my-study --kind judgment events.json
     """
-    from phase_study import Study
-    from phase_study.study import check_extra
-
-    check_extra()
     first, *more = options.events
     events = [e for name in options.events for e in ppl.all_events(name)] if more else first
-    study = options.call(Study.new, events=events)
+    study = options.call(_with_extra().new, events=events)
     print(f"{study}\nIts texts are in {study.folder / 'study.toml'}; say there who is responsible.")
     if options.kind == "play":
         for warning in study.check():
@@ -134,15 +130,12 @@ def demo(options: Any) -> None:
 
     example: phase-ppl study demo
     """
-    from phase_study import Study
-    from phase_study.study import check_extra
-
-    check_extra()
+    study = _with_extra()
     with tempfile.TemporaryDirectory(prefix="phase-ppl-study-") as folder:
         print("Making the films, about half a minute ...", flush=True)
         events = [ppl.load_event(name) for name in ppl.bundled_events()[:3]]
         kind = options.kind or "judgment"
-        _serve(Study.new(Path(folder) / "demo", events, kind, trials=3), options)
+        _serve(study.new(Path(folder) / "demo", events, kind, trials=3), options)
 
 
 def simulate(options: Any) -> None:
@@ -164,10 +157,9 @@ def simulate(options: Any) -> None:
 
     example: phase-ppl study simulate my-study --people 200 --out simulated
     """
+    _with_extra()
     from phase_study.simulate import simulate as simulated
-    from phase_study.study import check_extra
 
-    check_extra()
     found = options.call(simulated, study=_study(options), options=options.option)
     print(f"{found}\n\nThese are no people: every file in {options.out} is simulated.")
 
@@ -176,6 +168,13 @@ def _study(options: Any) -> Study:
     from phase_study import Study
 
     return Study(options.folder)
+
+
+def _with_extra() -> type[Study]:
+    from phase_study.study import Study, check_extra
+
+    check_extra()
+    return Study
 
 
 def _serve(study: Study, options: Any) -> None:

@@ -226,10 +226,12 @@ def test_render_draws_a_strip_or_a_frame_with_or_without_fields_of_view(
 
 
 def test_help_gives_an_example(capsys: Capture) -> None:
-    names = set("""infer resume compare query diagnose report evaluate compare-models reproduce
-        goals simulate render describe export generate verify train fit-people read-video
-        study""".split())
-    parts = "new run status export withdraw exclude demo simulate".split()
+    names = {
+        *("infer", "resume", "compare", "query", "diagnose", "report", "goals", "simulate"),
+        *("evaluate", "compare-models", "reproduce", "render", "describe", "export"),
+        *("generate", "verify", "train", "fit-people", "read-video", "study"),
+    }
+    parts = ["new", "run", "status", "export", "withdraw", "exclude", "demo", "simulate"]
     for command in ([], *([name] for name in names), *(["study", part] for part in parts)):
         with pytest.raises(SystemExit) as stop:
             main([*command, "--help"])
@@ -434,7 +436,7 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
         ("--goal", "Ann"): "'Ann' is not of the form NAME=GOAL",
         ("--goal", "Ann=a chat", "--goal-red", "a chat"): "either --goal-red and --goal-green, or",
         ("--goal", "Ann=a chat", "--relation", "Ben=Ann"): "expected WHO=help=WHOM",
-        ("--goal", "Ann=a chat", "--strength", "Ben=big"): "strength='big'",
+        ("--goal", "Ann=a chat", "--goal", "Ben=pot to fire", "--strength", "Ben=big"): "'big'",
     }.items():
         assert message in fails(capsys, *simulate, *wrong)
 

@@ -41,9 +41,7 @@ def test_the_table_has_at_most_88_columns(
     assert max(map(len, told(capsys, "diagnose", file).splitlines())) <= 88
 
 
-def test_numbers_of_the_table_are_those_of_the_diagnostics(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_numbers_of_the_table_are_those_of_the_diagnostics(tmp_path: Path, capsys: Capture) -> None:
     post = Posterior(random_tree(7, n_chains=8, n_draws=30))
     found = post.diagnostics()
     rows = told(capsys, "diagnose", post.save(tmp_path / "post.nc")).splitlines()

@@ -118,17 +118,14 @@ FILE: a posterior's .nc file, or the folder of infer
 class Options(argparse.Namespace):
     """What a command was given: ``--on-failure`` as ``on_failure``, and so on.
 
-    What was not given is None, False, or empty. ``progress`` is what ``--quiet`` and ``--progress``
+    What was not given is None, or empty. ``progress`` is what ``--quiet`` and ``--progress``
     say, as functions take it; ``executor`` is the one of ``--dask``, if any.
     """
 
     def given(self, *names: str) -> dict[str, Any]:
         """Return those of the options that were given, by name."""
-        return {name: self.get(name) for name in names if self.get(name) is not None}
-
-    def get(self, name: str) -> Any:
-        """Return an option; None where the command has none of that name."""
-        return getattr(self, name, None)
+        found = {name: getattr(self, name, None) for name in names}
+        return {name: v for name, v in found.items() if not (v is None or v in ([], {}))}
 
     def of(self, function: Callable[..., Any], /, **own: Any) -> dict[str, Any]:
         """Return arguments of a function: options of the same names that were given, and others."""
@@ -169,7 +166,7 @@ def run(arguments: Sequence[str] | None) -> int:
         for name, command in _commands(given[0] if given else ""):
             _add(commands, name, command)
         parser.parse_args(given, options)
-        with _executor(options.get("dask")) as options.executor:
+        with _executor(getattr(options, "dask", None)) as options.executor:
             return options.run(options) or 0
     except PhasePPLError as error:
         # the lines of a question show the place
@@ -177,7 +174,7 @@ def run(arguments: Sequence[str] | None) -> int:
         print(f"phase-ppl: error: {text}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt as stopped:
-        again = options.get("resume") is not None and options.out is not None
+        again = getattr(options, "out", None) is not None and hasattr(options, "resume")
         how = "; go on with the same command and --resume" if again else ""
         print(f"phase-ppl: {one_line(stopped) or 'interrupted'}{how}", file=sys.stderr)
         return INTERRUPTED
@@ -263,7 +260,7 @@ def _add_entry(to: Any, entry: str, says: str, required: bool) -> None:
     if name in ("--quiet", "--progress"):
         more = {"dest": "progress", "action": "store_const", "const": name == "--progress"}
     elif option and not value:
-        more = {"action": "store_true"}
+        more = {"action": "store_const", "const": True}
     elif "|" in value:
         more = {"choices": value.split("|")}
     elif option and several and shows.count("=") == 1:

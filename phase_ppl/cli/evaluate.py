@@ -28,11 +28,8 @@ _PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # what pages are called (``entry_n
 _SHORT_FOR: Final = ("preset", "planner", "kernel", "prior", "simulator", "budget", "weights")
 """Options of models that have options of the command of their own."""
 
-_OF_WORK: Final = (
-    *("model", "observer", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
-    *_SHORT_FOR,
-)
-"""Options that say nothing where an evaluation is only shown again."""
+_SHOWS: Final = ("out", "against", "workers", "progress", "no_figures", "run", "executor")
+"""Options that may be given where an evaluation is only shown again."""
 
 
 def evaluate(options: Options) -> int:
@@ -92,7 +89,12 @@ def evaluate(options: Options) -> int:
     if labelled:
         _check_several(options, events, models, of_models)
     else:
-        _check_one(options, events)
+        from phase_ppl.evaluation.evaluation import opponent
+
+        if options.stored:
+            raise InvalidSettingError("--stored is for several models; --against compares with one")
+        if options.against is not None:  # what is wrong with it is said before the model is asked
+            opponent(events[: options.limit], options.against)
     if options.out is not None:
         writable_folder(options.out)
 
@@ -133,16 +135,6 @@ def evaluate(options: Options) -> int:
     return _keep(comparison, options) or code
 
 
-def _check_one(options: Options, events: Sequence[Event]) -> None:
-    """Find out what is wrong with ``--against`` before the model is asked."""
-    from phase_ppl.evaluation.evaluation import opponent
-
-    if options.stored:
-        raise InvalidSettingError("--stored is for several models; --against compares with one")
-    if options.against is not None:
-        opponent(events[: options.limit], options.against)
-
-
 def _check_several(
     options: Options,
     events: Sequence[Event],
@@ -179,8 +171,7 @@ def _check_several(
 
 def _show_again(options: Options) -> int:
     """Show an evaluation that is there."""
-    given = {name: value for name, value in options.given(*_OF_WORK).items() if value is not False}
-    of_work = [f"--{name}" for name, value in given.items() if value not in ([], {})]
+    of_work = [f"--{name}" for name in options.given(*vars(options)) if name not in _SHOWS]
     if options.out is None or of_work:
         needed = f" with {', '.join(of_work)}" if of_work else ""
         raise InvalidSettingError(
