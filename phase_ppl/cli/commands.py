@@ -163,8 +163,7 @@ def run(arguments: Sequence[str] | None) -> int:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     options = Options()
     try:
-        for name, command in _commands(given[0] if given else ""):
-            _add(commands, name, command)
+        _add_commands(commands, given[0] if given else "")
         parser.parse_args(given, options)
         with _executor(getattr(options, "dask", None)) as options.executor:
             return options.run(options) or 0
@@ -180,20 +179,20 @@ def run(arguments: Sequence[str] | None) -> int:
         return INTERRUPTED
 
 
-def _commands(asked: str) -> Iterator[tuple[str, Any]]:
-    """Yield name and function, or module of functions; of the applications where ``asked`` for."""
+def _add_commands(commands: Any, asked: str) -> None:
+    """Add our commands, and those of applications where one of them, or the list, is asked for."""
     names = set()
     for module in MODULES:
         for name, function in _functions(importlib.import_module(f"phase_ppl.cli.{module}")):
             names.add(name)
-            yield name, function
+            _add(commands, name, function)
     if asked in names:
         return
     offered = importlib.metadata.entry_points(group=APPLICATIONS)
     chosen = offered.select(name=asked)
     for entry in chosen or offered:
         try:
-            yield entry.name, entry.load()
+            _add(commands, entry.name, entry.load())
         except Exception as error:  # it must not break the others
             problem = f"command {entry.name!r} cannot be loaded: {one_line(error)}"
             if chosen:
@@ -209,11 +208,13 @@ def _functions(module: ModuleType) -> Iterator[tuple[str, Callable[[Options], in
 
 def _add(commands: Any, name: str, command: Any) -> None:
     """Add a command as its docstring says."""
-    text = inspect.cleandoc(command.__doc__ or "")
-    says, _, rest = text.partition("\nArgs:\n")
+    if not command.__doc__:
+        raise ValueError("it has no docstring")
+    says, _, rest = inspect.cleandoc(command.__doc__).partition("\nArgs:\n")
     entries, _, ending = rest.partition("\n\n")
     if not rest and "\n\n" in says:
         says, _, ending = says.rpartition("\n\n")
+    found = list(_entries(textwrap.dedent(entries)))
     parser = commands.add_parser(
         name,
         help=says.splitlines()[0].rstrip("."),
@@ -227,13 +228,13 @@ def _add(commands: Any, name: str, command: Any) -> None:
             _add(parts, *part)
         return
     parser.set_defaults(run=command)
-    found = list(_entries(textwrap.dedent(entries)))
-    for place, (instead, *entry) in enumerate(found):
+    for place, (instead, entry, says) in enumerate(found):
+        required = says.endswith("required")
         if not instead:
             to: Any = parser
             if found[place + 1 : place + 2] and found[place + 1][0]:
-                to = parser.add_mutually_exclusive_group(required=entry[1].endswith("required"))
-        _add_entry(to, *entry, required=to is parser and entry[1].endswith("required"))
+                to = parser.add_mutually_exclusive_group(required=required)
+        _add_entry(to, entry, says, required and to is parser)
 
 
 _ENTRY: Final = re.compile(r"(\| )?([^\s:]+(?: \S+)?):(?:\s+(.*))?", re.DOTALL)

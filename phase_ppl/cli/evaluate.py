@@ -232,7 +232,7 @@ def _drawn(source: Any, out: Path, options: Options, named: str = "") -> int:
             code = FAILED
 
     def page(place: int, event: Event) -> None:
-        if isinstance(source, Evaluation):
+        if isinstance(source, Evaluation) and source.folder is not None:
             text, file = report.page_of(source, event.id), source.folder.folder_of(event.id) / PAGE
         else:
             text = report.event_page(event, source.answers)

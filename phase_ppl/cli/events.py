@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import phase_ppl
 from phase_ppl.cli import own
@@ -58,7 +59,7 @@ def simulate(options: Options) -> None:
     suffix = options.suffix(*_EVENTS, *_FILMS)
     event = options.load()
     hypothesis = _roles(options, event)
-    given = {"frames": event.observation.n_frames, "id": f"{event.id}-simulated"}
+    given: dict[str, Any] = {"frames": event.observation.n_frames, "id": f"{event.id}-simulated"}
     given |= options.given("frames", "seed", "planner", "overlapping")
     simulated = phase_ppl.simulate(event.scene, hypothesis, **given)
     if suffix in _EVENTS:
