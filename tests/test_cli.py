@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import inspect
 import json
 import re
@@ -17,7 +19,7 @@ from PIL import Image
 
 import phase_ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.cli import main
+from phase_ppl.cli import commands, main
 from phase_ppl.cli.commands import APPLICATIONS
 from phase_ppl.inference.entries import entries
 from phase_ppl.world.files import locked
@@ -241,6 +243,23 @@ def test_help_gives_an_example(capsys: Capture) -> None:
         listed = {line.split()[0] for line in said.splitlines() if line.strip()}
         assert command or names <= listed
         assert command != ["study"] or set(parts) <= listed
+
+
+def test_commands_of_the_docs_are_accepted(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    done: list[Any] = []
+    monkeypatch.setattr(commands, "_executor", lambda address: contextlib.nullcontext())
+    monkeypatch.setattr(commands.Parser, "set_defaults", lambda parser, run: (
+        argparse.ArgumentParser.set_defaults(parser, run=done.append)))  # fmt: skip
+    root = Path(__file__).parents[1]
+    for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
+        text = page.read_text("utf-8").replace("\\\n", " ")
+        for line in re.findall(r"^(?:\.venv/bin/)?phase-ppl (.*)", text, re.MULTILINE):
+            words = shlex.split(line.partition("&&")[0], comments=True)
+            assert main(words) == 0, (page.name, line)
+    assert len(done) > 60
+    assert not capsys.readouterr().err
 
 
 def test_a_command_of_an_application_that_cannot_be_loaded_leaves_the_others(
