@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import inspect
 import json
 import re
@@ -17,9 +19,8 @@ from PIL import Image
 
 import phase_ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.cli import main
-from phase_ppl.cli.commands import APPLICATIONS, COMMANDS
-from phase_ppl.cli.infer import _reference
+from phase_ppl.cli import commands, main
+from phase_ppl.cli.commands import APPLICATIONS
 from phase_ppl.inference.entries import entries
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import GOALS
@@ -159,7 +160,6 @@ def test_a_run_that_ends_early_leaves_results_and_a_file(
 
 def test_compare_writes_table_and_figure(walk: Path, tmp_path: Path, capsys: Capture) -> None:
     tiny = ["--budget", 8, "--repeats", 1, "--chains", 4, *ALONE]
-    assert _reference("enumeration:per_pair=16") == ("enumeration", {"per_pair": 16})
     kernels = ["--kernels", "prior_mh", "--reference", "single_site_mh"]
     assert "which is compared" in fails(capsys, "compare", walk, *tiny, *kernels[:-1], "prior_mh")
     again = ["compare", walk, *kernels, *tiny, "--out", tmp_path]
@@ -228,8 +228,13 @@ def test_render_draws_a_strip_or_a_frame_with_or_without_fields_of_view(
 
 
 def test_help_gives_an_example(capsys: Capture) -> None:
-    names = {*COMMANDS, "fit-people", "read-video", "study"}
-    for command in ([], *([name] for name in sorted(names))):
+    names = {
+        *("infer", "resume", "compare", "query", "diagnose", "report", "goals", "simulate"),
+        *("evaluate", "compare-models", "reproduce", "render", "describe", "export"),
+        *("generate", "verify", "train", "fit-people", "read-video", "study"),
+    }
+    parts = ["new", "run", "status", "export", "withdraw", "exclude", "demo", "simulate"]
+    for command in ([], *([name] for name in names), *(["study", part] for part in parts)):
         with pytest.raises(SystemExit) as stop:
             main([*command, "--help"])
         assert stop.value.code == 0
@@ -237,6 +242,24 @@ def test_help_gives_an_example(capsys: Capture) -> None:
         assert "example: phase-ppl" in said, command
         listed = {line.split()[0] for line in said.splitlines() if line.strip()}
         assert command or names <= listed
+        assert command != ["study"] or set(parts) <= listed
+
+
+def test_commands_of_the_docs_are_accepted(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    done: list[Any] = []
+    monkeypatch.setattr(commands, "_executor", lambda address: contextlib.nullcontext())
+    monkeypatch.setattr(commands.Parser, "set_defaults", lambda parser, run: (
+        argparse.ArgumentParser.set_defaults(parser, run=done.append)))  # fmt: skip
+    root = Path(__file__).parents[1]
+    for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
+        text = page.read_text("utf-8").replace("\\\n", " ")
+        for line in re.findall(r"^(?:\.venv/bin/)?phase-ppl (.*)", text, re.MULTILINE):
+            words = shlex.split(line.partition("&&")[0], comments=True)
+            assert main(words) == 0, (page.name, line)
+    assert len(done) > 60
+    assert not capsys.readouterr().err
 
 
 def test_a_command_of_an_application_that_cannot_be_loaded_leaves_the_others(
@@ -246,7 +269,7 @@ def test_a_command_of_an_application_that_cannot_be_loaded_leaves_the_others(
         return EntryPoint(name, place, APPLICATIONS)
 
     points = EntryPoints(
-        [entry("broken", "no.such:add_to"), entry("study", "phase_study.terminal:add_to")]
+        [entry("broken", "no.such:command"), entry("study", "phase_study.terminal")]
     )
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points.select(group=group))
     assert main(["broken"]) == 2
@@ -256,7 +279,7 @@ def test_a_command_of_an_application_that_cannot_be_loaded_leaves_the_others(
         main(["--help"])
     told = capsys.readouterr()
     assert stop.value.code == 0
-    assert "put events before people" in told.out
+    assert "Put events before people" in told.out
     assert told.err == said.replace("error", "note")
     assert main(["goals"]) == 0
     with pytest.raises(SystemExit):
@@ -271,8 +294,9 @@ BAD_INPUT = [
     ("infer collaborate --video other", "'other'"),
     ("infer collaborate --kernel local_hm", "'local_mh'"),
     ("infer collaborate --prior unifrom", "'uniform'"),
-    ("infer collaborate --likelihood radial", "name a kernel that samples, as in --kernel local"),
-    ("infer collaborate --watch --kernel prior_mh", "--watch shows the closed loop: no kernel"),
+    ("infer collaborate --likelihood radial", "which takes a kernel that samples"),
+    ("infer collaborate --watch --kernel prior_mh --option rule=paper",
+     "--watch shows the closed loop, which samples nothing: no --kernel, --option rule"),
     ("infer collaborate --chains 3", "chains=3 is for sampling, and no kernel is named"),
     ("infer collaborate --model stepwise --kernel smc --out o --on-failure retry",
      "on_failure='retry' is for simulations"),
@@ -283,7 +307,7 @@ BAD_INPUT = [
     ("render collaborate --strip 3 --out x.mp4", "--strip draws a picture: --out"),
     ("render collaborate --strip 3 --frame 1 --out x.png", "not allowed"),
     ("render collaborate --strip 999 --out x.png", "n=999, expected one of 1..54"),
-    ("render collaborate --frame one --out x.png", "invalid int value: 'one'"),
+    ("render collaborate --frame one --out x.png", "'one' is not a whole number"),
     ("compare collaborate --kernels local_mh,prior_hm", "'prior_mh'"),
     ("compare collaborate --kernels local_mh,", "different names"),
     ("compare collaborate --kernels local_mh:rule", "OPTION=VALUE"),
@@ -294,13 +318,13 @@ BAD_INPUT = [
 ]  # fmt: skip
 SAMPLING = "infer short.json --quiet --kernel local_mh"
 SETTINGS = [
-    ("--chains 0", "--chains: 0 is too small, expected at least 1"),
+    ("--chains 0", "chains=0, expected a whole number >= 1"),
     ("--budget 60m", "seconds, as in 60s"),
     ("--budget 0s", "seconds, as in 60s"),
     ("--budget 29", "need 30"),
     ("--budget 2.5f", "frames, as in 20000f"),
     ("--budget 60s --iterations 2", "not allowed"),
-    ("--option rule", "NAME=VALUE"),
+    ("--option rule", "'rule' is not of the form NAME=VALUE"),
     ("--option chains=3", "no option of a kernel"),
     ("--option rule=paper --option rule=exact", "given twice"),
     ("--retries 2", "on_failure='retry'"),
@@ -428,10 +452,10 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
     assert truth.goal_green == "get away from red agent"
     for wrong, message in {
         ("--goal-red", "get to Ann", "--goal-green", "get to Ben"): "agents of 'hut' are Ann, Ben",
-        ("--goal", "Ann"): "--goal Ann: expected NAME=GOAL",
+        ("--goal", "Ann"): "'Ann' is not of the form NAME=GOAL",
         ("--goal", "Ann=a chat", "--goal-red", "a chat"): "either --goal-red and --goal-green, or",
         ("--goal", "Ann=a chat", "--relation", "Ben=Ann"): "expected WHO=help=WHOM",
-        ("--goal", "Ann=a chat", "--strength", "Ben=big"): "--strength big: expected newtons",
+        ("--goal", "Ann=a chat", "--goal", "Ben=pot to fire", "--strength", "Ben=big"): "'big'",
     }.items():
         assert message in fails(capsys, *simulate, *wrong)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.cli.results import table
 from tests.analysis.factory import random_tree, tree_by_frame
 from tests.test_cli import Capture, fails, told
 
@@ -35,14 +34,17 @@ def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (4, 123)])
-def test_the_table_has_at_most_88_columns(shape: tuple[int, int]) -> None:
-    found = Posterior(random_tree(7, *shape)).diagnostics()
-    assert max(map(len, table("an event with a long name " * 9, found).splitlines())) <= 88
+def test_the_table_has_at_most_88_columns(
+    shape: tuple[int, int], tmp_path: Path, capsys: Capture
+) -> None:
+    file = Posterior(random_tree(7, *shape)).save(tmp_path / "post.nc")
+    assert max(map(len, told(capsys, "diagnose", file).splitlines())) <= 88
 
 
-def test_numbers_of_the_table_are_those_of_the_diagnostics() -> None:
-    found = Posterior(random_tree(7, n_chains=8, n_draws=30)).diagnostics()
-    rows = table("event", found).splitlines()
+def test_numbers_of_the_table_are_those_of_the_diagnostics(tmp_path: Path, capsys: Capture) -> None:
+    post = Posterior(random_tree(7, n_chains=8, n_draws=30))
+    found = post.diagnostics()
+    rows = told(capsys, "diagnose", post.save(tmp_path / "post.nc")).splitlines()
     one = found["scalars"]["log_joint"]
     row = next(row for row in rows if row.startswith("log joint")).split()[2:]
     assert row == [f"{one['r_hat']:.2f}", f"{one['ess_bulk']:.0f}", f"{one['ess_tail']:.0f}"]

@@ -1,4 +1,20 @@
-"""The way to all commands, and what they share: options, folders, one-line errors."""
+"""The way to all commands: a function each, whose docstring says what it does and what it takes.
+
+A line of the docstring's section ``Args:`` is an option or a positional argument, and is its help::
+
+    EVENT: a positional one; ``[EVENT]`` may be left out, of ``EVENTS...`` there can be several
+    --seed N: N is a whole number, X or S any number, FILE and DIR are paths, B is a budget
+    --world NAME: anything else is text
+    --model NAME...: may be given several times; of NAME=VALUE pairs are collected in a dict
+    --noise fresh|fixed: one of these
+    --quiet: on or off
+    --n N: a number
+    | --preset NAME: not together with the one before
+    --out DIR: one whose text ends so must be given: required
+
+``$name`` stands for a text of :data:`SHARED`, be it lines of their own or words in one. What stands
+before the section is said first by ``--help``, what stands after it last.
+"""
 
 from __future__ import annotations
 
@@ -8,70 +24,131 @@ import importlib
 import importlib.metadata
 import inspect
 import json
+import re
 import shlex
+import string
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from types import ModuleType
+from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.agents.config import PLANNERS
 from phase_ppl.world.errors import (
-    InvalidEventError,
     InvalidSettingError,
     OutputError,
     PhasePPLError,
+    QueryError,
     shown,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, locked, writable_folder
-from phase_ppl.world.scene import TURNINGS
+from phase_ppl.world.files import writable_folder
 
-if TYPE_CHECKING:
-    from phase_ppl.analysis.posterior import Posterior
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
-COMMANDS: Final = {
-    "infer": ("infer", "print, draw and save the posterior over goals, relation and strengths of "
-              "an event"),
-    "resume": ("infer", "go on with an interrupted run, or extend one"),
-    "goals": ("events", "list the goals that an agent can have, 36 in PHASE"),
-    "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
-    "render": ("events", "film an event, or draw a frame or a film strip of it"),
-    "compare": ("infer", "compare kernels on an event: same budget, several seeds, against a "
-                "reference"),
-    "query": ("results", "ask a saved posterior, as in 'P(relation=friendly | goal_red=get to "
-              "green agent)'"),
-    "evaluate": ("evaluate", "ask a model about many events, and score what it answers"),
-    "compare-models": ("evaluate", "compare evaluations of several models, and people, on the same "
-                       "events"),
-    "reproduce": ("evaluate", "the paper's tables and figures, cell by cell"),
-    "report": ("results", "make one self-contained HTML page of a run, an evaluation or a "
-               "comparison"),
-    "diagnose": ("results", "say whether the chains of a posterior can be trusted"),
-    "generate": ("generate", "make a data set of simulated social events"),
-    "verify": ("generate", "compare a generated data set with its checksums"),
-    "describe": ("events", "print and draw the statistics of a set of events beside those of "
-                 "PHASE"),
-    "train": ("generate", "train a model of social perception on a generated data set"),
-    "export": ("events", "write events in another format"),
-}  # fmt: skip
-"""Command -> the module that adds it, which is imported where it is asked for; what it does."""
+MODULES: Final = ("infer", "results", "evaluate", "events", "generate")
+"""Those beside this one whose public functions are commands."""
 
 APPLICATIONS: Final = "phase_ppl.commands"
 """Group of entry points with the commands of applications, which are loaded where one of them, or
-the list of all, is asked for. Each is a function ``add_to(commands, cli)`` that adds the command of
-its name to argparse's ``commands``, with the help of ``cli``, this module."""
+the list of all, is asked for: a function as here, or a module with one for each of its parts."""
 
 FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
-"""Exit codes."""
+"""Exit codes, which functions return beside 0 or None."""
+
+POSTERIOR: Final = "posterior.nc"  # the file in the folder of results that holds the posterior
 
 _DASK_SECONDS: Final = 10  # that a scheduler may take to answer
 
-POSTERIOR: Final = "posterior.nc"  # the file in the folder of results that holds the posterior
+SHARED: Final = {
+    "FILE": "FILE.py:NAME takes one of your own, and runs that file",
+    "WORLDS": f"{', '.join(phase_ppl.worlds.available())} (default PHASE)",
+    "BUDGET": "simulations, as in 500, simulated frames, as in 20000f, or seconds, as in 60s",
+    "PRESET": "simple, guided, as_printed or as_intended: kernel, proposal, planner, weights, "
+    "prior and thresholds in one word; what else is given goes before it",
+    "planner": "--planner paper|fast|as_printed|as_printed_fast: of the agents; default fast",
+    "seed": "--seed N: default 0",
+    "event": """
+EVENT: an event file, or a bundled event's name
+--video ID: one event of a file with many
+--seed N: default 0
+--turning both|ccw|cw: which way agents can turn; default: as observed""",
+    "workers": """
+--workers N: processes; default one per usable core""",
+    "cluster": """
+--workers N: processes; default one per usable core
+--dask ADDRESS: a dask scheduler, as in machine:8786, whose workers do the work; --workers then says
+    how much they are given at a time""",
+    "progress": """
+--quiet: no progress bar
+| --progress: a progress bar also where the errors go to a file; default: only in a terminal""",
+    "overwrite": "--overwrite: replace the results that are in DIR",
+    "versions": "--other-versions: go on although it was begun by other versions; both are "
+    "recorded",
+    "model": """
+--prior NAME: default uniform; $FILE
+--simulator FILE.py:NAME: instead of the joint one; runs that file
+--likelihood L: radial or stepwise, with settings as in radial:beta=0.1 and
+    stepwise:weight=1:planner_seeds=8; $FILE
+--noise fresh|fixed: of simulations: fresh for every proposal (the default), or fixed by
+    hypothesis""",
+    "run": """
+--iterations N: default 6, or as before
+| --budget B: $BUDGET
+$cluster
+--on-failure reject|raise|retry: what becomes of a failed simulation; default reject, or as before
+--retries N: of retry; default 3
+--burn-in N: draws at the beginning of each chain that do not count; default a quarter of 20
+    iterations or more, else none
+--weights NAME: of the posterior; default: those that are valid for the kernel and the length
+--simulation-seconds S: a simulation that takes longer has failed; default: none has
+--keep-checkpoint: keep run.ckpt when the run is complete, to extend it
+$progress""",
+    "stored": "--stored NAME...: a reference model, whose answers the events carry, to be compared "
+    "too, or all; may be given several times",
+    "posterior": """
+FILE: a posterior's .nc file, or the folder of infer
+--weights NAME: count, stratified or likelihood; default: the file's""",
+}
+"""What several commands say."""
+
+
+class Options(argparse.Namespace):
+    """What a command was given: ``--on-failure`` as ``on_failure``, and so on.
+
+    What was not given is None, or empty. ``progress`` is what ``--quiet`` and ``--progress``
+    say, as functions take it; ``executor`` is the one of ``--dask``, if any.
+    """
+
+    def given(self, *names: str) -> dict[str, Any]:
+        """Return those of the options that were given, by name."""
+        found = {name: getattr(self, name, None) for name in names}
+        return {name: v for name, v in found.items() if not (v is None or v in ([], {}))}
+
+    def of(self, function: Callable[..., Any], /, **own: Any) -> dict[str, Any]:
+        """Return arguments of a function: options of the same names that were given, and others."""
+        return {**self.given(*inspect.signature(function).parameters), **own}
+
+    def call(self, function: Callable[..., Any], /, **own: Any) -> Any:
+        """Call a function with options of the names of its arguments, and with other arguments."""
+        return function(**self.of(function, **own))
+
+    def load(self) -> Event:
+        """Return the event that ``$event`` asked for."""
+        return phase_ppl.load_event(self.event, video=self.video, turning=self.turning)
+
+    def suffix(self, *allowed: str) -> str:
+        """Return the ending of ``--out``, for which there is then a folder.
+
+        Raises:
+            OutputError: it is none of the allowed ones, or there can be no such folder.
+        """
+        if self.out.suffix.lower() not in allowed:
+            raise OutputError(f"--out {self.out}: expected a file ending in {' or '.join(allowed)}")
+        writable_folder(self.out.parent)
+        return str(self.out.suffix.lower())
 
 
 def run(arguments: Sequence[str] | None) -> int:
@@ -84,71 +161,119 @@ def run(arguments: Sequence[str] | None) -> int:
     )
     parser.add_argument("--version", action="version", version=phase_ppl.__version__)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    options = Options()
     try:
         _add_commands(commands, given[0] if given else "")
-        options: argparse.Namespace = parser.parse_args(given)
+        parser.parse_args(given, options)
         with _executor(getattr(options, "dask", None)) as options.executor:
-            code: int = options.run(options)
-        return code
+            return options.run(options) or 0
     except PhasePPLError as error:
-        print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
+        # the lines of a question show the place
+        text = str(error) if isinstance(error, QueryError) else one_line(error)
+        print(f"phase-ppl: error: {text}", file=sys.stderr)
         return BAD_INPUT
+    except KeyboardInterrupt as stopped:
+        again = getattr(options, "out", None) is not None and hasattr(options, "resume")
+        how = "; go on with the same command and --resume" if again else ""
+        print(f"phase-ppl: {one_line(stopped) or 'interrupted'}{how}", file=sys.stderr)
+        return INTERRUPTED
 
 
-def _add_commands(commands: Any, name: str) -> None:
-    """Add the command of that name; all, as far as their list says of them, where there is none."""
-    if name in COMMANDS:
-        importlib.import_module(f"phase_ppl.cli.{COMMANDS[name][0]}").add_to(commands)
+def _add_commands(commands: Any, asked: str) -> None:
+    """Add our commands, and those of applications where one of them, or the list, is asked for."""
+    names = set()
+    for module in MODULES:
+        for name, function in _functions(importlib.import_module(f"phase_ppl.cli.{module}")):
+            names.add(name)
+            _add(commands, name, function)
+    if asked in names:
         return
     offered = importlib.metadata.entry_points(group=APPLICATIONS)
-    asked = offered.select(name=name)
-    if not asked:
-        for ours, (_, does) in COMMANDS.items():
-            commands.add_parser(ours, help=does)
-    for entry in asked or offered:
+    chosen = offered.select(name=asked)
+    for entry in chosen or offered:
         try:
-            entry.load()(commands, sys.modules[__name__])
+            _add(commands, entry.name, entry.load())
         except Exception as error:  # it must not break the others
             problem = f"command {entry.name!r} cannot be loaded: {one_line(error)}"
-            if asked:
+            if chosen:
                 raise InvalidSettingError(problem) from error
             print(f"phase-ppl: note: {problem}", file=sys.stderr)
 
 
-def one_line(error: BaseException) -> str:
-    """Return what an error says, in one line."""
-    return " ".join(str(error).split())
+def _functions(module: ModuleType) -> Iterator[tuple[str, Callable[[Options], int | None]]]:
+    for name, value in vars(module).items():
+        if inspect.isfunction(value) and value.__module__ == module.__name__ and name[0] != "_":
+            yield name.replace("_", "-"), value
 
 
-def load(options: argparse.Namespace) -> Event:
-    """Return the event that the options name."""
-    return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
+def _add(commands: Any, name: str, command: Any) -> None:
+    """Add a command as its docstring says."""
+    if not command.__doc__:
+        raise ValueError("it has no docstring")
+    says, _, rest = inspect.cleandoc(command.__doc__).partition("\nArgs:\n")
+    entries, _, ending = rest.partition("\n\n")
+    if not rest and "\n\n" in says:
+        says, _, ending = says.rpartition("\n\n")
+    found = list(_entries(textwrap.dedent(entries)))
+    parser = commands.add_parser(
+        name,
+        help=says.splitlines()[0].rstrip("."),
+        description=says.strip(),
+        epilog=ending,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    if inspect.ismodule(command):
+        parts = parser.add_subparsers(metavar="COMMAND", required=True)
+        for part in _functions(command):
+            _add(parts, *part)
+        return
+    parser.set_defaults(run=command)
+    for place, (instead, entry, says) in enumerate(found):
+        required = says.endswith("required")
+        if not instead:
+            to: Any = parser
+            if found[place + 1 : place + 2] and found[place + 1][0]:
+                to = parser.add_mutually_exclusive_group(required=required)
+        _add_entry(to, entry, says, required and to is parser)
 
 
-def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePosterior:
-    """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
-    if not as_path(path).is_dir():
-        return phase_ppl.load_posterior(path, weights)
-    if not (path / POSTERIOR).is_file():
-        kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
-        hint = ""
-        if kept is not None:
-            hint = f"; it holds an evaluation, with one such as {shlex.quote(str(kept))}"
-        raise InvalidEventError(f"{path} holds no {POSTERIOR}{hint}")
-    return phase_ppl.load_posterior(path / POSTERIOR, weights)
+_ENTRY: Final = re.compile(r"(\| )?([^\s:]+(?: \S+)?):(?:\s+(.*))?", re.DOTALL)
 
 
-def report_hint(out: Path) -> str:
-    """Return how to make a page of what is in the folder ``out``."""
-    return f"For one page of it all: phase-ppl report {shlex.quote(str(out))}"
+def _entries(text: str) -> Iterator[tuple[str, str, str]]:
+    """Yield "| " or "", name and value, help of a section's lines, the shared ones included."""
+    for entry in re.split(r"\n(?=\S)", text.strip()):
+        if entry.startswith("$"):
+            yield from _entries(SHARED[entry[1:]])
+        elif (match := _ENTRY.fullmatch(entry)) is not None:
+            instead, name, says = match.groups(default="")
+            yield instead, name, string.Template(" ".join(says.split())).substitute(SHARED)
+        elif entry:
+            raise ValueError(f"no option and no argument: {entry!r}")
 
 
-def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
-    """Return the ending of ``out``, in lower case (OutputError: it is none of ``suffixes``)."""
-    suffix = out.suffix.lower()
-    if suffix not in suffixes:
-        raise OutputError(f"--out {out}: expected a file ending in {' or '.join(suffixes)}")
-    return suffix
+def _add_entry(to: Any, entry: str, says: str, required: bool) -> None:
+    name, _, value = entry.partition(" ")
+    option = name.startswith("--")
+    shows = (value or name).removesuffix("...").strip("[]")
+    several = entry.endswith("...")
+    more: dict[str, Any] = {"metavar": shows, "type": _TYPES.get(shows)}
+    if name in ("--quiet", "--progress"):
+        more = {"dest": "progress", "action": "store_const", "const": name == "--progress"}
+    elif option and not value:
+        more = {"action": "store_const", "const": True}
+    elif "|" in value:
+        more = {"choices": value.split("|")}
+    elif option and several and shows.count("=") == 1:
+        more |= {"action": _Pairs, "default": {}}
+    elif option and several:
+        more |= {"action": "append", "default": []}
+    elif not option:
+        more["nargs"] = "+" if several else "?" if name.startswith("[") else None
+        name = shows.lower()
+    if required:
+        more["required"] = True
+    to.add_argument(name, help=says or None, **more)
 
 
 class Parser(argparse.ArgumentParser):
@@ -158,91 +283,52 @@ class Parser(argparse.ArgumentParser):
         self.exit(BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 
-def whole(minimum: int) -> Any:
-    """Return a parser of whole numbers that are at least ``minimum``."""
+class _Pairs(argparse.Action):
+    """NAME=VALUE, which may be given several times."""
 
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number") from None
-        if value < minimum:
-            raise argparse.ArgumentTypeError(f"{text} is too small, expected at least {minimum}")
-        return value
-
-    return parse
+    def __call__(self, parser: Any, options: Any, text: Any, option: Any = None) -> None:
+        name, equals, value = text.partition("=")
+        found = getattr(options, self.dest)
+        if not (equals and name):
+            raise argparse.ArgumentError(self, f"{text!r} is not of the form {self.metavar}")
+        if name in found:
+            raise argparse.ArgumentError(self, f"{name}: given twice")
+        setattr(options, self.dest, {**found, name: option_value(value)})
 
 
-def command(
-    commands: Any, name: str, run: Any, example: str, says: str = ""
-) -> argparse.ArgumentParser:
-    """Add a command; what it says of itself is what :data:`COMMANDS` says, or ``says``."""
-    says = says or COMMANDS[name][1]
-    parser: argparse.ArgumentParser = commands.add_parser(
-        name, help=says, description=says, epilog=f"example: {example}"
-    )
-    parser.set_defaults(run=run)
-    return parser
+def option_value(text: str) -> Any:
+    """Return numbers, true and false as such, anything else as text."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
 
 
-def event_command(commands: Any, name: str, run: Any, example: str) -> argparse.ArgumentParser:
-    """Add a command on an event, with the options that all of them have."""
-    parser = command(commands, name, run, example)
-    add(parser, "event EVENT", "an event file, or a bundled event's name")
-    add(parser, "--video ID", "one event of a file with many")
-    share(parser, "seed")
-    add(parser, "--turning", "which way agents can turn; default: as observed", choices=TURNINGS)
-    return parser
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number") from None
 
 
-def add(
-    to: argparse._ActionsContainer,
-    name: str,
-    says: str | None = None,
-    type: Any = None,
-    default: Any = None,
-    **more: Any,
-) -> None:
-    """Add an argument or option, such as ``--seed N``; one without a value is on or off."""
-    name, _, metavar = name.partition(" ")
-    if metavar:
-        more["metavar"] = metavar
-    elif name.startswith("--") and not more and type is default is None:
-        more["action"] = "store_true"
-    if type is not None:
-        more["type"] = type
-    if default is not None:
-        more["default"] = default
-    to.add_argument(name, help=says, **more)
+def _budget(text: str) -> Any:
+    try:
+        if text.endswith("f"):
+            return phase_ppl.frames(int(text[:-1]))
+        if text.endswith("s"):
+            return phase_ppl.seconds(float(text[:-1]))
+        return phase_ppl.simulations(int(text))
+    except ValueError:  # of ours too
+        expected = SHARED["BUDGET"]
+        raise argparse.ArgumentTypeError(
+            f"{shown(text)} is no budget; expected {expected}"
+        ) from None
 
 
-SHARED: Final[Mapping[str, Mapping[str, Any]]] = {
-    "seed": {"name": "--seed N", "says": "default 0", "type": whole(0), "default": 0},
-    "planner": {"name": "--planner", "default": "fast", "choices": PLANNERS},
-    "workers": {"name": "--workers N", "says": "processes; default one per usable core",
-                "type": whole(1)},
-    "dask": {"name": "--dask ADDRESS", "says": "a dask scheduler, as in machine:8786, whose "
-             "workers do the work; --workers then says how much they are given at a time"},
-    "other_versions": {"name": "--other-versions", "says": "go on although it was begun by other "
-                       "versions; both are recorded"},
-    "overwrite": {"name": "--overwrite", "says": "replace the results that are in DIR"},
-}  # fmt: skip
-"""Options that several commands have."""
-
-
-def share(parser: argparse.ArgumentParser, *names: str) -> None:
-    """Add some of :data:`SHARED`, and with "progress" the two that :func:`shows_progress` reads.
-
-    With "dask", ``options.executor`` is the executor to work in, or None.
-    """
-    for name in names:
-        if name != "progress":
-            add(parser, **SHARED[name])
-            continue
-        either = parser.add_mutually_exclusive_group()
-        add(either, "--quiet", "no progress bar")
-        says = "a progress bar also where the errors go to a file; default: only in a terminal"
-        add(either, "--progress", says)
+_TYPES: Final = {
+    **{"N": _whole, "X": float, "S": float, "B": _budget},
+    **{"FILE": Path, "DIR": Path, "FOLDER": Path},
+}
 
 
 @contextlib.contextmanager
@@ -265,95 +351,11 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
         yield client.get_executor()
 
 
-def add_options(parser: argparse._ActionsContainer, says: str, type: Any = None) -> None:
-    """Add the option that takes options of something else, several times."""
-    pairs = type or named_value
-    add(parser, "--option NAME=VALUE", says, pairs, [], action="append")
+def one_line(error: BaseException) -> str:
+    """Return what an error says, in one line."""
+    return " ".join(str(error).split())
 
 
-def once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Return name -> value of ``--option`` (InvalidSettingError: a name is given twice)."""
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise InvalidSettingError(f"--option {name}: given twice")
-        found[name] = value
-    return found
-
-
-def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Return those of the options that were given, by name."""
-    found = {name: getattr(options, name) for name in names}
-    return {name: value for name, value in found.items() if value is not None}
-
-
-def arguments(
-    function: Callable[..., Any], options: argparse.Namespace, /, **own: Any
-) -> dict[str, Any]:
-    """Return arguments of a function: what the options of the same names give, and ``own`` ones."""
-    names = [name for name in inspect.signature(function).parameters if name in options]
-    found = given(options, *names)
-    if "progress" in names:
-        found["progress"] = shows_progress(options)
-    return {**found, **own}
-
-
-PRESET: Final = (
-    "simple, guided, as_printed or as_intended: kernel, proposal, planner, weights, prior "
-    "and thresholds in one word; what else is given goes before it"
-)
-"""What ``--preset`` does."""
-
-BUDGET: Final = "simulations, as in 500, simulated frames, as in 20000f, or seconds, as in 60s"
-"""What a budget is given in."""
-
-
-def budget(text: str) -> Any:
-    """Return the budget that an option gives; :data:`BUDGET` says in what."""
-    try:
-        if text.endswith("f"):
-            return phase_ppl.frames(int(text[:-1]))
-        if text.endswith("s"):
-            return phase_ppl.seconds(float(text[:-1]))
-        return phase_ppl.simulations(int(text))
-    except ValueError:  # of ours too
-        raise argparse.ArgumentTypeError(f"{shown(text)} is no budget; expected {BUDGET}") from None
-
-
-@contextlib.contextmanager
-def results_folder(
-    out: Path | None, names: Sequence[str], overwrite: bool
-) -> Iterator[Path | None]:
-    """Keep the folder of results to this process, from before any work is done."""
-    if out is None:
-        yield None
-        return
-    with locked(writable_folder(out)):
-        there = [name for name in names if (out / name).exists()]
-        if there and not overwrite:
-            raise OutputError(
-                f"{out} holds results already ({', '.join(there)}): name another folder, or "
-                "--overwrite"
-            )
-        yield out
-
-
-def shows_progress(options: argparse.Namespace) -> bool | None:
-    """Return whether to show a bar; None: where stderr is a terminal."""
-    return True if options.progress else False if options.quiet else None
-
-
-def option_value(text: str) -> Any:
-    """Return numbers, true and false as such, anything else as text."""
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
-
-
-def named_value(text: str) -> tuple[str, Any]:
-    """Return name and value of NAME=VALUE."""
-    name, equals, value = text.partition("=")
-    if not (equals and name.isidentifier()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
-    return name, option_value(value)
+def report_hint(out: Path) -> str:
+    """Return how to make a page of what is in the folder ``out``."""
+    return f"For one page of it all: phase-ppl report {shlex.quote(str(out))}"

@@ -1,203 +1,145 @@
-"""The commands on events: ``simulate``, ``render``, ``describe``, ``export``."""
+"""The commands on events: ``goals``, ``simulate``, ``render``, ``describe``, ``export``."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import phase_ppl
-from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
-from phase_ppl.data.generated import MANIFEST
-from phase_ppl.data.load import EXPORTS
-from phase_ppl.data.load import SUFFIXES as EVENT_SUFFIXES
-from phase_ppl.evaluation.judgments import all_events
-from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
+from phase_ppl.cli.commands import Options
 from phase_ppl.world.errors import InvalidSettingError, instance_of
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output, writable_folder
 
-_PICTURE: Final = ".png"
-_STRIP: Final = 6
-"""Frames of a film strip, where the event has as many."""
+_EVENTS, _FILMS = (".json", ".nc"), (".mp4", ".gif")  # endings of files
+_STRIP = 6  # frames of a film strip, where the event has as many
 
 
-def add_to(commands: Any) -> None:
-    """Add the commands."""
-    goals = cli.command(commands, "goals", _goals, "phase-ppl goals")
-    says = (
-        f"{', '.join(phase_ppl.worlds.available())} (default PHASE), or an event file; {own.FILE}"
-    )
-    cli.add(goals, "--world NAME", says)
-    _add_simulate(commands)
-    _add_render(commands)
-    _add_describe(commands)
-    _add_export(commands)
+def goals(options: Options) -> None:
+    """List the goals that an agent can have, 36 in PHASE.
 
+    Args:
+        --world NAME: $WORLDS, or an event file; $FILE
 
-def _goals(options: argparse.Namespace) -> int:
+    example: phase-ppl goals
+    """
     world = own.taken(options.world or "PHASE", "world")
     if isinstance(world, str):
-        is_file = Path(world).suffix in EVENT_SUFFIXES
-        world = (
-            phase_ppl.load_events(world)[0].scene.world
-            if is_file
-            else phase_ppl.worlds.named(world)
-        )
+        if Path(world).suffix in _EVENTS:
+            world = phase_ppl.load_events(world)[0].scene.world
+        else:
+            world = phase_ppl.worlds.named(world)
     instance_of("--world", world, phase_ppl.World, "a phase_ppl.World")
     print("\n".join(world.goals))
-    return 0
 
 
-def _add_simulate(commands: Any) -> None:
-    parser = cli.event_command(
-        commands,
-        "simulate",
-        _simulate,
-        "phase-ppl simulate collaborate --goal-red 'Get blue item to red lm' "
-        "--goal-green 'get to red agent' --out simulated.mp4",
-    )
-    for agent in ("red", "green"):
-        cli.add(parser, f"--goal-{agent} GOAL", "in PHASE")
-        cli.add(parser, f"--alpha-{agent} A", "-1, 0 or 1", int, 0, choices=(-1, 0, 1))
-        cli.add(parser, f"--strength-{agent} NEWTON", "default 450", float, 450.0)
-    says = "in any world, of each agent that neither helps nor hinders"
-    cli.add(parser, "--goal NAME=GOAL", says, action="append", default=[])
-    says = "who helps or hinders whom, as in 'Ann=help=Ben'"
-    cli.add(parser, "--relation WHO=WORD=WHOM", says, action="append", default=[])
-    says = "of an agent; default 450"
-    cli.add(parser, "--strength NAME=NEWTON", says, action="append", default=[])
-    cli.share(parser, "planner")
-    cli.add(parser, "--frames T", "default: as long as the event", cli.whole(2))
-    cli.add(parser, "--overlapping", "though bodies overlap at the start")
-    cli.add(parser, "--out FILE", ".json, .nc, .mp4 or .gif", Path, required=True)
+def simulate(options: Options) -> None:
+    """Run the joint simulator from an event's start under a hypothesis.
 
+    Args:
+        $event
+        --goal-red GOAL: in PHASE
+        --alpha-red N: -1, 0 or 1; default 0
+        --strength-red X: newtons; default 450
+        --goal-green GOAL: in PHASE
+        --alpha-green N: -1, 0 or 1; default 0
+        --strength-green X: newtons; default 450
+        --goal NAME=GOAL...: in any world, of each agent that neither helps nor hinders
+        --relation WHO=WORD=WHOM...: who helps or hinders whom, as in 'Ann=help=Ben'
+        --strength NAME=NEWTON...: of an agent; default 450
+        $planner
+        --frames N: default: as long as the event
+        --overlapping: though bodies overlap at the start
+        --out FILE: .json, .nc, .mp4 or .gif; required
 
-def _simulate(options: argparse.Namespace) -> int:
-    suffix = cli.check_suffix(options.out, (*EVENT_SUFFIXES, *FILM_SUFFIXES))
-    event = cli.load(options)
-    writable_folder(options.out.parent)
+    example: phase-ppl simulate collaborate --goal-red 'Get blue item to red lm'
+      --goal-green 'get to red agent' --out simulated.mp4
+    """
+    suffix = options.suffix(*_EVENTS, *_FILMS)
+    event = options.load()
     hypothesis = _roles(options, event)
-    simulated = phase_ppl.simulate(
-        event.scene,
-        hypothesis,
-        frames=options.frames or event.observation.n_frames,
-        seed=options.seed,
-        planner=options.planner,
-        id=f"{event.id}-simulated",
-        overlapping=options.overlapping,
-    )
-    if suffix in EVENT_SUFFIXES:
+    given: dict[str, Any] = {"frames": event.observation.n_frames, "id": f"{event.id}-simulated"}
+    given |= options.given("frames", "seed", "planner", "overlapping")
+    simulated = phase_ppl.simulate(event.scene, hypothesis, **given)
+    if suffix in _EVENTS:
         phase_ppl.save_event(simulated, options.out)
     else:
         phase_ppl.render.video(simulated, options.out)
     print(f"{hypothesis}\n{simulated.observation.n_frames} frames written to {options.out}")
-    return 0
 
 
-def _roles(options: argparse.Namespace, event: Event) -> phase_ppl.Hypothesis:
+def _roles(options: Options, event: Event) -> phase_ppl.Hypothesis:
     """Return who wants what."""
-    named = options.goal, options.relation, options.strength
     of_phase = options.goal_red, options.goal_green
-    if any(named):
+    world = event.scene.world
+    if options.goal or options.relation or options.strength:
         if any(of_phase):
             raise InvalidSettingError("give either --goal-red and --goal-green, or --goal")
-        goals = {name: goal for name, goal in (_parts(one, "goal", 2) for one in options.goal)}
-        told = (_parts(one, "relation", 3) for one in options.relation)
-        strengths = (_parts(one, "strength", 2) for one in options.strength)
-        return phase_ppl.Hypothesis.of(
-            event.scene.world,
-            goals,
-            {(who, whom): word for who, word, whom in told},
-            {name: _newtons(force) for name, force in strengths},
-        )
-    if event.scene.world != phase_ppl.worlds.PHASE or None in of_phase:
+        relations = {}
+        for text in options.relation:
+            parts = [part.strip() for part in text.split("=")]
+            if len(parts) != 3:
+                raise InvalidSettingError(f"--relation {text}: expected WHO=help=WHOM")
+            relations[parts[0], parts[2]] = parts[1]
+        return phase_ppl.Hypothesis.of(world, options.goal, relations, options.strength)
+    if world != phase_ppl.worlds.PHASE or None in of_phase:
         raise InvalidSettingError(
             "expected --goal-red and --goal-green, or, in any world, --goal NAME=GOAL; the agents "
-            f"of {event.scene.world.name!r} are {', '.join(event.scene.world.agents)}"
+            f"of {world.name!r} are {', '.join(world.agents)}"
         )
-    return phase_ppl.Hypothesis(
-        goal_red=options.goal_red,
-        goal_green=options.goal_green,
-        alpha=(options.alpha_red, options.alpha_green),
-        strength_red=options.strength_red,
-        strength_green=options.strength_green,
-    )
+    alpha = options.alpha_red or 0, options.alpha_green or 0
+    return phase_ppl.Hypothesis(**options.of(phase_ppl.Hypothesis, alpha=alpha))
 
 
-def _newtons(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InvalidSettingError(f"--strength {text}: expected newtons, a number") from None
+def render(options: Options) -> None:
+    """Film an event, or draw a frame or a film strip of it.
 
+    Args:
+        $event
+        --frame N: one frame as .png; 0 is the first, -1 the last
+        | --strip N: N frames side by side as .png; default 6
+        --fields-of-view: show what each agent can see
+        --out FILE: .mp4 or .gif, or .png for pictures; required
 
-def _parts(text: str, option: str, n: int) -> tuple[str, ...]:
-    """Return what stands between the equals signs of an option."""
-    parts = tuple(part.strip() for part in text.split("="))
-    if len(parts) != n:
-        form = "NAME=GOAL" if option == "goal" else "NAME=NEWTON" if n == 2 else "WHO=help=WHOM"
-        raise InvalidSettingError(f"--{option} {text}: expected {form}")
-    return parts
-
-
-def _add_render(commands: Any) -> None:
-    parser = cli.event_command(
-        commands,
-        "render",
-        _render,
-        "phase-ppl render collaborate --fields-of-view --out collaborate.gif",
-    )
-    which = parser.add_mutually_exclusive_group()
-    cli.add(which, "--frame N", "one frame as .png; 0 is the first, -1 the last", int)
-    cli.add(which, "--strip N", f"N frames side by side as .png; default {_STRIP}", cli.whole(1))
-    cli.add(parser, "--fields-of-view", "show what each agent can see")
-    cli.add(parser, "--out FILE", ".mp4 or .gif, or .png for pictures", Path, required=True)
-
-
-def _render(options: argparse.Namespace) -> int:
-    suffix = cli.check_suffix(options.out, (*FILM_SUFFIXES, _PICTURE))
-    one_frame = options.frame is not None
-    if suffix != _PICTURE and (one_frame or options.strip is not None):
-        what = "--frame" if one_frame else "--strip"
-        raise InvalidSettingError(f"{what} draws a picture: --out {options.out} must end in .png")
-    event = cli.load(options)
-    writable_folder(options.out.parent)
+    example: phase-ppl render collaborate --fields-of-view --out collaborate.gif
+    """
+    picture = options.suffix(*_FILMS, ".png") == ".png"
+    which = options.given("frame", "strip")
+    if which and not picture:
+        raise InvalidSettingError(
+            f"--{min(which)} draws a picture: --out {options.out} must end in .png"
+        )
+    event = options.load()
     n_frames = event.observation.n_frames
-    shown = f"{n_frames} frames"
-    if suffix != _PICTURE:
-        phase_ppl.render.video(event, options.out, fields_of_view=options.fields_of_view)
-    elif one_frame:
+    n = min(_STRIP, n_frames) if options.strip is None else options.strip
+    given = options.given("fields_of_view")
+    if not picture:
+        shown = f"{n_frames} frames"
+        phase_ppl.render.video(event, options.out, **given)
+    elif options.frame is not None:
         shown = f"frame {options.frame}"
-        phase_ppl.render.image(
-            event, options.frame, options.out, fields_of_view=options.fields_of_view
-        )
+        phase_ppl.render.image(event, options.frame, options.out, **given)
     else:
-        n = options.strip or min(_STRIP, n_frames)
         shown = f"{n} frames"
-        phase_ppl.render.strip(event, options.out, n, fields_of_view=options.fields_of_view)
+        phase_ppl.render.strip(event, options.out, n, **given)
     print(f"{shown} of {event.id} written to {options.out}")
-    return 0
 
 
-def _add_describe(commands: Any) -> None:
-    parser = cli.command(
-        commands, "describe", _describe, "phase-ppl describe events.json --out out"
-    )
-    cli.add(
-        parser, "events EVENTS", "a generated set, an event file, or a folder of event files", Path
-    )
-    says = "write statistics.csv, data_card.png and contact_sheet.png there"
-    cli.add(parser, "--out DIR", says, Path)
-    cli.share(parser, "progress")
+def describe(options: Options) -> None:
+    """Print and draw the statistics of a set of events beside those of PHASE.
 
+    Args:
+        EVENTS: a generated set, an event file, or a folder of event files
+        --out DIR: write statistics.csv, data_card.png and contact_sheet.png there
+        $progress
 
-def _describe(options: argparse.Namespace) -> int:
+    example: phase-ppl describe events.json --out out
+    """
     out = None if options.out is None else writable_folder(options.out)
-    path: Path = options.events
-    made = (path / MANIFEST).is_file()
-    events = phase_ppl.load_events(path) if made else all_events(path)
+    path = Path(options.events)
+    made = (path / "manifest.json").is_file()
+    events = phase_ppl.load_events(path) if made else phase_ppl.all_events(path)
     found = phase_ppl.statistics(events)
     n, units, *unknown = found.attrs.values()
     words = [f"{path.resolve().stem}: {n} event{'s' * (n != 1)}"]
@@ -208,33 +150,28 @@ def _describe(options: argparse.Namespace) -> int:
     shown = found[(found["count"] != 0).fillna(True) | found["phase"].notna()]
     print(shown.to_string(float_format="{:.2f}".format, na_rep=""))
     if out is None:
-        return 0
+        return
     with atomic_output(out / "statistics.csv", (".csv",)) as part:
         found.to_csv(part)
     phase_ppl.plot.data_card(found, out / "data_card.png")
-    sheets = phase_ppl.render.contact_sheet(
-        events, out / "contact_sheet.png", progress=cli.shows_progress(options)
+    sheets = options.call(
+        phase_ppl.render.contact_sheet, events=events, path=out / "contact_sheet.png"
     )
     names = ", ".join(["statistics.csv", "data_card.png", *(sheet.name for sheet in sheets)])
     print(f"\nWritten to {out}: {names}")
-    return 0
 
 
-def _add_export(commands: Any) -> None:
-    parser = cli.command(
-        commands,
-        "export",
-        _export,
-        "phase-ppl export collaborate compete --to phase-test --out two.json",
-    )
-    cli.add(parser, "events EVENTS", "files of events, or bundled events' names", nargs="+")
-    cli.add(parser, "--to", choices=tuple(EXPORTS), required=True)
-    cli.add(parser, "--out FILE", type=Path, required=True)
+def export(options: Options) -> None:
+    """Write events in another format.
 
+    Args:
+        EVENTS...: files of events, or bundled events' names
+        --to json|netcdf|phase-test|phase-processed: required
+        --out FILE: required
 
-def _export(options: argparse.Namespace) -> int:
+    example: phase-ppl export collaborate compete --to phase-test --out two.json
+    """
     writable_folder(options.out.parent)
     events = [event for path in options.events for event in phase_ppl.load_events(path)]
     phase_ppl.export_events(events, options.out, options.to)
     print(f"{len(events)} event{'s' * (len(events) != 1)} written to {options.out}")
-    return 0

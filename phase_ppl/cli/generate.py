@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
 import re
@@ -10,90 +9,47 @@ import shlex
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any
 
 import phase_ppl
-from phase_ppl.cli import commands as cli
 from phase_ppl.cli import own
-from phase_ppl.data.generated import GeneratedEvents, verify
-from phase_ppl.data.generation.generate import PRESETS, GenerationInterrupted, generate
-from phase_ppl.models.socialgnn.graphs import VARIANTS
-from phase_ppl.models.socialgnn.store import TrainingSettings
+from phase_ppl.cli.commands import FAILED, Options
 from phase_ppl.world.errors import check_name
 from phase_ppl.world.files import writable_folder
-from phase_ppl.world.scene import TURNINGS
 
-VIDEOS: Final = "videos"
-REJECTED_VIDEOS: Final = "videos_rejected"
-"""Folders of films in that of the data set; those of rejected draws end in the reason."""
+if TYPE_CHECKING:
+    from phase_ppl.data.generated import GeneratedEvents
 
 
-def add_to(commands: Any) -> None:
-    """Add the commands."""
-    parser = cli.command(
-        commands,
-        "generate",
-        _generate,
-        "phase-ppl generate --n 20 --seed 1 --out events",
-        "Make a data set like PHASE: draw situations, simulate them, keep those that show what "
-        "they should.",
-    )
-    size = parser.add_mutually_exclusive_group()
-    cli.add(size, "--n N", "events, of PHASE in the paper's proportions", cli.whole(1))
-    cli.add(size, "--preset", "the paper's 500 events; default", choices=tuple(PRESETS))
-    says = "events of a family, such as chasing=10 or hinder:LMA=5; may be given several times; "
-    says += f"{own.FILE}, which registers it"
-    cli.add(size, "--cell FAMILY=N", says, _cell, action="append")
-    cli.add(parser, "--out DIR", type=Path, required=True)
-    says = f"{', '.join(phase_ppl.worlds.available())} (default PHASE); without --cell events of "
-    says += f"others than PHASE, or with --prior, are random scenes with roles; {own.FILE}"
-    cli.add(parser, "--world NAME", says)
-    says = f"over who wants what in random scenes, default uniform; {own.FILE}"
-    cli.add(parser, "--prior NAME", says)
-    cli.share(parser, "planner", "seed")
-    says = "of each event, with other reflections and colours; default 0"
-    cli.add(parser, "--copies K", says, cli.whole(0), 0)
-    says = (
-        "copies of each event simulated anew in a layout of the same kind, or with sizes and "
-        "strengths moved by one, as far as its family allows; default 0"
-    )
-    cli.add(parser, "--replans K", says, cli.whole(0), 0)
-    says = "which way agents can turn, before any reflection; default both"
-    cli.add(parser, "--turning", says, choices=TURNINGS, default="both")
-    cli.share(parser, "workers", "dask")
-    cli.add(parser, "--keep-rejected", "keep the draws that were not good enough")
-    says = "film every event, rejected draws too if they are kept, and draw all on one picture"
-    cli.add(parser, "--videos", says)
-    cli.add(parser, "--resume", "go on with what DIR holds")
-    cli.share(parser, "progress", "other_versions")
+def generate(options: Options) -> int:
+    """Make a data set of simulated social events.
 
-    check = cli.command(commands, "verify", _verify, "phase-ppl verify events")
-    cli.add(check, "folder DIR", type=Path)
+    Draws situations like those of PHASE, simulates them, keeps those that show what they should.
 
-    train = cli.command(
-        commands,
-        "train",
-        _train,
-        "phase-ppl train socialgnn --data events --out gnn",
-        "Train a model of social perception on a generated data set: networks from several seeds, "
-        "whose answers are averaged. Needs the extra neural (PyTorch).",
-    )
-    cli.add(train, "model", choices=("socialgnn",))
-    says = "the folder of a generated set, with the splits train and validation"
-    cli.add(train, "--data SET", says, Path, required=True)
-    cli.add(train, "--out DIR", type=Path, required=True)
-    cli.add(train, "--seeds K", "networks; default 5", cli.whole(1), 5)
-    cli.add(train, "--seed N", "first one; default 0", cli.whole(0), 0)
-    cli.add(train, "--variant", choices=VARIANTS, default=VARIANTS[0])
-    cli.add_options(
-        train, "how to train, such as epochs=100 or looks=false; may be given several times"
-    )
-    cli.add(train, "--resume", "go on with what DIR holds")
-    cli.share(train, "progress")
+    Args:
+        --n N: events, of PHASE in the paper's proportions
+        | --preset NAME: phase500, the paper's 500 events; default
+        | --cell FAMILY=N...: events of a family, such as chasing=10 or hinder:LMA=5; may be given
+            several times; $FILE, which registers it
+        --out DIR: required
+        --world NAME: $WORLDS; without --cell events of others than PHASE, or with --prior, are
+            random scenes with roles; $FILE
+        --prior NAME: over who wants what in random scenes, default uniform; $FILE
+        $planner
+        $seed
+        --copies N: of each event, with other reflections and colours; default 0
+        --replans N: copies of each event simulated anew in a layout of the same kind, or with sizes
+            and strengths moved by one, as far as its family allows; default 0
+        --turning both|ccw|cw: which way agents can turn, before any reflection; default both
+        $cluster
+        --keep-rejected: keep the draws that were not good enough
+        --videos: film every event, rejected draws too if they are kept, and draw all on one picture
+        --resume: go on with what DIR holds
+        $progress
+        $versions
 
-
-def _generate(options: argparse.Namespace) -> int:
+    example: phase-ppl generate --n 20 --seed 1 --out events
+    """
     given: dict[str, Any] = {}
     if options.world is not None:
         given["world"] = own.taken(options.world, "world")
@@ -103,36 +59,40 @@ def _generate(options: argparse.Namespace) -> int:
         prior = own.taken(options.prior, "prior")
         prior = priors.named(prior) if isinstance(prior, str) else prior
         given["roles"] = functools.partial(phase_ppl.roles.draw, prior=prior)
-    cells = {_family(name): number for name, number in options.cell or ()}
-    try:
-        given["cells"] = cells or PRESETS.get(options.preset)
-        made = generate(**cli.arguments(generate, options, **given))
-    except GenerationInterrupted as stopped:
-        print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
-        return cli.INTERRUPTED
+    if options.preset is not None:
+        from phase_ppl.data.generation.generate import PRESETS
+
+        check_name("preset", options.preset, PRESETS)
+        given["cells"] = PRESETS[options.preset]
+    if options.cell:
+        given["cells"] = {_family(name): number for name, number in options.cell.items()}
+    made = options.call(phase_ppl.generate, **given)
     _print(made)
     if options.videos:
-        _film(made, options)
+        rejected = [
+            dataclasses.replace(event, id=f"{event.id}-{re.sub(r'[^A-Za-z0-9]+', '-', reason)}")
+            for event, reason in made.rejected()
+        ]
+        films = functools.partial(options.call, phase_ppl.render.videos)
+        films(events=made, folder=made.path / "videos")
+        sheets = options.call(
+            phase_ppl.render.contact_sheet, events=made, path=made.path / "contact_sheet.png"
+        )
+        names = ", ".join(file.name for file in sheets)
+        print(f"{len(made)} films in {made.path / 'videos'}; {names}")
+        if rejected:
+            folder = made.path / "videos_rejected"
+            films(events=rejected, folder=folder)
+            print(f"{len(rejected)} films of rejected draws in {folder}")
     given_up = made.manifest["given_up"]
     if given_up:
         print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)
-    return cli.FAILED if given_up else 0
+    return FAILED if given_up else 0
 
 
-def _film(made: GeneratedEvents, options: argparse.Namespace) -> None:
-    shown = cli.shows_progress(options)
-    folder = made.path / VIDEOS
-    phase_ppl.render.videos(made, folder, workers=options.workers, progress=shown)
-    sheets = phase_ppl.render.contact_sheet(made, made.path / "contact_sheet.png", progress=shown)
-    print(f"{len(made)} films in {folder}; {', '.join(file.name for file in sheets)}")
-    rejected = [
-        dataclasses.replace(event, id=f"{event.id}-{re.sub(r'[^A-Za-z0-9]+', '-', reason)}")
-        for event, reason in made.rejected()
-    ]
-    if rejected:
-        folder = made.path / REJECTED_VIDEOS
-        phase_ppl.render.videos(rejected, folder, workers=options.workers, progress=shown)
-        print(f"{len(rejected)} films of rejected draws in {folder}")
+def _family(cell: str) -> str:
+    """Return what a cell is called when the file of ``FILE.py:NAME`` has been run."""
+    return cell if own.taken(cell, "family") is cell else cell.rpartition(":")[2]
 
 
 def _print(made: GeneratedEvents) -> None:
@@ -141,17 +101,15 @@ def _print(made: GeneratedEvents) -> None:
     for cell, kept in manifest["kept"].items():
         if not kept:
             continue
-        refused = manifest["rejected"][cell]
-        print(f"{cell:<22}{_kept(kept, refused, 'draws')}")
-        replans = manifest.get("replans", {}).get(cell)
-        if replans and (replans["kept"] or replans["rejected"]):
-            told = _kept(replans["kept"], replans["rejected"], "simulations of re-planned copies")
+        print(f"{cell:<22}{_kept(kept, manifest['rejected'][cell], 'draws')}")
+        again = manifest.get("replans", {}).get(cell)
+        if again and (again["kept"] or again["rejected"]):
+            told = _kept(again["kept"], again["rejected"], "simulations of re-planned copies")
             print(f"{'':<22}{told}")
     splits = Counter(entry["split"] for entry in made.entries)
     parts = ", ".join(f"{n} {name}" for name, n in splits.items())
     print(f"{len(made)} events ({parts}) in {made.path}")
-    anew = made.cost.get("made_anew")
-    if anew:
+    if anew := made.cost.get("made_anew"):
         print(f"Made anew, since their parts were damaged: {', '.join(anew)}", file=sys.stderr)
 
 
@@ -160,66 +118,64 @@ def _kept(kept: int, refused: Mapping[str, int], what: str) -> str:
     return f"{kept:>4} of {kept + sum(refused.values()):>4} {what}{'   ' + why if why else ''}"
 
 
-def _verify(options: argparse.Namespace) -> int:
-    wrong = verify(options.folder)
-    for line in wrong:
-        print(line)
-    if wrong:
-        return cli.FAILED
-    print(f"{options.folder}: all events are as they were made")
-    return 0
+def verify(options: Options) -> int:
+    """Compare a generated data set with its checksums.
+
+    Args:
+        FOLDER: of the set
+
+    example: phase-ppl verify events
+    """
+    from phase_ppl.data.generated import verify as wrong_in
+
+    wrong = wrong_in(options.folder)
+    print("\n".join(wrong) or f"{options.folder}: all events are as they were made")
+    return FAILED if wrong else 0
 
 
-def _family(cell: str) -> str:
-    """Return what a cell is called when the file of ``FILE.py:NAME`` has been run."""
-    if own.taken(cell, "family") is cell:
-        return cell
-    return cell.rpartition(":")[2]
+def train(options: Options) -> None:
+    """Train a model of social perception on a generated data set.
 
+    Networks from several seeds, whose answers are averaged. Needs the extra neural (PyTorch).
 
-def _cell(text: str) -> tuple[str, int]:
-    name, equals, number = text.partition("=")
-    if not (name and equals):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form FAMILY=N")
-    return name, cli.whole(1)(number)
+    Args:
+        MODEL: socialgnn
+        --data DIR: the folder of a generated set, with the splits train and validation; required
+        --out DIR: required
+        --seeds N: networks; default 5
+        --seed N: first one; default 0
+        --variant extended|original|message_passing: default extended
+        --option NAME=VALUE...: how to train, such as epochs=100 or looks=false; may be given
+            several times
+        --resume: go on with what DIR holds
+        $progress
 
+    example: phase-ppl train socialgnn --data events --out gnn
+    """
+    from phase_ppl.models.socialgnn.store import TrainingSettings
 
-def _train(options: argparse.Namespace) -> int:
-    given = cli.once(options.option)
-    for name in given:
+    check_name("model to train", options.model, ["socialgnn"])
+    for name in options.option:
         check_name("option", name, [f.name for f in dataclasses.fields(TrainingSettings)][1:])
-    settings = TrainingSettings.of(options.variant, **given)
+    settings = TrainingSettings.of(options.variant or "extended", **options.option)
     writable_folder(options.out)
-    try:
-        arguments = cli.arguments(phase_ppl.train_socialgnn, options, settings=settings)
-        report = phase_ppl.train_socialgnn(**arguments)
-    except KeyboardInterrupt:
-        print("phase-ppl: interrupted; go on with the same command and --resume", file=sys.stderr)
-        return cli.INTERRUPTED
-    _print_scores(report)
-    print(f"\nKept in {options.out}; to ask them: phase-ppl evaluate EVENTS --model socialgnn "
-          f"--weights {shlex.quote(str(options.out))}")  # fmt: skip
-    return 0
-
-
-def _print_scores(report: dict[str, Any]) -> None:
-    """Print the accuracies of each network and of all together, by split."""
+    report = options.call(phase_ppl.train_socialgnn, settings=settings)
     splits = list(report["together"])
     print("right answers, %" + "".join(f"{split:>24}" for split in splits))
     print(" " * 16 + f"{'goals':>12}{'relation':>12}" * len(splits) + f"{'epochs':>8}{'CPU s':>8}")
     for member in report["members"]:
-        scores = "".join(_cells(member["accuracy"][split]) for split in splits)
-        print(
-            f"seed {member['seed']:<11}{scores}{member['epochs']:>8}{member['cpu_seconds']:>8.0f}"
-        )
-    print("all together    " + "".join(_cells(report["together"][split]) for split in splits))
+        told = f"{member['epochs']:>8}{member['cpu_seconds']:>8.0f}"
+        print(f"seed {member['seed']:<11}{_scores(member['accuracy'])}{told}")
+    print(f"all together    {_scores(report['together'])}")
+    print(f"\nKept in {options.out}; to ask them: phase-ppl evaluate EVENTS --model socialgnn "
+          f"--weights {shlex.quote(str(options.out))}")  # fmt: skip
 
 
-def _cells(scores: dict[str, Any]) -> str:
-    """Return goals and relation as two columns."""
+def _scores(by_split: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return right answers about goals and relation by split, as columns in percent."""
     cells = ""
-    for name in ("goal_accuracy", "relation_accuracy"):
-        figure = scores.get(name)
-        value = figure["value"] if isinstance(figure, dict) else figure
-        cells += f"{'-' if value is None else f'{100 * value:.0f}':>12}"
+    for scores in by_split.values():
+        for figure in (scores.get("goal_accuracy"), scores.get("relation_accuracy")):
+            value = figure["value"] if isinstance(figure, dict) else figure
+            cells += f"{'-' if value is None else f'{100 * value:.0f}':>12}"
     return cells

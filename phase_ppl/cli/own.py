@@ -2,74 +2,40 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
 import inspect
+import re
 import runpy
-import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli import commands as cli
+from phase_ppl.cli.commands import Options, one_line, option_value
 from phase_ppl.world.errors import InvalidSettingError, check_name, unknown_name
 from phase_ppl.world.files import existing_file
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
 
-FILE: Final = "FILE.py:NAME takes one of your own, and runs that file"
-"""What options say that :func:`taken` reads."""
-
-LIKELIHOODS: Final = ("radial", "stepwise")
-PARTS: Final = ("prior", "simulator", "likelihood", "noise")  # options of :func:`add_model`
+PARTS: Final = ("prior", "simulator", "likelihood", "noise")  # options of a model
 _SUFFIX: Final = ".py"
 
 
-def add_model(parser: argparse.ArgumentParser) -> None:
-    """Add the options that :func:`model` reads."""
-    cli.add(parser, "--prior NAME", f"default uniform; {FILE}")
-    cli.add(parser, "--simulator FILE.py:NAME", "instead of the joint one; runs that file")
-    says = (
-        "radial or stepwise, with settings as in radial:beta=0.1 and "
-        f"stepwise:weight=1:planner_seeds=8; {FILE}"
-    )
-    cli.add(parser, "--likelihood L", says)
-    says = "of simulations: fresh for every proposal (the default), or fixed by hypothesis"
-    cli.add(parser, "--noise", says, choices=("fresh", "fixed"))
-
-
 def model(
-    options: argparse.Namespace,
-    planner: str | PlannerConfig | None = None,
-    **settings: Any,
+    options: Options, planner: str | PlannerConfig | None = None, **settings: Any
 ) -> phase_ppl.Model:
-    """Return the model of the options.
-
-    Args:
-        options: those of :func:`add_model`.
-        planner: of the joint simulator.
-        **settings: of the likelihood, beside those that ``--likelihood`` has.
-    """
-    given: dict[str, Any] = cli.given(options, "noise")
-    if options.likelihood is not None or settings:
-        given["likelihood"] = likelihood(options.likelihood or "radial", settings)
-    if options.prior is not None:
+    """Return the model of the options, with further settings of its likelihood."""
+    given = options.given(*PARTS)
+    if "prior" in given:
         given["prior"] = taken(options.prior, "prior")
-    if options.simulator is not None:
+    if "simulator" in given:
         given["simulator"] = taken(options.simulator, "simulator", named=False)
+    if "likelihood" in given or settings:
+        given["likelihood"] = _likelihood(options.likelihood or "radial", settings)
     return phase_ppl.Model(planner=planner, **given)
-
-
-def given_again(options: argparse.Namespace) -> str:
-    """Return the options that ``resume`` needs again, where a file cannot hold all of a run."""
-    found = cli.given(options, *PARTS, "kernel")
-    if not any(".py:" in text or "stepwise" in text for text in found.values()):
-        return ""
-    return "".join(f" --{name} {shlex.quote(text)}" for name, text in found.items())
 
 
 def taken(text: str, what: str, named: bool = True) -> Any:
@@ -104,11 +70,11 @@ def _run(path: Path, *_: int) -> dict[str, Any]:
     try:
         return runpy.run_path(str(path), run_name=path.stem)
     except Exception as error:  # whatever a user's file does
-        reason = f"{type(error).__name__}: {cli.one_line(error)}"
+        reason = f"{type(error).__name__}: {one_line(error)}"
         raise InvalidSettingError(f"{path} cannot be run: {reason}") from error
 
 
-def with_settings(text: str, where: str) -> tuple[str, dict[str, Any]]:
+def with_settings(text: str, option: str) -> tuple[str, dict[str, Any]]:
     """Return name and settings of ``name:setting=value:setting=value``.
 
     The name may be ``FILE.py:NAME``.
@@ -120,51 +86,91 @@ def with_settings(text: str, where: str) -> tuple[str, dict[str, Any]]:
     for one in given:
         key, equals, value = one.partition("=")
         if not (key and equals and value):
-            raise InvalidSettingError(f"{where}: {one!r} in {text!r} is no OPTION=VALUE")
-        settings[key] = cli.option_value(value)
+            raise InvalidSettingError(f"{option}: {one!r} in {text!r} is no OPTION=VALUE")
+        settings[key] = option_value(value)
     return name, settings
 
 
-def likelihood(text: str, more: Mapping[str, Any]) -> Any:
+def _likelihood(text: str, more: Mapping[str, Any]) -> Any:
     """Return the likelihood of an option such as ``radial:beta=0.1``, with more settings."""
     name, settings = with_settings(text, "--likelihood")
-    for setting, value in more.items():
-        if setting in settings:
-            raise InvalidSettingError(f"--option {setting}: --likelihood {text} has it too")
-        settings[setting] = value
+    if twice := settings.keys() & more:
+        raise InvalidSettingError(f"--option {min(twice)}: --likelihood {text} has it too")
+    settings |= more
     if ":" in name:
-        found = taken(name, "likelihood")
-        if isinstance(found, type) or settings:
-            return _made(name, found, settings)
-        return found
-    check_name("likelihood", name, [*LIKELIHOODS, "FILE.py:NAME"])
-    if name == "radial":
-        return _made(name, phase_ppl.RadialLikelihood, settings)
-    tracking = {key: settings.pop(key) for key in _fields(phase_ppl.Tracking) if key in settings}
-    if tracking:
-        settings["tracking"] = phase_ppl.Tracking(**tracking)
-    return _made(name, phase_ppl.StepwiseLikelihood, settings)
-
-
-def _made(name: str, kind: Any, settings: Mapping[str, Any]) -> Any:
+        kind = taken(name, "likelihood")
+        if not (isinstance(kind, type) or settings):
+            return kind
+    else:
+        check_name("likelihood", name, ["radial", "stepwise", "FILE.py:NAME"])
+        kind = phase_ppl.RadialLikelihood if name == "radial" else phase_ppl.StepwiseLikelihood
+    if kind is phase_ppl.StepwiseLikelihood:
+        of_tracking = {f.name for f in dataclasses.fields(phase_ppl.Tracking)} & settings.keys()
+        if of_tracking:
+            tracking = {setting: settings.pop(setting) for setting in of_tracking}
+            settings["tracking"] = phase_ppl.Tracking(**tracking)
     if not callable(kind):
         raise InvalidSettingError(f"--likelihood {name} is an object, which takes no settings")
     try:
-        inspect.signature(kind).bind(**settings)
+        return kind(**settings)
     except TypeError as error:
         raise InvalidSettingError(f"--likelihood {name}: {error}") from None
-    return kind(**settings)
 
 
-def _fields(kind: Callable[..., Any]) -> tuple[str, ...]:
-    return tuple(field.name for field in dataclasses.fields(kind))  # type: ignore[arg-type]
-
-
-def stepwise_settings() -> tuple[str, ...]:
+def stepwise_settings() -> set[str]:
     """Return the names of the settings of the closed loop's likelihood."""
-    return (*_fields(phase_ppl.StepwiseLikelihood), *_fields(phase_ppl.Tracking))
+    kinds = phase_ppl.StepwiseLikelihood, phase_ppl.Tracking
+    return {field.name for kind in kinds for field in dataclasses.fields(kind)}
 
 
-def is_stepwise(text: str | None) -> bool:
-    """Return whether ``--likelihood`` names the closed loop's."""
-    return text is not None and with_settings(text, "--likelihood")[0] == LIKELIHOODS[1]
+def models_of(given: Sequence[str]) -> dict[str, str]:
+    """Return label -> model of ``--model NAME`` or ``LABEL=NAME``; the closed loop by default."""
+    found: dict[str, str] = {}
+    for text in given or ["stepwise"]:
+        label, equals, name = text.partition("=")
+        if label in found:
+            raise InvalidSettingError(
+                f"--model {label} is given twice: name them, as in --model one={name or label}"
+            )
+        if equals and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", label):
+            raise InvalidSettingError(f"--model {text}: {label!r} is no name for a folder")
+        found[label] = name if equals else text
+    return found
+
+
+def options_of(
+    models: Mapping[str, str], plain: Mapping[str, Any], named: Mapping[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """Return label -> options of the model.
+
+    Args:
+        models: label -> model.
+        plain: options of every model that takes them; of a single model all.
+        named: those of ``--option``, where "LABEL.NAME" is of one model, "NAME" plain.
+    """
+    from phase_ppl.evaluation.registry import model_info
+
+    taken = inspect.signature(phase_ppl.evaluate).parameters
+    shared = dict(plain)
+    of_one: dict[str, dict[str, Any]] = {label: {} for label in models}
+    for text, value in named.items():
+        label, dot, name = text.rpartition(".")
+        if dot:
+            check_name(f"model in --option {text}:", label, models)
+        place = of_one[label] if dot else shared
+        if name in place or name in taken:
+            why = "given twice" if name in place else "no option of a model"
+            raise InvalidSettingError(f"--option {text}: {why}")
+        place[name] = value
+    found: dict[str, dict[str, Any]] = {label: {} for label in models}
+    for name, value in shared.items():
+        takers = [
+            label
+            for label, model in models.items()
+            if len(models) == 1 or model_info(model).takes(name, {**shared, **of_one[label]})
+        ]
+        if not takers:
+            raise InvalidSettingError(f"{name}: none of the models {', '.join(models)} takes it")
+        for label in takers:
+            found[label][name] = value
+    return {label: {**found[label], **given} for label, given in of_one.items()}

@@ -11,7 +11,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.cli.evaluate import options_of
+from phase_ppl.cli.own import options_of
 from phase_ppl.evaluation import figures, report
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
@@ -223,10 +223,10 @@ def test_an_interrupted_evaluation_of_several_models_goes_on(capsys: Capture) ->
 
 def test_plain_options_go_to_the_models_that_take_them_and_others_to_the_one_they_name() -> None:
     models = {"right": "right", "wrong": "wrong", "two": "right", "any": "any"}
-    given = [("size", 2), ("two.size", 3), ("any.what", 4)]
+    given = {"size": 2, "two.size": 3, "any.what": 4}
     found = options_of(models, {}, given)
     assert [*found.values()] == [{"size": 2}, {}, {"size": 3}, {"size": 2, "what": 4}]
-    alone = options_of({"x": "y"}, {"a": 1}, [("b", 2), ("x.c", 3)])
+    alone = options_of({"x": "y"}, {"a": 1}, {"b": 2, "x.c": 3})
     assert alone == {"x": {"a": 1, "b": 2, "c": 3}}
 
 

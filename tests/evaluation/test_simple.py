@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.evaluate import options_of
+from phase_ppl.cli.own import options_of
 from phase_ppl.evaluation.evaluate import event_seed
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.registry import ready
@@ -199,7 +199,7 @@ def _whole(key: str, names: set[str]) -> str:
 
 def test_of_several_models_each_gets_the_options_that_it_takes() -> None:
     names = ("simple", *LESIONS)
-    given = [("speed", 5), ("speed_noise", 0.1), ("chains", 3), ("rule", "paper")]
+    given = {"speed": 5, "speed_noise": 0.1, "chains": 3, "rule": "paper"}
     found = options_of(dict(zip(names, names, strict=True)), {"prior": "sparse_social"}, given)
     for name, options in found.items():
         assert options.get("prior") == (None if name == "no_social_goals" else "sparse_social")

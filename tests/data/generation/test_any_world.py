@@ -130,7 +130,7 @@ def test_the_command_takes_a_prior_and_a_family_of_a_file(
     assert strong.manifest["plan"]["world"]["agents"] == list(SOLO.agents)
     assert "strong" in strong.manifest["plan"]["roles"]["function"]
     assert " at 0x" not in strong.manifest["plan"]["roles"]["function"]
-    monkeypatch.setattr("phase_ppl.cli.generate.generate", quick)
+    monkeypatch.setattr("phase_ppl.generate", quick)
     (fetched,) = made("two", "--world", f"{source}:mine", "--cell", f"{source}:fetch=1")
     assert fetched.id == "fetch-00000"
     assert fetched.truth.stances == {("green agent", "red agent"): "help"}

@@ -367,7 +367,7 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
 ) -> None:
     out = tmp_path / "a set"
     monkeypatch.setattr(
-        "phase_ppl.cli.generate.generate",
+        "phase_ppl.generate",
         functools.wraps(generate)(lambda **options: generate(**{**options, **QUICK, "frames": 3})),
     )
     arguments = ["generate", "--cell", "chasing=2", "--replans", "1", "--keep-rejected"]
