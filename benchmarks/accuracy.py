@@ -1,16 +1,15 @@
-"""What inference found in real videos, by weighting of its draws, and why it missed some.
+"""What did inference find in real videos, and why did it miss some?
 
-python benchmarks/accuracy.py FOLDER [FOLDER ...] [--judging-seeds K] [--keep FILE] [--json FILE]
+    python benchmarks/accuracy.py FOLDER [FOLDER ...] [--judging-seeds K] [--keep FILE]
+        [--json FILE]
 
-Each folder is one that ``phase-ppl evaluate EVENTS --model simple --out FOLDER`` has written, with
-any kernel, prior and planner; --kernel, --option and the like are given there. A miss is laid at
-the door of
+``phase-ppl evaluate EVENTS --model simple --out FOLDER`` writes such a folder. Kernel, prior and
+planner are chosen there. Answers are shown by weighting of the draws; all weightings except
+"count" also use rejected proposals. A miss is put down to one of three:
 
-simulator  the answer explains the video better than the truth does, over many seeds
-proposal   the truth explains it better, but was never tried
-chain      the truth was tried, and lost
-
-Weightings other than "count" use rejected proposals too.
+* ``simulator``: over many seeds, the answer explains the video better than the truth does;
+* ``proposal``: the truth explains it better, but was never tried;
+* ``chain``: the truth was tried, and lost.
 """
 
 from __future__ import annotations
@@ -122,8 +121,12 @@ def print_figures(weights: str, figures: dict[str, Any]) -> None:
 def main() -> None:
     parser = common.parser(__doc__, "half", "json")
     parser.add_argument("folders", nargs="+", metavar="FOLDER", type=Path)
-    parser.add_argument("--judging-seeds", type=int, default=8, help="per hypothesis, for misses")
-    parser.add_argument("--keep", metavar="FILE", type=Path, help="what was judged, to go on from")
+    parser.add_argument(
+        "--judging-seeds", type=int, default=8, help="seeds per hypothesis, to judge misses"
+    )
+    parser.add_argument(
+        "--keep", metavar="FILE", type=Path, help="keeps judgments; a second run continues"
+    )
     options = parser.parse_args()
     asked = {event.id for event in common.dev_events(options.half)}
     found: dict[Path, list[dict[str, Any]]] = {}

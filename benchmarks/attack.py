@@ -1,13 +1,19 @@
-"""Does anything end in a traceback, hang, lose work or change it silently? Attacks, at any size.
+"""Does anything end in a traceback, hang, lose work or change it silently?
 
     python benchmarks/attack.py [--inputs N] [--kills N] [--only KIND ...] [--seed N] [--json FILE]
 
-Kinds of inputs: ``commands``, command lines with an option spoilt; ``calls``, calls of the API with
-an argument spoilt; ``flips``, files with bytes changed or cut off, which must be refused or read as
-they were; ``hostile``, files made to do harm. Each is one of N drawn at random, and tried in a warm
-process that is watched: what takes more than 20 s is endless, what ends the process is a crash.
-``kills`` end a process of infer, evaluate, generate or compare by SIGKILL at a random moment; what
-the next one makes of it must be what one makes that is left in peace. Simulators are toys.
+``--inputs`` draws N attacks at random from four kinds:
+
+* ``commands``: a command line with one option spoilt;
+* ``calls``: a call of the API with one argument spoilt;
+* ``flips``: a file with bytes changed or cut off, which must be refused or read as it was;
+* ``hostile``: a file made to do harm.
+
+Each is tried in a warm process. More than 20 s counts as endless, and the end of the process as a
+crash.
+
+``--kills`` ends N processes of infer, evaluate, generate or compare by SIGKILL at a random moment.
+The next process must then make the same as one that was never killed. Simulators are toys.
 """
 
 from __future__ import annotations

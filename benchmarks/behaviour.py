@@ -1,7 +1,9 @@
-"""The behaviour battery: python benchmarks/behaviour.py [--json FILE]
+"""Do simulated pairs help, hinder, chase, flee and search as in the paper's animations?
 
-Do simulated pairs help, hinder, chase, flee and search as in the paper's animations, and do they
-reach the goals of the real videos from where those start?
+    python benchmarks/behaviour.py [--only NAME ...] [--seeds N] [--json FILE]
+
+Each behaviour is tried in a scene that calls for it. A last part asks whether simulated pairs
+reach the goals of the real videos from their starts.
 """
 
 from __future__ import annotations
@@ -92,7 +94,7 @@ def main() -> None:
     common.add_planner(parser)
     parser.add_argument("--seeds", type=int, default=20, help="tries of each behaviour")
     parser.add_argument(
-        "--only", nargs="+", choices=[*BEHAVIOURS, REAL], metavar="NAME", help="these only"
+        "--only", nargs="+", choices=[*BEHAVIOURS, REAL], metavar="NAME", help="only these"
     )
     options = parser.parse_args()
     planner = common.planner_of(options)

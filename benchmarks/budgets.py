@@ -1,19 +1,18 @@
-"""Equal budgets on a small world: what each kernel was given, and what it really spent; and how
-far off the reference of a comparison is, beside what it says of itself.
+"""What does each kernel spend of an equal budget? How good is the reference of a comparison?
 
     python benchmarks/budgets.py [--only KERNEL ...] [--unit simulations|frames] [--budget N]
         [--chains M] [--json FILE]
     python benchmarks/budgets.py --reference [--trials N] [--json FILE]
 
-The world is that of the tests: eighteen hypotheses and a simulator that takes microseconds. Of the
-36 goals of an agent only a few have prior mass, so that a kernel that tries all goals in a step
-simulates far fewer than it could have to.
+The world is the tests' toy: eighteen hypotheses, and a simulator that takes microseconds. Few of
+an agent's 36 goals have prior mass. So a kernel that tries all goals in a step simulates far fewer
+than it might have to.
 
-A reference is the enumeration of all pairs of goals, a few simulations each, whose log likelihoods
-vary by so many nats from seed to seed (5.8 under the paper's planner). Its true error is the total
-variation from the exact marginals, the stated one that between its halves. Two kernels, one of
-which is twice as far from the exact posterior, are ranked by it: by their mean distances alone, and
-as ``compare`` ranks them.
+The reference enumerates all pairs of goals with a few simulations each. Their log likelihoods vary
+from seed to seed by a given number of nats (5.8 under the paper's planner). Its true error is the
+total variation from the exact marginals; its stated error is the total variation between its
+halves. It ranks two kernels, one twice as far from the exact posterior as the other: by mean
+distance alone, and as ``compare`` ranks them.
 """
 
 from __future__ import annotations
@@ -114,8 +113,8 @@ def judge_references(trials: int) -> list[dict[str, Any]]:
 def one_reference(
     rng: np.random.Generator, sd: float, per_pair: int
 ) -> tuple[float, float, bool, bool, bool]:
-    """Return of one reference its true and its stated error; and of two kernels, whether their
-    means are in the wrong order, whether they are ranked, and whether wrongly."""
+    """Return one reference's true and stated error, and three facts about two kernels: means in the
+    wrong order, ranked at all, ranked wrongly."""
     pairs = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
     exact, other = (table(pairs, log_masses(rng, pairs)) for _ in range(2))
     level = np.log(exact[tuple(pairs.T)])

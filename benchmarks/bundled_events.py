@@ -1,9 +1,9 @@
-"""How the bundled events were made: simulate from drawn scenes, keep what shows its type.
+"""Make the bundled events: simulate drawn scenes, and keep the first that shows its type.
 
     python benchmarks/bundled_events.py FOLDER
 
-For each type the first draw stands in which the type can be seen: goals reached (collaborative,
-independent), both hold the item (competing), the agents meet again and again (opposing).
+Collaborative and independent events show it by goals reached, competing ones by both agents
+holding the item, opposing ones by agents that meet again and again.
 """
 
 from __future__ import annotations

@@ -2,12 +2,13 @@
 
     python benchmarks/calibration.py [--kernel NAME] [--events N] [--json FILE] [--figure FILE]
 
-A hypothesis is drawn from the prior, a trajectory is simulated with it, and an observation is drawn
-around that from the likelihood's own noise. Among the particles of a run on this observation the
-truth then has a rank, and over many events ranks are evenly spread if the kernel draws from the
-posterior. Ranked are both strengths, and the marginal probability of both agents' effective goals,
-with ties broken by chance; kernels whose draws are to be weighed are refused. The simulator is that
-of the tests, a fast one that walks to its goals.
+A hypothesis is drawn from the prior and simulated. An observation is drawn around that trajectory
+from the likelihood's noise. The truth then has a rank among the particles of a run. Over many
+events, ranks are evenly spread if the kernel draws from the posterior.
+
+Ranked are both strengths and the marginal probability of both agents' effective goals; ties are
+broken by chance. Kernels with weighted draws are refused. The simulator is the tests' fast one,
+whose agents walk to their goals.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ BINS = 8
 def main() -> None:
     parser = common.parser(__doc__, "json")
     parser.add_argument("--kernel", default="local_mh", choices=ranked_kernels())
-    parser.add_argument("--rule", help="of local_mh: exact or paper")
+    parser.add_argument("--rule", help="rule of local_mh: exact or paper")
     parser.add_argument("--events", type=int, default=200)
     parser.add_argument("--iterations", type=int, default=200)
     parser.add_argument("--figure", metavar="FILE")

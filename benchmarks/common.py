@@ -1,4 +1,4 @@
-"""What the benchmarks share: the real videos, work on all cores with progress, kept results."""
+"""What the benchmarks share: real videos, work on all cores with progress, results kept."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ HALVES = ("first", "second", "all")
 
 
 _OPTIONS: dict[str, dict[str, Any]] = {
-    "half": {"choices": HALVES, "default": "all", "help": "of the real videos"},
-    "limit": {"type": int, "help": "a stratified subset of about so many videos"},
+    "half": {"choices": HALVES, "default": "all", "help": "half of the real videos"},
+    "limit": {"type": int, "help": "a stratified subset of about this many videos"},
     "workers": {"type": int, "help": "processes; default one per core"},
     "json": {"metavar": "FILE", "help": "write the figures as JSON"},
 }

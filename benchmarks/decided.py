@@ -1,13 +1,14 @@
-"""Are answers that are called decided right, and how many of the right ones are called so?
+"""Are decided answers right, and how many of the right ones are decided?
 
     python benchmarks/decided.py FOLDER [FOLDER ...] [--events FILE] [--json FILE]
 
-Each folder holds posteriors (.nc), as ``phase-ppl infer EVENTS --out FOLDER`` and ``phase-ppl
-evaluate EVENTS --out FOLDER`` write them, of the real videos or of ``--events`` with their truth.
-Asked is for each agent's goal and for relations, each of which is decided on its own if its
-probability exceeds 1/2 by its errors; "verdict" asks of all of them, which are decided together if
-``post.diagnostics()`` says so: no rival is untried, and it is not the prior alone. Intervals are
-bootstrapped over events.
+A folder holds posteriors (.nc) of the real videos, or of ``--events`` with their truth.
+``phase-ppl infer EVENTS --out FOLDER`` and ``phase-ppl evaluate EVENTS --out FOLDER`` write them.
+
+Each agent's goal and the relation are decided on their own if their probability exceeds 1/2 by its
+errors. The row "verdict" takes all answers of an event together, as ``post.diagnostics()`` does:
+no rival may be untried, and the prior alone may not decide. Intervals are bootstrapped over
+events.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def shared(of_events: Sequence[Any]) -> dict[str, float] | None:
 def main() -> None:
     parser = common.parser(__doc__, "json")
     parser.add_argument("folders", nargs="+", metavar="FOLDER", type=Path)
-    parser.add_argument("--events", metavar="FILE", help="with their truth, not the real videos")
+    parser.add_argument("--events", metavar="FILE", help="events with truth, not the real videos")
     options = parser.parse_args()
     events = ppl.load_events(options.events) if options.events else common.dev_events()
     figures = {}

@@ -1,20 +1,21 @@
-"""Do the numbers of a posterior mean what they say, on simulators that nobody tuned on?
+"""Do a posterior's stated errors hold, on simulators that nobody tuned on?
 
     python benchmarks/estimates.py [--only KERNEL ...] [--setting MxL ...] [--toy NAME ...]
         [--events N] [--runs N] [--json FILE]
 
-On four toys (``toys.py``) whose posterior can be summed, every kernel is run N times on N events
-each with M particles and L iterations. Shown by kernel and setting, over all toys or by toy:
+The four toys (``toys.py``) have posteriors that can be summed. Every kernel is run N times on N
+events of each, with M particles and L iterations. The table shows, by kernel and setting, over all
+toys or by toy:
 
-* ``enough``: share of the runs that rest on as many effective simulations as are needed; the
-  others are shown in brackets, for what their numbers would be worth;
-* ``held``: how often the exact probability of a goal or relation (of 0.03 or more) lies within 1.96
-  errors, and the exact mean strength (aim: 0.90 to 0.98);
-* ``stated``: root mean square of the errors over that of the distances from the exact value (aim:
-  0.8 to 1.5);
-* ``TV``: mean distance from the exact marginals of goals and relation;
-* ``sure``: answers called sure, how many of them have more than 1/2 in the exact posterior; and
-  those of runs called decided, how many of them are true of the event.
+* ``enough``: share of runs with enough effective simulations. Figures of the other runs are in
+  brackets.
+* ``held``: how often the exact probability of a goal or relation (0.03 or more) lies within 1.96
+  errors; the same for the exact mean strength (aim: 0.90 to 0.98).
+* ``stated``: root mean square of the errors, over the root mean square distance from the exact
+  value (aim: 0.8 to 1.5).
+* ``TV``: mean total variation from the exact marginals of goals and relation.
+* ``sure``: sure answers, and how many of them exceed 1/2 in the exact posterior. Then answers of
+  decided runs, and how many of them are true of the event.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ def posteriors(
 def judged(
     post: Posterior, exact: Mapping[str, FloatArray], true: Hypothesis
 ) -> dict[str, list[Any]]:
-    """Return distances, errors, and whether what is called sure is right."""
+    """Return distances, errors, and whether sure answers are right."""
     numbers, apart = [], []
     for name in ASKED:
         found = post.marginal(name)

@@ -1,9 +1,11 @@
-"""How well are events read back from films? Real videos are filmed, read, and compared.
+"""How well are events read back from films?
 
-With their scene, or by the layout PHASE alone; as they are, or smaller and more compressed. With
-`--closed-loop`, what the closed loop says of goals and relation on the tracks as read, beside what
-it says on the true ones. `--kept FILE` keeps what is done, video by video, so that a run that was
-interrupted goes on.
+    python benchmarks/film.py [--layout] [--width N] [--crf N] [--closed-loop] [--kept FILE]
+
+Real videos are filmed, read, and compared with their tracks. The reader knows the scene, or with
+``--layout`` only the world PHASE. Films are smaller by ``--width``, more compressed by ``--crf``.
+The closed loop's answers on the tracks as read and on the true tracks are compared by
+``--closed-loop``. With ``--kept FILE`` an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -120,12 +122,14 @@ def say_closed_loop(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def main() -> None:
     parser = common.parser(__doc__, "workers", "json")
-    parser.add_argument("--layout", action="store_true", help="nothing is known of the scene")
-    parser.add_argument("--limit", type=int, help="so many videos, the shortest")
+    parser.add_argument("--layout", action="store_true", help="read without the scene")
+    parser.add_argument("--limit", type=int, help="only this many videos, the shortest")
     parser.add_argument("--width", type=int, help="of the film, pixels")
-    parser.add_argument("--crf", type=int, help="H.264's constant rate factor, 18 as made")
-    parser.add_argument("--closed-loop", action="store_true", help="with the closed loop's answers")
-    parser.add_argument("--kept", type=Path, metavar="FILE", help="results of single videos")
+    parser.add_argument("--crf", type=int, help="H.264's constant rate factor; default 18")
+    parser.add_argument("--closed-loop", action="store_true", help="compare its answers too")
+    parser.add_argument(
+        "--kept", type=Path, metavar="FILE", help="keeps results; a second run continues"
+    )
     options = parser.parse_args()
     events = common.dev_events()[::-1][: options.limit]
     settings = {name: getattr(options, name) for name in ("layout", "width", "crf", "closed_loop")}

@@ -1,9 +1,10 @@
-"""The filters of generation on real videos: python benchmarks/filters.py [--json FILE]
+"""Would the filters of generation keep the real videos?
 
-The real videos were all kept by the authors, who sorted by hand. What share of them would our
-filters keep, filter by filter, and how far from each threshold are they? Pushing without effect is
-looked for in the steps whose actions are known. --generated has a set made with --keep-rejected
-go through the same thresholds: what would a laxer or a stricter one let in?
+    python benchmarks/filters.py [--generated DIR] [--json FILE]
+
+The authors sorted by hand, and kept all of these videos. What share would each filter keep, and
+how far are the videos from its threshold? Pushing without effect is looked for in steps with known
+actions. ``--generated`` puts a set made with --keep-rejected through the same thresholds.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Learning which features of an agent's motion speak for which goal.
+"""Learn which features of an agent's motion speak for which goal.
 
     python benchmarks/goal_training.py FOLDER
 
-Simulates events in scenes like those of PHASE and maximises the log probability that the joint
-proposal of :mod:`~phase_ppl.inference.tables` gives to their true effective goals: for
-whole events, and for the mean over windows of the paper's length. Writes FOLDER/goal_weights.npz
-and the report FOLDER/goal_weights.json.
+Events are simulated in scenes like PHASE's. The joint proposal
+(:mod:`~phase_ppl.inference.tables`) gives the true effective goals a log probability. The weights
+maximise it for whole events, and for its mean over windows of the paper's length. Writes
+FOLDER/goal_weights.npz and the report FOLDER/goal_weights.json.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The compiled transition on a GPU, from the same source, beside one core of this machine.
+"""How many transitions a second does a GPU make, beside one core of this machine?
 
     python benchmarks/gpu.py [--worlds N ...] [--steps T] [--json FILE]
 
-Each thread of the GPU advances a world of its own by random actions of both agents, in double
-precision, from states of a crowded room or of a bundled event. Printed are transitions a second,
-by the number of worlds, and the largest difference from what this machine's processor computes
-after one transition and after all. Needs the package numba-cuda and a GPU that it can use; without
-them it ends with the reason.
+The GPU runs the same source as the processor. Each thread advances its own world by random actions
+of both agents, in double precision. Worlds start in a crowded room or from a bundled event. The
+table has transitions a second by the number of worlds, and the largest difference from the
+processor after one transition and after all. Needs the package numba-cuda and a GPU; without them
+it ends with the reason.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How large is the package, folder by folder? Files and lines, of code and of docstrings."""
+"""How large is the package, folder by folder? Files, lines, code and docstrings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     package = Path(__file__).parents[1] / "phase_ppl"
     parser.add_argument("folder", nargs="?", type=Path, default=package)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     found: dict[str, Counter[str]] = {}
     for path in sorted(options.folder.rglob("*.py")):

@@ -1,13 +1,14 @@
-"""What memory do generated sets take, and is a set the same whose maker was killed?
+"""How much memory do generated sets take? Is a set the same if its maker was killed?
 
     python benchmarks/large_sets.py [--events 100 500 2000] [--frames 101]
     python benchmarks/large_sets.py --killed [--events 2000]
 
-Each set is made in a process of its own by a simulator that takes no time, opened in another, and
-gone through in a third. What is measured is the most memory that the process ever had, beyond what
-it has after the imports. With ``--killed`` a process with an executor makes a set and evaluates it;
-it is killed on the way and started again. What it makes has to have the same bytes as what an
-undisturbed process makes, but for seconds; exits with 1 if it has not.
+One process makes a set by a simulator that takes no time, a second opens it, a third goes through
+it. Each reports its peak memory beyond the imports.
+
+With ``--killed`` a process with an executor makes a set and evaluates it; it is killed and started
+again. The result must have the same bytes as that of an undisturbed process, except for seconds.
+Exits with 1 if it has not.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from phase_ppl.world.names import AGENTS
 
 STEPS: Final = ("made", "opened", "gone through")
 WORK: Final = {"make": "parts", "evaluate": "events"}
-"""What a process does, and the folder within its own where what is finished lies."""
+"""Work of a process, and the subfolder of its results."""
 
 
 def main() -> None:
@@ -43,7 +44,7 @@ def main() -> None:
     parser.add_argument("--events", type=int, nargs="+", default=[100, 500, 2000])
     parser.add_argument("--frames", type=int, default=101)
     parser.add_argument("--killed", action="store_true")
-    parser.add_argument("--step", choices=(*STEPS, *WORK), help="only this one, in --set")
+    parser.add_argument("--step", choices=(*STEPS, *WORK), help="do only this, in the folder --set")
     parser.add_argument("--set", metavar="DIR", type=Path)
     options = parser.parse_args()
     if options.step in WORK:
@@ -103,7 +104,7 @@ def megabytes(step: str, folder: Path, n: int, frames: int) -> float:
 
 def most() -> float:
     """Return the most memory that this process ever had, MB; as Linux tells it."""
-    # not getrusage, which begins with what the process had that started this one
+    # getrusage would begin with the peak of the parent process
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
 
@@ -153,7 +154,7 @@ def entries(folder: Path) -> list[str]:
 
 
 def contents(folder: Path) -> dict[str, Any]:
-    """Return what files say, but for the seconds that the work took."""
+    """Return the contents of files, without the seconds that the work took."""
     found: dict[str, Any] = {}
     for file in folder.rglob("*"):
         if file.name in ("prediction.json", "metrics.json"):

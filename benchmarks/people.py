@@ -1,17 +1,20 @@
-"""Observers against people's answers about the real videos, and whether parameters come back.
+"""Which observer answers as people do about the real videos? Do its parameters come back?
 
-python benchmarks/people.py fit --source NAME=DIR ... [--observer NAME ...] [--json FILE]
-python benchmarks/people.py store --source NAME=DIR ... --observer NAME [--json FILE]
-python benchmarks/people.py recover [--like prior|people] [--figure FILE] [--json FILE]
+    python benchmarks/people.py fit --source NAME=DIR ... [--observer NAME ...] [--json FILE]
+    python benchmarks/people.py store --source NAME=DIR ... --observer NAME [--json FILE]
+    python benchmarks/people.py recover [--like prior|people] [--figure FILE] [--json FILE]
 
-`fit` needs evaluations of the real videos (phase-ppl evaluate dev.json --model NAME --out DIR), in
-whose folders the evidence lies; "cues" is none, and a model whose answers the videos carry goes by
-its name. Each video is predicted by fits without it; "chosen" picks, for each video, the observer
-that predicts the others best. `store` writes the parameters that come with the package. `recover`
-draws populations of raters from known observers: with parameters from the priors, by which
-intervals should hold at their rate, or with those of real people ("people"), as far as an observer
-has them, about videos with the cues of the real ones. Of observers that predict about as well the
-simplest is chosen (PARSIMONY).
+``fit`` fits observers to people's answers. A source is a folder with evaluations of the real
+videos (``phase-ppl evaluate dev.json --model NAME --out DIR``), a model whose answers the videos
+carry, or "cues" for no evidence. Each video is predicted by fits without it. "chosen" picks for
+each video the observer that predicts the others best.
+
+``store`` writes the parameters that come with the package.
+
+``recover`` draws raters from known observers and fits them. With ``--like prior`` parameters are
+drawn from the priors, and intervals should hold at their rate. With ``--like people`` they are
+those found for real people, as far as the observer has them, and the videos have the cues of the
+real ones. Of observers that predict about as well, the simplest is chosen (``PARSIMONY``).
 """
 
 from __future__ import annotations
@@ -364,9 +367,9 @@ def draw(rows: list[dict[str, Any]], path: str) -> None:
 def chosen_inside(fits: Sequence[PeopleFit]) -> tuple[dict[str, Prediction], dict[str, int]]:
     """Predict each video by the fit that predicts the OTHER videos best without this one.
 
-    So the choice of an observer sees nothing of the video it is judged by: for each video, draws
-    are reweighted to leave it out, and of these each other video in turn. Also returns event id ->
-    place of the fit that was chosen.
+    So the choice of an observer does not see the video that judges it. Draws are reweighted to
+    leave that video out, and then each other video in turn. Also returns event id -> place of the
+    chosen fit.
     """
     n = len(fits[0].evidence.events)
     without = np.array([_elpd_without(fit) for fit in fits])  # fit, left out, event

@@ -1,11 +1,11 @@
-"""Accuracy of predicate inverse planning on the real videos, by thresholds and rationality.
+"""How accurate is predicate inverse planning on the real videos, by its settings?
 
-python benchmarks/predicate.py [--prior NAME] [--limit N] [--workers N] [--json FILE]
+    python benchmarks/predicate.py [--prior NAME] [--limit N] [--workers N] [--json FILE]
 
-Thresholds are those of SIMPLE's planner times a factor: one for ON and TOUCH of items, one for
-TOUCH of agents; and the frames for which a predicate must last. Rationality is per unit of way.
-The setting of the highest log score is chosen on the first half of the videos and confirmed on
-the second.
+Thresholds are those of SIMPLE's planner times a factor: one factor for ON and for TOUCH of items,
+one for TOUCH of agents. The other settings are the frames that a predicate must last, and the
+rationality per unit of way. The first half of the videos chooses the highest log score; the second
+half confirms it.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def line(setting: Setting, found: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = common.parser(__doc__, "limit", "workers", "json")
-    parser.add_argument("--prior", default="uniform", help="over pairs of goals")
+    parser.add_argument("--prior", default="uniform", help="prior over pairs of goals")
     options = parser.parse_args()
     first_half, second_half = (common.dev_events(half, options.limit) for half in common.HALVES[:2])
     first, seconds = figures(first_half, options.prior, settings(), options.workers)

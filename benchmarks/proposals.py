@@ -1,10 +1,11 @@
-"""How often the proposals find the truth of the real videos, before anything is simulated.
+"""How often do proposals contain the true goals of real videos, before any simulation?
 
-python benchmarks/proposals.py [--half first|second|all] [--forms NAME ...] [--json FILE]
+    python benchmarks/proposals.py [--half first|second|all] [--forms NAME ...] [--json FILE]
 
-The probability that the true pair of effective goals is among 15 initial particles, and among
-those and 90 more proposals from windows chosen evenly (a run chooses those that it explains
-badly), by form of the proposal and scenario.
+The table has the probability that the true pair of effective goals is among the 15 initial
+particles, by form of the proposal and scenario. It also has the probability for these and 90
+further proposals. The further ones come from evenly spaced windows; a run would choose windows
+that it explains badly.
 """
 
 from __future__ import annotations

@@ -1,11 +1,13 @@
-"""The simulator beside real videos: python benchmarks/realism.py COMMAND [--json FILE]
+"""How like the real videos are our physics and our agents?
 
-replay      open loop: the recovered actions of the real agents through our physics
-ahead       likewise, a few steps from each recorded state, by who holds what and where
-decisions   teacher-forced: would our agents do what the real ones did, state by state?
-side        closed loop: simulated and real trajectories under the true hypothesis
-hypotheses  does the true pair of goals explain the video better than wrong ones?
-paired      two reports of `hypotheses`, such as of two planners, video by video
+    python benchmarks/realism.py COMMAND [--json FILE]
+
+* ``replay``: the real agents' recovered actions through our physics, open loop.
+* ``ahead``: the same for a few steps from each recorded state, by holds and walls.
+* ``decisions``: would our agents do what the real ones did, state by state?
+* ``side``: simulated and real trajectories under the true hypothesis.
+* ``hypotheses``: does the true pair of goals explain the video better than wrong pairs?
+* ``paired``: two reports of ``hypotheses``, compared video by video.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""The simulator's speed: python benchmarks/simulator.py [--json FILE] [--only NAME ...]
+"""How fast is the simulator?
 
-Ratios are taken in one run, alternately. Figures in ms and s mean little on a busy machine.
+    python benchmarks/simulator.py [--json FILE] [--only NAME ...]
+
+Ratios are taken in one run, alternately. On a busy machine, figures in ms and s mean little.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=[*PARTS, "oracle"], metavar="NAME")
     parser.add_argument("--oracle-seeds", type=int, default=200)
     parser.add_argument(
-        "--keep", type=Path, metavar="FILE", help="keep the oracle's draws here; go on from them"
+        "--keep", type=Path, metavar="FILE", help="keeps the oracle's draws; a second run continues"
     )
     options = parser.parse_args()
     for planner in ("paper", "fast"):

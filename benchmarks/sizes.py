@@ -1,12 +1,12 @@
-"""What a decision and a frame of a video cost, by how many agents and goals a world has.
+"""What do a decision and a frame cost, by the agents and goals of a world?
 
     python benchmarks/sizes.py [--scenes N] [--frames N] [--figure FILE] [--json FILE]
 
-Worlds of 1 to 4 agents with two items and three landmarks, and of two agents with 1 to 8
-landmarks. In random scenes of each, roles of ``ppl.roles.draw`` are simulated (a decision: one
-agent at one step, by the fast planner) and read back step by step with one set of searches (a
-frame). CPU milliseconds, the first scene of each world left out, in which code is compiled.
-Beside them stands the number of combinations of all agents' goals: cost should not grow with it.
+Worlds have 1 to 4 agents, two items and three landmarks, or two agents and 1 to 8 landmarks. Each
+random scene gets roles from ``ppl.roles.draw``. A decision is one step of one agent, by the fast
+planner. A frame is read with one set of searches. Figures are CPU milliseconds without each
+world's first scene, in which code is compiled. Beside them stands the number of combinations of
+goals, with which cost should not grow.
 """
 
 from __future__ import annotations

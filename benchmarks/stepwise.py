@@ -1,20 +1,21 @@
-"""The closed-loop likelihood: what it recovers, how it was fitted, what it costs and buys.
+"""The closed loop: what does it recover, how was it fitted, and what does it cost?
 
-python benchmarks/stepwise.py replays [--json FILE]
-    Actions, holds and strengths against those recovered from the real videos.
-python benchmarks/stepwise.py fit [--half first|second|all] [--keep DIR] [--json FILE]
-    Mean log likelihood per frame under the truth, and accuracy and log score after the whole video
-    and after half of it, by sets of searches, sharpness, lapse and weight.
-python benchmarks/stepwise.py calibration [--events N] [--keep DIR] [--json FILE]
-    Confidence beside accuracy on videos drawn from the model itself, and quantiles of surprise.
-python benchmarks/stepwise.py beam [--half first|second|all] [--json FILE]
-    How often the filter all but rules out the true strengths, by noise and weight of the evidence.
-python benchmarks/stepwise.py accuracy [--jitter S] [--planner P] [--keep DIR] [--json FILE]
-    Goals, relation, log score and agreement with people; seconds per second of video.
-python benchmarks/stepwise.py seeds [--limit N] [--noise-seeds K] [--json FILE]
-    Standard deviation over seeds of the true hypothesis' log likelihood, beside SIMPLE's.
-python benchmarks/stepwise.py curve [--limit N] [--budgets 30,105] [--keep DIR] [--json FILE]
-    Accuracy against CPU seconds per second of video, for both likelihoods, by budget.
+    python benchmarks/stepwise.py COMMAND [--json FILE]
+
+* ``replays``: actions, holds and strengths, beside those recovered from the real videos.
+* ``fit [--half first|second|all] [--keep DIR]``: sets of searches, sharpness, lapse and weight,
+  compared by log likelihood per frame under the truth, and by accuracy and log score after half of
+  the video and after all of it.
+* ``calibration [--events N] [--keep DIR]``: confidence beside accuracy on the model's own videos,
+  and quantiles of surprise.
+* ``beam [--half first|second|all]``: how often the filter nearly rules out the true strengths, by
+  noise and weight of the evidence.
+* ``accuracy [--jitter S] [--planner P] [--keep DIR]``: goals, relation, log score and agreement
+  with people; seconds per second of video.
+* ``seeds [--limit N] [--noise-seeds K]``: standard deviation over seeds of the truth's log
+  likelihood, beside SIMPLE's.
+* ``curve [--limit N] [--budgets 30,105] [--keep DIR]``: accuracy against CPU seconds per second of
+  video, for both likelihoods.
 """
 
 from __future__ import annotations

@@ -1,8 +1,11 @@
-"""Strengths read off real videos: python benchmarks/strength.py [--json FILE] [--half HALF]
+"""How well are strengths read off real videos?
 
-Each estimator on the videos as they are and with jitter added to what was observed: how often it
-says something, how far off it is, and how probable the true strength is under what SIMPLE would
-propose. The uniform prior has a log density of -6.11 and an error of its mean.
+    python benchmarks/strength.py [--json FILE] [--half HALF]
+
+Each estimator sees the videos as they are, and with jitter on what was observed. How often does it
+say anything, how far off is it, and how probable is the true strength in SIMPLE's proposal? The
+uniform prior has a log density of -6.11. Without an estimate the error is that of the prior's
+mean.
 """
 
 from __future__ import annotations
@@ -65,8 +68,8 @@ def judged(
 
 def main() -> None:
     parser = common.parser(__doc__, "half", "limit", "json")
-    parser.add_argument("--draws", type=int, default=3, help="of the jitter, per video")
-    parser.add_argument("--weights", metavar="NPZ", help="a network of one's own beside the rest")
+    parser.add_argument("--draws", type=int, default=3, help="draws of the jitter, per video")
+    parser.add_argument("--weights", metavar="NPZ", help="your own network, beside the rest")
     options = parser.parse_args()
     estimators: dict[str, str | Estimator] = {name: name for name in ESTIMATORS}
     if options.weights:

@@ -1,13 +1,13 @@
-"""Training the network of strengths.
+"""Train the network of strengths.
 
     python benchmarks/strength_training.py FOLDER
 
 Simulates events (or reads them from --events-file), blurs them with jitter, cuts windows of all
-lengths, trains, and writes FOLDER/strength_weights.npz and the report beside it,
-strength_weights.json. Needs the extra ``neural`` (PyTorch).
+lengths, and trains. Writes FOLDER/strength_weights.npz and the report
+FOLDER/strength_weights.json. Needs the extra ``neural`` (PyTorch).
 
-The scenes have the layouts, sizes and start positions of PHASE. Goals and relations are drawn so
-that the agents mostly have something to do; PHASE's own families of events are narrower.
+Scenes have PHASE's layouts, sizes and start positions. Goals and relations are drawn so that
+agents mostly have something to do; PHASE's own families of events are narrower.
 """
 
 from __future__ import annotations
@@ -161,8 +161,8 @@ def cached_events(file: Path, n: int, frames: int, seed: int, workers: int = 1) 
 LARGEST_JITTER: Final = 0.35  # of the positions in the training, units
 
 ANGLE_SHARE: Final = 0.2
-"""Jitter of the angles, rad, for a unit of that of the positions: an agent of size 1 whose rim
-is seen with that precision at some ten points. In the training it is up to twice that."""
+"""Jitter of the angles in rad, for one unit of jitter of the positions. It fits an agent of size 1
+with about ten points of its rim seen at that precision. The training goes up to twice as far."""
 
 WINDOWS_PER_CUT: Final = 5
 
@@ -194,8 +194,8 @@ def blurred(
 def training_examples(events: Simulated, rounds: int, seed: int) -> Examples:
     """Return examples of each event, blurred and cut anew in each round.
 
-    A third of the rounds is without jitter, half of the events are cut short before their jitter
-    is estimated, and windows are short ones, those of SIMPLE's length and all of a cut.
+    A third of the rounds has no jitter. Half of the events are cut short before their jitter is
+    estimated. Windows are short, of SIMPLE's length, or the whole cut.
     """
     parts = []
     cuts = list(np.ndindex(rounds, len(events.strength)))
@@ -384,11 +384,11 @@ class Quality(NamedTuple):
     """How good estimates are, as proposals from normal distributions cut to the range."""
 
     share: float  # of estimates among all
-    rmse: float  # of the proposals' mean, newtons; of the prior's mean where there is no estimate
-    # mean log density of the true strength; without an estimate that of the uniform prior, -6.11
+    rmse: float  # of the proposals' mean, newtons; without an estimate, of the prior's mean
+    # mean log density of the true strength; without an estimate the uniform prior's, -6.11
     log_density: float
-    log_mixture: float  # the same, of a mixture with a tenth of the prior, as in SIMPLE's proposal
-    # share of the estimates that are no farther off than their standard deviation; nan without any
+    log_mixture: float  # the same with a tenth of the prior mixed in, as in SIMPLE's proposal
+    # share of estimates within one standard deviation of the truth; nan if there are none
     coverage: float
 
 

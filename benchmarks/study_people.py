@@ -1,8 +1,10 @@
-"""A study under load, and killed at random moments: python benchmarks/study_people.py --kills 50
+"""Does a study lose answers under load, or when its server is killed?
 
-Scripted people take part, 20 at a time, some of whom leave midway, until enough have finished. Is
-an answer that was confirmed ever lost, or there twice? How many people saw each video, how many
-answers come in a second, and how long does an answer take?
+    python benchmarks/study_people.py --kills 50
+
+Scripted people take part, 20 at a time, until enough have finished; some leave midway. Is a
+confirmed answer ever lost, or stored twice? How many people see each video, how many answers come
+in a second, and how long does one take?
 """
 
 from __future__ import annotations
@@ -208,7 +210,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=10, help="videos per person")
     parser.add_argument("--raters", type=int, default=20, help="people per video")
     parser.add_argument("--at-once", type=int, default=20, help="people at a time")
-    parser.add_argument("--kills", type=int, default=0, help="of the server, kill -9")
+    parser.add_argument("--kills", type=int, default=0, help="kills of the server, by kill -9")
     parser.add_argument("--drop-outs", type=float, default=0.15)
     parser.add_argument("--lapse", type=float, default=0.05)
     parser.add_argument("--seed", type=int, default=0)

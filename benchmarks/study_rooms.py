@@ -1,7 +1,9 @@
-"""Load and delays of a study's server: python benchmarks/study_rooms.py [--json FILE]
+"""How well does a study's server keep time, by the number of playing pairs?
 
-How evenly do frames come to script players, how long is it from a key to a frame in which
-one's agent has moved, and what does the server need, by how many pairs play at a time?
+    python benchmarks/study_rooms.py [--rooms N ...] [--json FILE]
+
+How evenly do frames come to scripted players? How long is it from a key to a frame in which the
+agent has moved? What does the server need?
 """
 
 from __future__ import annotations
@@ -149,7 +151,7 @@ def rooms(options: argparse.Namespace) -> dict[str, Any]:
 def main() -> None:
     parser = common.parser(__doc__, "json")
     parser.add_argument("--rooms", type=int, nargs="+", default=[1, 5, 8, 20])
-    parser.add_argument("--seconds", type=float, default=25.0, help="of each session")
+    parser.add_argument("--seconds", type=float, default=25.0, help="seconds of each session")
     options = parser.parse_args()
     common.write(rooms(options), options.json)
 

@@ -1,14 +1,15 @@
-"""Four simulators of milliseconds whose posteriors can be summed, none like PHASE.
+"""Four simulators of milliseconds whose posteriors can be summed; none is like PHASE.
 
-Effective goals are codes that say nothing of landmarks, so that proposals from the video mislead.
+Effective goals are codes that say nothing of landmarks, so proposals from the video mislead.
 
-* ``directions``: a goal is a direction, the strength the speed, one of three bends the noise.
-* ``places``: a goal is a place, where the agent stays; three ways around the straight line.
-* ``pairs``: how far a simulation ends from the video is a number of its own for every pair of
-  goals and each of eight seeds: nothing is learned of one pair from another.
+* ``directions``: a goal is a direction, the strength is the speed, one of three bends the noise.
+* ``places``: a goal is a place where the agent stays; there are three ways around the straight
+  line.
+* ``pairs``: every pair of goals, with each of eight seeds, has its own distance from the video.
+  One pair teaches nothing about another.
 * ``faint``: as ``directions``, seen through noise that leaves most goals possible.
 
-Events are drawn from prior, simulator and likelihood, so that their posterior is calibrated.
+Events are drawn from prior, simulator and likelihood, so their posterior is calibrated.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Every kernel on a world small enough to enumerate: how far from the posterior does it end?
+"""How far from the exact posterior does every kernel end, on a world small enough to enumerate?
 
     python benchmarks/validity.py [--only KERNEL ...] [--simulations N] [--json FILE]
 
-The world is that of the tests: eighteen hypotheses whose simulations are looked up in a table, with
-three equally likely simulations of each. Reported is the total variation between a kernel's draws,
-after a warm-up of a third, and the exact posterior. Of so many correlated draws, some 0.02 are
-chance. The rule as the paper prints it is run too.
+The world is the tests' toy: eighteen hypotheses with three equally likely simulations each, looked
+up in a table. The table has the total variation between the exact posterior and a kernel's draws
+after a warm-up of a third. Draws are correlated, so about 0.02 is chance. The rule as the paper
+prints it is run too.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Which sentences are hard to read: `python benchmarks/words.py [FOLDER OR FILE ...] [--worst N]`.
+"""Which sentences are hard to read? `python benchmarks/words.py [FOLDER OR FILE ...] [--worst N]`.
 
 A sentence scores a point for every five words beyond twenty, for every relative clause beyond one,
-and for every phrase that hides its point (``HIDING``). Two points or more are hard. It looks at
-Markdown, docstrings, comments and texts of errors, not at code.
+and for every phrase that hides its point (``HIDING``). Two points or more are hard. Read are
+Markdown, docstrings, comments and texts of errors, not code.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def main() -> None:
     """Print how many sentences of each folder are hard, and the hardest."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("places", nargs="*", default=FOLDERS)
-    parser.add_argument("--worst", type=int, default=0, help="how many sentences to print")
+    parser.add_argument("--worst", type=int, default=0, help="print the N hardest sentences")
     options = parser.parse_args()
     everything: list[Sentence] = []
     print(f"{'':<28}{'sentences':>10}{'hard':>8}{'share':>8}{'words':>8}")

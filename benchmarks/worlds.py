@@ -1,12 +1,12 @@
-"""Who wants what in worlds of other casts than PHASE's, read step by step or by simulations.
+"""Who wants what in `solo` and `trio`, read step by step or by simulations.
 
     python benchmarks/worlds.py [--world NAME] [--events N] [--planner-seeds N] [--out DIR]
         [--kernel local_mh --simulations 105]
 
-Events are those of ``phase_ppl.generate`` whose own goals are all to get somewhere, evaluated by
-the closed loop, by predicate inverse planning and by what the last frame alone says, and with
-``--kernel`` by simulations. The last frame is given by the probability that it leaves the true
-goal, as many goals may have come true. What is in DIR is gone on with.
+Events are made by ``phase_ppl.generate``; all own goals are to get somewhere. They are answered by
+the closed loop, by predicate inverse planning and by the last frame, and with ``--kernel`` by
+simulations. Many goals may be true in the last frame, so its figure is the probability that it
+leaves the true goal. A run continues from what is in DIR.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--planner-seeds", type=int, default=1)
-    parser.add_argument("--kernel", help="by which to infer by simulations too")
-    parser.add_argument("--simulations", type=int, default=105, help="budget of a kernel")
+    parser.add_argument("--kernel", help="also infer by simulations, with this kernel")
+    parser.add_argument("--simulations", type=int, default=105, help="budget of the kernel")
     parser.add_argument("--out", metavar="DIR", type=Path, help="keeps events and answers")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -1,1 +1,1 @@
-"""Scenes of the behaviour battery and what must be seen in them."""
+"""Scenes of the behaviour battery, and what must be seen in them."""

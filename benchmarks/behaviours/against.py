@@ -1,4 +1,4 @@
-"""Behaviours of two at odds: tug of war, taking away, blocking, chase and flight."""
+"""Behaviours of opponents: tug of war, taking away, blocking, chase and flight."""
 
 from __future__ import annotations
 

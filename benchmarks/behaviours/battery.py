@@ -1,4 +1,4 @@
-"""What a behaviour of the battery is, and how one is tried."""
+"""A behaviour of the battery, and how it is tried."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phase_ppl.world.scene import Scene
 
 
 class Trial(NamedTuple):
-    """One simulation: where, who wants what, and what is changed in the planner."""
+    """One simulation: scene, hypothesis, and changes of the planner."""
 
     scene: Scene
     hypothesis: Hypothesis

@@ -1,4 +1,4 @@
-"""A simulated pair, with what it held and why, and questions about it."""
+"""A simulated pair with its holds and reasons, and questions about them."""
 
 from __future__ import annotations
 

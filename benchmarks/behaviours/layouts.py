@@ -1,4 +1,4 @@
-"""The layouts and starting places of the original generator that the scenes use."""
+"""Layouts and start positions of the original generator that the scenes use."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def scene(
     radius: tuple[float, float, float, float] = (SMALL,) * 4,
     headings: tuple[float, float] | None = None,
 ) -> Scene:
-    """Return a scene whose agents look anywhere, unless told where."""
+    """Return a scene; agents look anywhere, or along ``headings``."""
     angles = rng.uniform(-np.pi, np.pi, 2) if headings is None else headings
     start = [(*red, angles[0]), (*green, angles[1]), (*blue, 0.0), (*pink, 0.0)]
     walls = walls_of_lengths(WALLS[layout])

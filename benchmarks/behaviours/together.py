@@ -1,4 +1,4 @@
-"""Behaviours of two that want the same: carrying, handing over, clearing the way."""
+"""Behaviours of pairs with the same goal: carrying, handing over, clearing the way."""
 
 from __future__ import annotations
 

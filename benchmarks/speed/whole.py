@@ -1,4 +1,4 @@
-"""Whole simulations: early stop, where the time goes, presets, workers, memory, the first step."""
+"""Whole simulations: early stop, shares of time, presets, workers, memory, the first step."""
 
 from __future__ import annotations
 

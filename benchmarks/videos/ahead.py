@@ -1,7 +1,7 @@
 """Teacher-forced: a few steps of our physics from each recorded state, with the recovered actions.
 
-Free of chaos, this tells in which situations our physics is not that of the recordings: of an
-agent on its own, of one that holds an item, of two that hold the same one, at a wall or not.
+Without chaos, this shows in which situations our physics differs from the recordings: with nobody
+holding an item, one agent or both, at a wall or not.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def judge(task: tuple[dict[str, Any], Event, int]) -> list[tuple[str, bool, floa
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     common.add(parser, "half")
-    parser.add_argument("--steps", type=int, default=5, help="from each state")
+    parser.add_argument("--steps", type=int, default=5, help="steps from each state")
 
 
 def main(options: argparse.Namespace) -> dict[str, Any]:

@@ -1,10 +1,10 @@
 """Teacher-forced: would our agents do what the real ones did, state by state?
 
-The true state is followed along the video: our physics with the recovered actions, put right by
-the observed positions and angles after each step. In each state both agents, who know their true
-goals and whose beliefs come from what they could have seen, decide. A decision agrees if it would
-have had the same effect as the real action. Free of chaos, this tells a planner's habits apart
-with far less noise than whole trajectories do.
+The true state is followed along the video: our physics with the recovered actions, corrected by
+the observed positions and angles after each step. Both agents decide in each state. They know
+their true goals, and their beliefs come from what they could have seen. A decision agrees if it
+would have had the same effect as the real action. Without chaos, planners are told apart with far
+less noise than by whole trajectories.
 """
 
 from __future__ import annotations
@@ -195,7 +195,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     common.add(parser, "half")
     common.add_planner(parser)
     parser.add_argument(
-        "--repeats", type=int, default=2, help="decisions per state, from other seeds; at least 2"
+        "--repeats",
+        type=int,
+        default=2,
+        help="decisions per state, with different seeds; at least 2",
     )
     parser.add_argument("--records", help="write every decision to this JSON file")
 

@@ -1,10 +1,10 @@
-"""Is the true pair of goals the one under which the simulator comes nearest to the video?
+"""Does the simulator come nearest to the video under the true pair of goals?
 
-With --truth-only no wrong pair is tried: how near simulations under the truth come, over all noise
-seeds, which tells planners apart in minutes and with less noise than a rate.
+``--truth-only`` tries no wrong pair. It asks how near simulations under the truth come, over all
+noise seeds. That compares planners in minutes, with less noise than a rate.
 
-With --simulated the videos are replaced by simulations under the truth from the same starts. Of
-those the simulator is a perfect model, so that their rate is what seed noise alone leaves.
+``--simulated`` replaces the videos by simulations under the truth from the same starts. The
+simulator is a perfect model of these, so their rate shows what seed noise alone leaves.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def wrong_pairs(truth: tuple[int, int]) -> list[tuple[int, int]]:
 def judge(task: Task) -> dict[str, Any]:
     """Return how the true pair of goals of one video compares with all that are half wrong.
 
-    Wrong pairs are stopped once they are worse; where that leaves it open which is better, the
-    stopped simulation is run to its end.
+    Simulations of wrong pairs are stopped once they are worse. If that leaves open which pair is
+    better, the stopped simulation is run to its end.
     """
     event, truth = task.event, task.event.truth
     simulator, seen = JointSimulator(task.planner), event.observation.positions
@@ -145,7 +145,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--noise-seeds", type=int, default=16)
     parser.add_argument("--truth-only", action="store_true", help="try no wrong pairs")
     parser.add_argument("--simulated", action="store_true", help="simulated instead of real videos")
-    parser.add_argument("--keep", help="results per video; a second run goes on from there")
+    parser.add_argument("--keep", help="keeps results per video; a second run continues")
 
 
 def main(options: argparse.Namespace) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How well a pair of goals explains an event, under the prior and the simulator of a model."""
+"""How well a pair of goals explains an event, under a model's prior and simulator."""
 
 from __future__ import annotations
 

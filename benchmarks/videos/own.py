@@ -47,8 +47,8 @@ def drawn_from_prior(rng: np.random.Generator) -> Situation:
 def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -> Event:
     """Return a video from the model: its policies, its physics, its noise of tracking.
 
-    It is read back with ``Tracking(noise=0)``: then everything that the reader assumes is true,
-    but for what it cannot compute exactly.
+    It is read back with ``Tracking(noise=0)``. Then all assumptions of the reader hold, and
+    only its approximations are left.
     """
     rng = np.random.default_rng([7, number])
     drawn = drawn_from_prior(rng)

@@ -15,8 +15,8 @@ from videos.hypotheses import log_mean_exp
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("report", help="of `hypotheses --json`")
-    parser.add_argument("baseline", help="another, on the same videos; it is subtracted")
+    parser.add_argument("report", help="report of `hypotheses --json`")
+    parser.add_argument("baseline", help="report on the same videos that is subtracted")
 
 
 def read(file: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the closed-loop filter makes of a real video, kept in parts for other settings."""
+"""What the closed-loop filter finds in a real video, kept in parts for other settings."""
 
 from __future__ import annotations
 

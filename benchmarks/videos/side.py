@@ -1,7 +1,7 @@
 """Running free: real and simulated trajectories side by side, under the true hypothesis.
 
-Figures are over the steps of each video whose actions are known, real and simulated alike. Beside
-each difference stands its spread over seeds: a difference within it says nothing.
+Figures are over the steps of each video with known actions, for real and simulated agents alike.
+Beside each difference stands its spread over seeds; a smaller difference says nothing.
 """
 
 from __future__ import annotations
