@@ -30,9 +30,6 @@ from phase_ppl.agents.symbols import (
     NEAR_TOUCH,
     PLACE_COST,
     TOUCH_COST,
-    Node,
-    Step,
-    moves,
 )
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.data.motion import HELD_WITHIN, items_held
@@ -167,42 +164,81 @@ def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
     return result.reshape(values.shape)
 
 
-# --- what is left to do for a goal, in symbols: the cost of the cheapest plan ---------------------
-# Plans are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.symbols`) by bodies that
-# can do everything: they pass every door, close none, and carry any item alone. Costs are its
+# --- what agents can do, in symbols, and what is left to do for a goal ----------------------------
+# The operators are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.symbols`), of bodies
+# that can do everything: they pass every door, close none, and carry any item alone. Costs are its
 # too: lengths of ways from room to room, and constants for touching, gripping and placing.
 
 _TIE: Final = 1e-6
 
 
-def without_physics(scene: Scene) -> Abilities:
-    """Return abilities that know the layout of a scene and no sizes, strengths or masses."""
-    world = scene.world
-    able = Abilities.of(scene, (math.inf,) * len(world.agents))
-    doors = range(len(scene.rooms.door_width))
-    return dataclasses.replace(
-        able,
-        passes=tuple(tuple(True for _ in doors) for _ in world.entities),
-        fills=tuple(tuple(False for _ in doors) for _ in world.items),
-    )
+class Layout(NamedTuple):
+    """Rooms and landmarks of a scene."""
+
+    distance: tuple[tuple[float, ...], ...]  # (room, room) length of the shortest way
+    step: list[list[float]]  # (room, room) the same between two that a door joins, else inf
+    way: list[list[float]]  # (room, room) the sum of the steps from one to the other
+    landmark_rooms: tuple[int, ...]  # (landmark,) the room that each is in
+    landmark_in: tuple[int, ...]  # (room,) a landmark that is in each, or ``NOTHING``
+    n_agents: int
+
+    @classmethod
+    def of(cls, scene: Scene) -> Layout:
+        """Return the layout of a scene."""
+        known = Abilities.of(scene, (math.inf,) * len(scene.world.agents))
+        step = np.full((len(known.neighbours),) * 2, np.inf)
+        for room, exits in enumerate(known.neighbours):
+            for _, following in exits:
+                step[room, following] = known.room_distance[room][following]
+        ways = step.tolist(), shortest_path(step).tolist()
+        landmarks = known.landmark_rooms, known.landmark_in
+        return cls(known.room_distance, *ways, *landmarks, len(scene.world.agents))
 
 
-def operators(node: Node, agent: int, touched: Sequence[int], abilities: Abilities) -> list[Step]:
-    """Return all that an agent can do in a state, in which it is at one entity only.
+def operators(state: Moment, agent: int, layout: Layout) -> Iterator[tuple[Literal, float, Moment]]:
+    """Yield all that an agent can do: what it makes true, its cost, and the state after it.
 
-    Of all entities that it touches, none is touched anew, and any item can be gripped.
+    Who carries an item goes and arrives with it, and so do others that hold it. Of what an agent
+    touches it loses touch as it goes on its own, or touches something else.
     """
-    found, everybody = dict[Literal, Step](), frozenset(range(len(node.rooms)))
-    for near in dict.fromkeys([node.near[agent], *touched]):
-        at = tuple(near if a == agent else other for a, other in enumerate(node.near))
-        for step in moves(node._replace(near=at), agent, (agent,), everybody, abilities):  # type: ignore[arg-type]
-            predicate, _, target, positive = step.literal
-            if predicate is Predicate.TOUCH and target in touched:
-                continue
-            if predicate is Predicate.ATTACH and positive:
-                step = step._replace(result=step.result._replace(near=node.near))
-            found.setdefault(step.literal, step)
-    return list(found.values())
+    rooms, held, near, on = state
+    item = held[agent]
+    movers = [agent]
+    if item != NOTHING:
+        movers = [item, *(one for one, thing in enumerate(held) if thing == item)]
+    mover, here = movers[0], rooms[movers[0]]
+
+    def at(*touched: int) -> tuple[tuple[bool, ...], ...]:
+        return _put(near, tuple(entity in touched for entity in range(len(rooms))), agent)
+
+    if all(math.isfinite(layout.way[rooms[one]][here]) for one in movers):
+        touch = at() if item == NOTHING else near
+        for following, length in enumerate(layout.step[here]):
+            if math.isfinite(length):
+                there = _put(rooms, following, *movers), held, touch, _put(on, NOTHING, *movers)
+                yield Literal(Predicate.CLOSE, mover, following), length, Moment(*there)
+        landmark = layout.landmark_in[here]
+        if landmark not in (NOTHING, on[mover]):
+            placed = state._replace(on=_put(on, landmark, mover))
+            yield Literal(Predicate.ON, mover, landmark), PLACE_COST, placed
+    if item != NOTHING:
+        free = state._replace(held=_put(held, NOTHING, agent), near=at(item))
+        yield Literal(Predicate.ATTACH, agent, item, positive=False), GRIP_COST, free
+        return
+    for entity, touches in enumerate(near[agent]):
+        if touches and entity >= len(held):
+            gripped = state._replace(held=_put(held, entity, agent))
+            yield Literal(Predicate.ATTACH, agent, entity), GRIP_COST, gripped
+        elif not touches and entity != agent and rooms[entity] == here:
+            yield (
+                Literal(Predicate.TOUCH, agent, entity),
+                TOUCH_COST,
+                state._replace(near=at(entity)),
+            )
+
+
+def _put(values: tuple, value: object, *places: int) -> tuple:  # type: ignore[type-arg]
+    return tuple(value if place in places else one for place, one in enumerate(values))
 
 
 class CostToGo:
@@ -233,84 +269,67 @@ class CostToGo:
     letting go of what is in the way, touching, gripping and placing.
 
     Args:
-        abilities: of the bodies, :func:`without_physics`.
+        layout: of the scene.
         agent: who plans, its number.
         goal: literal of its effective goal.
     """
 
-    def __init__(self, abilities: Abilities, agent: int, goal: Literal) -> None:
+    def __init__(self, layout: Layout, agent: int, goal: Literal) -> None:
         self.agent, self.goal = agent, goal
         predicate, subject, target, positive = goal
-        n_agents, touch = len(abilities.passes) - len(abilities.fills), predicate is Predicate.TOUCH
+        touch, n_agents = predicate is Predicate.TOUCH, layout.n_agents
         if predicate is Predicate.ON:
-            of_goal = list(abilities.landmark_in)
-            of_goal[abilities.landmark_rooms[target]] = target
-            abilities = dataclasses.replace(abilities, landmark_in=tuple(of_goal))
-        self.abilities = abilities
-        self._way = _ways(abilities.room_distance, abilities.neighbours)
+            room = layout.landmark_rooms[target]
+            layout = layout._replace(landmark_in=_put(layout.landmark_in, target, room))
+        self.layout = layout
         self._by_others = agent != subject < n_agents
         item = target if touch and self._by_others else subject
         self._item = item if item >= n_agents else NOTHING  # that the agent is to move
         if self._item != NOTHING:
-            self.focus = self._item
+            self._focus = self._item
         elif self._by_others:
-            self.focus = NOTHING if positive else subject
+            self._focus = NOTHING if positive else subject
         else:
-            self.focus = target if touch and positive else NOTHING
-        # ``focus`` is the entity that the agent has to be at for the goal
+            self._focus = target if touch and positive else NOTHING
+        # that is the entity that the agent has to be at for the goal
 
-    def node(self, state: Moment) -> Node:
-        """Return a symbolic state as the planner's: being at the focus counts first."""
-        near = list[int]()
-        for agent, touched in enumerate(state.near):
-            at = [entity for entity, yes in enumerate(touched) if yes]
-            first = self.focus if agent == self.agent and self.focus in at else NOTHING
-            near.append(first if first != NOTHING else next(iter(at), NOTHING))
-        there = self.abilities.landmark_in
-        placed = tuple(
-            on != NOTHING and on == there[room]
-            for on, room in zip(state.on, state.rooms, strict=True)
-        )
-        no_door = (NOTHING,) * len(self.abilities.fills)  # that an item closes
-        return Node(state.rooms, state.held, tuple(near), placed, no_door)
-
-    def __call__(self, node: Node) -> float:
+    def __call__(self, state: Moment) -> float:
         """Return the cost, units of way; inf where there is no plan."""
         agent, (predicate, subject, target, positive) = self.agent, self.goal
-        way, start, touch = self._way, node.rooms[agent], predicate is Predicate.TOUCH
-        free = 0.0 if node.held[agent] == NOTHING else GRIP_COST  # to have nothing in hand
+        way, start, touch = self.layout.way, state.rooms[agent], predicate is Predicate.TOUCH
+        held, touched = state.held[agent], state.near[agent]
+        free = 0.0 if held == NOTHING else GRIP_COST  # to have nothing in hand
         if touch:  # the room that the goal is about
-            room = node.rooms[subject if self._by_others else target]
+            room = state.rooms[subject if self._by_others else target]
         else:
-            room = self.abilities.landmark_rooms[target]
+            room = self.layout.landmark_rooms[target]
         if self._item == NOTHING:
-            if self.focus != NOTHING:
-                if self.focus == node.held[agent] != node.near[agent]:
-                    return GRIP_COST
-                return 0.0 if self.focus == node.near[agent] else free + self._to_focus(node)
+            if self._focus != NOTHING:
+                if touched[self._focus]:
+                    return 0.0
+                return GRIP_COST if self._focus == held else free + self._to_focus(state)
             if positive and self._by_others:
                 return 0.0
             if not positive:
                 return self._to_farthest(room, start, free)
-            there = start == room and node.placed[agent]
-            return 0.0 if there else free + way[start][room] + PLACE_COST
+            return 0.0 if state.on[agent] == target else free + way[start][room] + PLACE_COST
         # an item is moved by who holds it
-        lies = node.rooms[self._item]
-        if node.held[agent] == self._item:
+        lies = state.rooms[self._item]
+        if held == self._item:
             grip = 0.0
-        elif not free and node.near[agent] == self._item:
+        elif held == NOTHING and touched[self._item]:
             grip = GRIP_COST
         else:
-            grip = free + self._to_focus(node) + GRIP_COST
+            grip = free + self._to_focus(state) + GRIP_COST
         apart = 0.0 if math.isfinite(way[start][lies]) else math.inf  # a wall between them
         if not positive:
             return grip + self._to_farthest(room, lies, apart)
-        if lies == room and (touch or node.placed[self._item]):
+        if (lies == room) if touch else (state.on[self._item] == target):
             return 0.0
         return grip + apart + way[lies][room] + (0.0 if touch else PLACE_COST)
 
-    def _to_focus(self, node: Node) -> float:
-        return self._way[node.rooms[self.agent]][node.rooms[self.focus]] + TOUCH_COST
+    def _to_focus(self, state: Moment) -> float:
+        return self.layout.way[state.rooms[self.agent]][state.rooms[self._focus]] + TOUCH_COST
 
     def _to_farthest(self, room: int, start: int, before: float) -> float:
         """Return what it costs to get from ``start`` to the rooms farthest from ``room``.
@@ -318,24 +337,11 @@ class CostToGo:
         Of those in reach; none is farther than one without a way to it. Who is there already need
         not pay what comes ``before``.
         """
-        distance = self.abilities.room_distance
+        distance = self.layout.distance
         there = [r for r in range(len(distance)) if math.isfinite(distance[start][r])]
         most = max(distance[room][r] for r in there)
-        left = min(self._way[start][r] for r in there if distance[room][r] >= most - _TIE)
+        left = min(self.layout.way[start][r] for r in there if distance[room][r] >= most - _TIE)
         return before + left if left > 0 else 0.0
-
-
-@functools.lru_cache(maxsize=64)
-def _ways(
-    distance: tuple[tuple[float, ...], ...], neighbours: tuple[tuple[tuple[int, int], ...], ...]
-) -> list[list[float]]:
-    """Return (room, room) how far it is through rooms that doors join, inf: there is no way."""
-    step = np.full((len(distance), len(distance)), np.inf)
-    for room, joined in enumerate(neighbours):
-        for _, following in joined:
-            step[room, following] = distance[room][following]
-    found: list[list[float]] = shortest_path(step).tolist()
-    return found
 
 
 # --- the forward model: how probable a symbolic trajectory is if an agent has a goal --------------
@@ -361,26 +367,30 @@ def own_changes(before: Moment, after: Moment, agent: int) -> Iterator[tuple[Mom
     state = before
     if had not in (NOTHING, has):
         yield state, Literal(Predicate.ATTACH, agent, had, positive=False)
-        state = _with_near(state, agent, had)._replace(held=_put(state.held, agent, NOTHING))
+        state = _touching(state, agent, had)._replace(held=_put(state.held, NOTHING, agent))
     mover = agent if state.held[agent] == NOTHING else state.held[agent]
     if after.rooms[mover] != before.rooms[mover]:
         yield state, Literal(Predicate.CLOSE, mover, after.rooms[mover])
-        state = state._replace(on=_put(state.on, mover, NOTHING))
+        state = state._replace(on=_put(state.on, NOTHING, mover))
         still = [was and yes for was, yes in zip(state.near[agent], after.near[agent], strict=True)]
-        state = state._replace(near=_put(state.near, agent, tuple(still)))
+        state = state._replace(near=_put(state.near, tuple(still), agent))
     state = state._replace(rooms=after.rooms)
     if state.held[agent] == NOTHING:
         for entity in range(len(state.rooms)):
             touches = after.near[agent][entity] or entity == has
             if touches and not state.near[agent][entity]:
                 yield state, Literal(Predicate.TOUCH, agent, entity)
-                state = _with_near(state, agent, entity)
+                state = _touching(state, agent, entity)
     if has not in (NOTHING, had):
         yield state, Literal(Predicate.ATTACH, agent, has)
         state = state._replace(held=after.held)
     mover = agent if has == NOTHING else has
     if after.on[mover] not in (NOTHING, state.on[mover]):
         yield state, Literal(Predicate.ON, mover, after.on[mover])
+
+
+def _touching(state: Moment, agent: int, entity: int) -> Moment:
+    return state._replace(near=_put(state.near, _put(state.near[agent], True, entity), agent))
 
 
 class ForwardModel:
@@ -392,13 +402,18 @@ class ForwardModel:
             raise InvalidSettingError(
                 f"predicate inverse planning knows no predicates of one's own, such as {own.name!r}"
             )
-        abilities, self._world = without_physics(scene), scene.world
+        layout, self._world = Layout.of(scene), scene.world
         self._cost_to_go = {
-            (agent, goal): CostToGo(abilities, agent, goal_literal(goal, agent, self._world))
+            (agent, goal): CostToGo(layout, agent, goal_literal(goal, agent, self._world))
             for agent in range(len(self._world.agents))
             for goal in possible_goals(agent, self._world)
         }
-        self._steps: dict[tuple[Any, ...], list[Step]] = {}
+        # goals differ in landmarks alone, so that most share what can be done
+        self._operators = functools.cache(
+            lambda state, agent, landmarks: list(
+                operators(state, agent, layout._replace(landmark_in=landmarks))
+            )
+        )
         self.policy = functools.cache(self._policy)
 
     def _policy(self, state: Moment, agent: int, goal: int) -> dict[Literal, float]:
@@ -407,16 +422,10 @@ class ForwardModel:
         ``STOP`` is waiting; ``goal`` is the index of the effective goal.
         """
         given, left_after = self.settings, self._cost_to_go[agent, goal]
-        node = left_after.node(state)
-        left = left_after(node)
+        left, landmarks = left_after(state), left_after.layout.landmark_in
         costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
-        touched = tuple(entity for entity, yes in enumerate(state.near[agent]) if yes)
-        abilities = left_after.abilities
-        key = node, agent, touched, abilities.landmark_in  # in which alone goals' abilities differ
-        if key not in self._steps:
-            self._steps[key] = operators(node, agent, touched, abilities)
-        for step in self._steps[key]:
-            costs[step.literal] = step.cost + left_after(step.result)
+        for literal, cost, after in self._operators(state, agent, landmarks):
+            costs[literal] = cost + left_after(after)
         # where there is no way to the goal, nothing is better than anything else
         least = min(costs.values())
         weights = {  # costs may be infinite
@@ -456,14 +465,6 @@ class ForwardModel:
             unexplained = self.settings.lapse / len(policy)
             total += math.log(completes * policy.get(literal, unexplained))
         return total
-
-
-def _put(values: tuple, index: int, value: object) -> tuple:  # type: ignore[type-arg]
-    return (*values[:index], value, *values[index + 1 :])
-
-
-def _with_near(state: Moment, agent: int, entity: int) -> Moment:
-    return state._replace(near=_put(state.near, agent, _put(state.near[agent], entity, True)))
 
 
 # --- the inversion of the forward model -----------------------------------------------------------

@@ -18,13 +18,13 @@ from phase_ppl.models.predicate import (
     INDEPENDENT,
     CostToGo,
     ForwardModel,
+    Layout,
     Moment,
     PredicateSettings,
     log_prior_of_pairs,
     own_changes,
     posterior,
     symbolic_trajectory,
-    without_physics,
 )
 from phase_ppl.physics import compiled
 from phase_ppl.world.errors import UnknownNameError
@@ -67,8 +67,7 @@ def go(agent: int, room: int) -> Literal:
 def cost(goal: str, agent: int, where: ppl.Scene, given: Moment) -> float:
     """Return what is left to do of an agent's goal, units of way."""
     literal = goal_literal(where.world.goal_index(goal), agent, where.world)
-    to_go = CostToGo(without_physics(where), agent, literal)
-    return to_go(to_go.node(given))
+    return CostToGo(Layout.of(where), agent, literal)(given)
 
 
 ARRIVE = Literal(Predicate.ON, 0, BLUE)

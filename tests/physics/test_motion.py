@@ -11,9 +11,8 @@ import pytest
 from phase_ppl.physics import compiled, constants
 from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, NO_ACTION, Action
 from phase_ppl.physics.flat import ANGLE
-from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.physics.welds import turn_frame
-from tests.physics.conftest import after, start_in
+from tests.physics.conftest import after
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
 STRENGTHS = (150.0, 300.0, 450.0, 600.0)
@@ -157,13 +156,3 @@ def test_an_agent_that_is_reset_drives_from_rest_in_each_step_and_items_go_on(
         assert not state.spin[:2].any()
         assert np.linalg.norm(state.velocity[2]) > 1
     assert after(engine, (WAIT, WAIT)).pose[:2] == pytest.approx(state.pose[:2], abs=1e-12)
-
-
-def test_the_poses_of_the_substeps_make_the_frame() -> None:
-    whole, parted = (
-        start_in(PymunkWorld, {0: (12, 8), 2: (12, 10)}, strengths=(450, 300)) for _ in range(2)
-    )
-    for pair in ((Action.ATTACH, WAIT), (UP, TURN_LEFT), (Action.LEFT, Action.STOP)):
-        poses = [parted.state.pose for _ in parted.substeps(pair)]
-        assert len(poses) == constants.SUBSTEPS
-        np.testing.assert_array_equal(np.mean(poses, axis=0), whole.step(pair))

@@ -433,9 +433,3 @@ def test_what_kills_its_worker_is_run_again_once_and_then_with_a_fresh_seed(
     assert result.completed
     assert len(list(tmp_path.iterdir())) == 2
     assert (patient.statistics.retries, patient.statistics.failures) == (2, 1)
-
-
-def test_fresh_seeds_are_seeds_and_all_different() -> None:
-    seeds = [fresh_seed(seed, attempt) for seed in range(30) for attempt in range(1, 30)]
-    assert len({*seeds, *range(30)}) == 30 * 30
-    assert all(0 <= seed < 2**31 for seed in seeds)

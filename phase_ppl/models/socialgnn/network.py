@@ -173,83 +173,71 @@ def fit(
     """
     with torch_threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return _Fit(training, validation, settings, np.random.default_rng(seed)).run(after_epoch)
-
-
-class _Fit:
-    """A training that goes on."""
-
-    def __init__(
-        self,
-        training: Examples,
-        validation: Examples,
-        settings: TrainingSettings,
-        rng: np.random.Generator,
-    ) -> None:
-        self.training, self.settings, self.rng = training, settings, rng
-        self.held_out = [validation(event) for event in range(len(validation))]
-        self.network = SocialGNN(settings.variant, settings.dropout)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
-        self.schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
-            self.optimizer, factor=_SLOWER, patience=max(1, settings.patience // 3)
+        rng, network = np.random.default_rng(seed), SocialGNN(settings.variant, settings.dropout)
+        optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+        schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
+            optimizer, factor=_SLOWER, patience=max(1, settings.patience // 3)
         )
-        self.weights = (
-            class_weights(training.relations) if settings.balanced else torch.tensor(NEUTRAL_TWICE)
-        )
-
-    def run(self, after_epoch: Callable[[], object]) -> Fitted:
+        weights = torch.tensor(NEUTRAL_TWICE)
+        if settings.balanced:
+            weights = class_weights(training.relations)
+        held_out = [validation(event) for event in range(len(validation))]
         curves: Curves = {name: [] for name in ("training", "validation", "relation", "goals")}
-        best, kept = 0, self.network.state_dict()
-        for epoch in range(self.settings.epochs):
-            curves["training"].append(self._epoch())
-            if not np.isfinite(curves["training"][-1]):
+        best, kept = 0, network.state_dict()
+        for epoch in range(settings.epochs):
+            mean = _epoch(network, training, settings, optimizer, weights, rng)
+            if not np.isfinite(mean):
                 raise InvalidSettingError(
                     f"the loss is no number any more after {epoch + 1} epochs with "
-                    f"learning_rate={self.settings.learning_rate:g}; try a smaller one"
+                    f"learning_rate={settings.learning_rate:g}; try a smaller one"
                 )
-            for name, value in self._validate().items():
+            for name, value in {"training": mean, **_scores(network, held_out, weights)}.items():
                 curves[name].append(value)
-            now, patience = curves["validation"][-1], self.settings.patience
-            if patience:
-                self.schedule.step(now)
-            if epoch == 0 or not patience or now < curves["validation"][best]:
-                best, kept = epoch, copy.deepcopy(self.network.state_dict())
+            now = curves["validation"][-1]
+            if settings.patience:
+                schedule.step(now)
+            if epoch == 0 or not settings.patience or now < curves["validation"][best]:
+                best, kept = epoch, copy.deepcopy(network.state_dict())
             after_epoch()
-            if patience and epoch - best >= patience:
+            if settings.patience and epoch - best >= settings.patience:
                 break
         arrays = halved({name: values.numpy() for name, values in kept.items()})
         return Fitted(arrays, {name: values for name, values in curves.items() if values}, best)
 
-    def _epoch(self) -> float:
-        """Take all training events once; return the mean loss."""
-        n = len(self.training)
-        looks = self.rng.integers(len(LOOKS), size=n) if self.settings.looks else [AS_IT_IS] * n
-        order, losses = self.rng.permutation(n), []
-        self.network.train()
-        for start in range(0, n, self.settings.batch):
-            chosen = order[start : start + self.settings.batch]
-            examples = [self.training(int(event), int(looks[event])) for event in chosen]
-            said = self.network(batch([example.graphs for example in examples]))
-            found = loss(said, examples, self.weights)
-            squared_norm = sum((values**2).sum() for values in self.network.parameters())
-            self.optimizer.zero_grad()
-            (found + self.settings.decay * squared_norm).backward()
-            if self.settings.patience:
-                torch.nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_STEP)
-            self.optimizer.step()
-            losses.append(found.item() * len(chosen))
-        return sum(losses) / n
 
-    def _validate(self) -> dict[str, float]:
-        self.network.eval()
-        with torch.no_grad():
-            said = self.network(batch([example.graphs for example in self.held_out]))
-            found = {"validation": loss(said, self.held_out, self.weights).item()}
-        relations, goals = _truth(self.held_out)
-        found["relation"] = (said.relation.argmax(dim=-1) == relations).double().mean().item()
-        if said.goals is not None:
-            found["goals"] = (said.goals.argmax(dim=-1) == goals).double().mean().item()
-        return found
+def _epoch(
+    network: SocialGNN, training: Examples, settings: TrainingSettings,
+    optimizer: torch.optim.Optimizer, weights: Any, rng: np.random.Generator,
+) -> float:  # fmt: skip
+    """Take all training events once; return the mean loss."""
+    n = len(training)
+    looks = rng.integers(len(LOOKS), size=n) if settings.looks else [AS_IT_IS] * n
+    order, total = rng.permutation(n), 0.0
+    network.train()
+    for start in range(0, n, settings.batch):
+        chosen = order[start : start + settings.batch]
+        examples = [training(int(event), int(looks[event])) for event in chosen]
+        found = loss(network(batch([example.graphs for example in examples])), examples, weights)
+        squared_norm = sum((values**2).sum() for values in network.parameters())
+        optimizer.zero_grad()
+        (found + settings.decay * squared_norm).backward()
+        if settings.patience:
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _LONGEST_STEP)
+        optimizer.step()
+        total += found.item() * len(chosen)
+    return total / n
+
+
+def _scores(network: SocialGNN, held_out: Sequence[Example], weights: Any) -> dict[str, float]:
+    network.eval()
+    with torch.no_grad():
+        said = network(batch([example.graphs for example in held_out]))
+        found = {"validation": loss(said, held_out, weights).item()}
+    relations, goals = _truth(held_out)
+    found["relation"] = (said.relation.argmax(dim=-1) == relations).double().mean().item()
+    if said.goals is not None:
+        found["goals"] = (said.goals.argmax(dim=-1) == goals).double().mean().item()
+    return found
 
 
 def class_weights(relations: Sequence[int]) -> Any:
