@@ -299,7 +299,7 @@ class _Pairs(argparse.Action):
         if not (equals and name):
             raise argparse.ArgumentError(self, f"{text!r} is not of the form {self.metavar}")
         if name in found:
-            raise argparse.ArgumentError(self, f"{name}: given twice")
+            raise InvalidSettingError(f"{option} {name}: given twice")
         setattr(options, self.dest, {**found, name: option_value(value)})
 
 
