@@ -315,6 +315,10 @@ BAD_INPUT = [
     ("compare short.json --kernels prior_mh --reference enumeration:per_pair",
      "--reference: 'per_pair'"),
     ("", "COMMAND"),
+    ("infre collaborate", "unknown choice 'infre'; did you mean 'infer'?"),
+    ("export collaborate --to netcdff --out x.nc", "--to: unknown choice 'netcdff'; did you mean"),
+    ("infer collaborate --turning up", "allowed: 'both', 'ccw', 'cw'"),
+    ("study run", "arguments are required: FOLDER"),
 ]  # fmt: skip
 SAMPLING = "infer short.json --quiet --kernel local_mh"
 SETTINGS = [

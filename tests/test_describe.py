@@ -105,7 +105,7 @@ def test_bad_input_is_answered_in_one_line(
     monkeypatch.chdir(tmp_path)
     for arguments, message in {
         "collaborate --to netcdf --out x.json": "expected a name in .nc",
-        "collaborate --to csv --out x.csv": "invalid choice: 'csv'",
+        "collaborate --to csv --out x.csv": "unknown choice 'csv'",
         "collaborate --out x.json": "--to",
         "nobody --to json --out x.json": "nobody: no such file",
         "collaborate collaborate --to json --out x.json": "two videos with",

@@ -42,6 +42,7 @@ from phase_ppl.world.errors import (
     PhasePPLError,
     QueryError,
     shown,
+    unknown_name,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder
@@ -208,8 +209,10 @@ def _functions(module: ModuleType) -> Iterator[tuple[str, Callable[[Options], in
 
 def _add(commands: Any, name: str, command: Any) -> None:
     """Add a command as its docstring says."""
-    if not command.__doc__:
-        raise ValueError("it has no docstring")
+    if not command.__doc__:  # it can also be that Python was told to leave them out
+        raise InvalidSettingError(
+            f"command {name!r} has no docstring to make its options of (-OO?)"
+        )
     says, _, rest = inspect.cleandoc(command.__doc__).partition("\nArgs:\n")
     entries, _, ending = rest.partition("\n\n")
     if not rest and "\n\n" in says:
@@ -277,7 +280,11 @@ def _add_entry(to: Any, entry: str, says: str, required: bool) -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a usage error in one line, exit code 2."""
+    """Reports a usage error in one line, exit code 2, with near names."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(action, str(unknown_name("choice", value, action.choices)))
 
     def error(self, message: str) -> Any:
         self.exit(BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
@@ -292,7 +299,7 @@ class _Pairs(argparse.Action):
         if not (equals and name):
             raise argparse.ArgumentError(self, f"{text!r} is not of the form {self.metavar}")
         if name in found:
-            raise argparse.ArgumentError(self, f"{name}: given twice")
+            raise InvalidSettingError(f"{option} {name}: given twice")
         setattr(options, self.dest, {**found, name: option_value(value)})
 
 
