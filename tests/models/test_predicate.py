@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import heapq
 import itertools
 import math
 from typing import Any
@@ -11,8 +13,8 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.symbols import Facts, describe
-from phase_ppl.agents.world_model import WorldModel
+from phase_ppl.agents.symbols import Facts, Node, describe, moves
+from phase_ppl.agents.world_model import Abilities, WorldModel
 from phase_ppl.evaluation.models.predicate import marginals, prior_in
 from phase_ppl.models.predicate import (
     INDEPENDENT,
@@ -22,6 +24,7 @@ from phase_ppl.models.predicate import (
     Moment,
     PredicateSettings,
     log_prior_of_pairs,
+    operators,
     own_changes,
     posterior,
     symbolic_trajectory,
@@ -208,6 +211,112 @@ def test_a_delivered_item_tells_its_goal_and_that_both_share_it() -> None:
     goal = goal_index("Get blue item to green lm")
     assert found["goal_red"].argmax() == found["goal_green"].argmax() == goal
     assert found["relation"][RELATIONS.index("friendly")] > 0.9
+
+
+# --- against the planner, and against a search ----------------------------------------------------
+
+
+def anything(rng: np.random.Generator, where: ppl.Scene, layout: Layout) -> Moment:
+    """Return a state drawn at random, likely or not."""
+    n, n_all = len(where.world.agents), len(where.world.entities)
+    rooms = tuple(rng.integers(len(layout.step), size=n_all).tolist())
+    there = [[NOTHING] for _ in layout.step]
+    for landmark, room in enumerate(layout.landmark_rooms):
+        there[room].append(landmark)
+    return Moment(
+        rooms,
+        tuple(rng.choice([NOTHING, *range(n, n_all)], n).tolist()),
+        tuple(tuple(e != a and rng.random() < 0.2 for e in range(n_all)) for a in range(n)),
+        tuple(int(rng.choice(there[room])) for room in rooms),
+    )
+
+
+SCENES = {
+    "shut": scene(walls=BLUE_ROOM_SHUT),
+    "half": scene(walls=[FULL_WALL_UP, NARROW_WALL_DOWN]),
+    "solo": ppl.worlds.SOLO.random_scene(0),
+    "trio": ppl.worlds.TRIO.random_scene(3),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_operators_are_those_of_the_planner_for_bodies_that_can_do_everything(name: str) -> None:
+    where, rng = SCENES[name], np.random.default_rng(0)
+    layout, n = Layout.of(where), len(where.world.agents)
+    doors = (True,) * len(where.rooms.door_width)
+    able = dataclasses.replace(
+        Abilities.of(where, (math.inf,) * n),
+        passes=(doors,) * len(where.world.entities),
+        fills=(tuple(not door for door in doors),) * len(where.world.items),
+    )
+    for _ in range(80):
+        given = anything(rng, where, layout)
+        touched = int(rng.integers(-1, len(given.rooms)))
+        near = tuple(e == touched != 0 for e in range(len(given.rooms)))
+        given = given._replace(near=(near, *given.near[1:]))
+        at = (touched if touched > 0 else NOTHING,) * n
+        usual = [layout.landmark_in[room] for room in given.rooms]
+        placed = tuple(a == b != NOTHING for a, b in zip(given.on, usual, strict=True))
+        node = Node(given.rooms, given.held, at, placed, (NOTHING,) * len(where.world.items))
+        planned = moves(node, 0, (0,), frozenset(range(len(given.rooms))), able)
+        expected = {one.literal: (one.cost, *one.result[:2], one.result.near[0]) for one in planned}
+        found = {
+            literal: (cost, *after[:2], next((e for e, yes in enumerate(after.near[0]) if yes), -1))
+            for literal, cost, after in operators(given, 0, layout)
+        }
+        assert found == expected
+
+
+def is_done(goal: Literal, agent: int, now: Moment, start: Moment, layout: Layout) -> bool:
+    """Whether a goal is reached, by the table of :class:`CostToGo`."""
+    subject, target, touch = goal.subject, goal.target, goal.predicate is Predicate.TOUCH
+    moved = target if touch and subject != agent else subject
+    if moved >= layout.n_agents and goal.positive:
+        return now.rooms[moved] == now.rooms[subject] if touch else now.on[moved] == target
+    if agent != subject and moved < layout.n_agents:
+        return goal.positive or now.near[agent][subject]
+    if goal.positive:
+        return now.near[agent][target] if touch else now.on[agent] == target
+    mover = agent if moved < layout.n_agents else moved
+    from_room = layout.landmark_rooms[target] if not touch else NOTHING
+    if touch:
+        from_room = start.rooms[target if mover == agent else subject]
+    within = [room for room, way in enumerate(layout.way[start.rooms[mover]]) if way < math.inf]
+    far = max(layout.distance[from_room][room] for room in within)
+    there = layout.distance[from_room][now.rooms[mover]] >= far - 1e-6
+    return there and mover in (agent, now.held[agent])
+
+
+def searched(goal: Literal, agent: int, start: Moment, layout: Layout) -> float:
+    """Return the cost of the cheapest plan, by a search over what has to do with the goal."""
+    about = {agent, goal.subject, *[goal.target] * (goal.predicate is Predicate.TOUCH)}
+    best, frontier, number = {start: 0.0}, [(0.0, 0, start)], itertools.count(1)
+    while frontier:
+        cost, _, now = heapq.heappop(frontier)
+        if is_done(goal, agent, now, start, layout):
+            return cost
+        for literal, more, after in operators(now, agent, layout):
+            grips = literal.predicate in (Predicate.TOUCH, Predicate.ATTACH) and literal.positive
+            serves = (literal.target if grips else literal.subject) in about
+            if serves and cost + more < best.get(after, math.inf):
+                best[after] = cost + more
+                heapq.heappush(frontier, (cost + more, next(number), after))
+    return math.inf
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_left_to_do_is_the_cheapest_way_to_do_it(name: str) -> None:
+    where, rng = SCENES[name], np.random.default_rng(1)
+    layout, world = Layout.of(where), where.world
+    for goal in rng.permutation(len(world.goals))[:60].tolist():
+        agent = int(rng.integers(len(world.agents)))
+        if goal not in possible_goals(agent, world):
+            continue
+        left = CostToGo(layout, agent, literal := goal_literal(goal, agent, world))
+        given = anything(rng, where, layout)
+        own = (held if a == agent else NOTHING for a, held in enumerate(given.held))
+        expected = searched(literal, agent, given._replace(held=tuple(own)), left.layout)
+        assert left(given) == pytest.approx(expected), (world.goals[goal], agent, given)
 
 
 # --- priors ------------------------------------------------------------------------------------
