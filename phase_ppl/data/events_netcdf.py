@@ -143,7 +143,7 @@ def event_dataset(event: Event) -> xr.Dataset:
         {
             "time": ("time", seconds, {"units": "s", "long_name": "simulated time"}),
             **{dim: list(labels) for dim, labels in labels_of(world).items()},
-            "event": event_id({"id": event.id}),
+            "event": event_id(event.id),
         },
         {"format": EVENT_FORMAT},
     )
@@ -169,10 +169,10 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     labels = labels_of(world)
     arrays = _arrays_of(world)
     found = {name: _values(dataset, name, dims, labels) for name, (dims, _) in arrays.items()}
-    found["radius"] = found["radius"].tolist()
+    tracks = np.moveaxis(found.pop("trajectory"), 1, 0).tolist()
+    found = {name: values.tolist() for name, values in found.items()}
     if given is not None:
-        found["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
-    tracks = np.moveaxis(found["trajectory"], 1, 0)
+        found["landmark_half_width"] = one_or_all(found["landmark_half_width"])
     turning, resets = _text(dataset, "turning", required=True), _number(dataset, _RESETS)
     if _RESETS in dataset.variables and resets not in (0, 1):
         raise InvalidEventError(f"{_RESETS} is {shown(resets)}, expected 0 or 1")
@@ -261,7 +261,7 @@ def _number(dataset: xr.Dataset, name: str) -> Any:
 def _document(dataset: xr.Dataset, name: str) -> dict[str, Any] | None:
     text = _text(dataset, name)
     with in_front(f"{name}: "):
-        return parse_document(text.encode(errors="surrogatepass")) if text else None
+        return parse_document(text) if text else None
 
 
 # --- files -----------------------------------------------------------------------------------
@@ -295,7 +295,7 @@ def read(path: str | os.PathLike[str]) -> Entries:
         dataset = content_of(path)["/"]
     tag = _format(dataset)
     if tag == EVENT_FORMAT:
-        name = event_id({"id": _text(dataset, "event", required=True)})
+        name = event_id(_text(dataset, "event", required=True))
         return [(name, functools.partial(_checked_event, dataset))]
     if tag == EVENTS_FORMAT:
         ids, places = _listed(dataset)
@@ -422,7 +422,7 @@ def _listed(dataset: xr.Dataset) -> tuple[list[str], list[Place]]:
             place[dim] = slice(int(ends[index - 1]) if index else 0, int(ends[index]))
         places.append(place)
     ids = dataset.variables["event"].values.tolist()
-    return [event_id({"id": name}) for name in ids], places
+    return [event_id(name) for name in ids], places
 
 
 def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:

@@ -222,7 +222,7 @@ def read(path: str | os.PathLike[str]) -> Entries:
     if isinstance(content, dict):
         require(content, "entity_color_code", dict)
         said = parse_name(Path(path).name)
-        return [(event_id({"id": said.id}), functools.partial(_event, content, said, raw=True))]
+        return [(event_id(said.id), functools.partial(_event, content, said, raw=True))]
     if not isinstance(content, list):
         raise InvalidEventError(f"holds {_kind(content)}, expected a list of videos or one record")
     ids, names = [], []
@@ -230,7 +230,7 @@ def read(path: str | os.PathLike[str]) -> Entries:
         where = f"videos[{index}]"
         if not isinstance(video, dict):
             raise InvalidEventError(f"{where} is {_kind(video)}, expected a dict")
-        names.append(event_id({"id": require(video, "name", str, where)}, where))
+        names.append(event_id(require(video, "name", str, where)))
         try:
             ids.append(parse_name(names[-1]).id)
         except InvalidEventError:  # reported when the video is read
@@ -524,7 +524,7 @@ def video(event: Event) -> dict[str, Any]:
     goals = [] if truth is None else [truth.goal_red, truth.goal_green]
     majority = (event.judgments or {}).get("majority")
     return {
-        "name": file_name(event_id({"id": event.id}), place, truth, len(rows)),
+        "name": file_name(event_id(event.id), place, truth, len(rows)),
         "trajectories": [np.array(rows[:, entity]) for entity in range(rows.shape[1])],
         "entity_sizes": scene.radius.tolist(),
         "entity_color_code": dict(COLOUR_CODE),
