@@ -19,7 +19,6 @@ from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     PhasePPLError,
-    UnknownNameError,
     check_name,
     shown,
     unknown_name,

@@ -181,16 +181,17 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
     observation = _observation(own.trajectories, world, "trajectories")
     scene, bodies = converted(own.scene, _Scene, "scene"), world.entities
     start, centres, arena = scene.start, scene.landmarks, scene.arena
+    first = observation.trajectory[0]
     return Event(
         Scene(
-            observation.trajectory[0]
-            if start is None
-            else _by_name(start, bodies, _Pose, "scene.start"),
+            first if start is None else _by_name(start, bodies, _Pose, "scene.start"),
             _by_name(scene.radius, bodies, float, "scene.radius"),
             scene.walls,
             scene.turning,
-            arena and (*arena.x, *arena.y),
-            centres and _by_name(centres, world.landmark_names, _Point, "scene.landmarks"),
+            None if arena is None else (*arena.x, *arena.y),
+            None
+            if centres is None
+            else _by_name(centres, world.landmark_names, _Point, "scene.landmarks"),
             scene.landmark_half_width,
             scene.resets_velocity,
             world,
@@ -221,13 +222,10 @@ def _truth(record: _Document, world: World) -> Truth | Roles:
     told = converted(record, _Truth, "truth") if world == PHASE else None
     if told is None:
         return Roles.from_dict(record, world)
+    red, green = _by_name(told.goals, AGENTS, str, "truth.goals")
     forces = told.strengths or dict.fromkeys(AGENTS)
-    return Truth(
-        *_by_name(told.goals, AGENTS, str, "truth.goals"),
-        told.relation or "",
-        told.scenario or "",
-        *_by_name(forces, AGENTS, float | None, "truth.strengths"),
-    )
+    one, other = _by_name(forces, AGENTS, float | None, "truth.strengths")
+    return Truth(red, green, told.relation or "", told.scenario or "", one, other)
 
 
 def turned(event: Event, turning: Turning) -> Event:

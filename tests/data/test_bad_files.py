@@ -58,7 +58,7 @@ def test_other_pickles_than_the_authors_are_refused_without_running_them(
 
 def test_a_pickle_in_place_of_another_document_is_not_loaded(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_bytes(pickle.dumps(Trap(os.mkdir, str(tmp_path / "sprung"))))
-    with pytest.raises(InvalidEventError, match="manifest.json: is not JSON"):
+    with pytest.raises(InvalidEventError, match=r"manifest\.json: is not JSON"):
         load_events(tmp_path)
     assert not (tmp_path / "sprung").exists()
 
@@ -125,7 +125,8 @@ VALUES: list[tuple[tuple[str | int, ...], Any, str]] = [
      "trajectories differ in length: 4 red agent, 4 green agent, 3 blue item, 4 pink item"),
     ((*RED, 2), [8.0, 20.0], "trajectories['red agent'][2]: Expected 'array' of length 3, got 2"),
     (("scene", "arena", "x"), [6.0], "scene.arena.x: Expected 'array' of length 2, got 1"),
-    (("truth", "strengths", "red agent"), "strong", "truth.strengths['red agent']: Expected 'float | null'"),
+    (("truth", "strengths", "red agent"), "strong",
+     "truth.strengths['red agent']: Expected 'float | null'"),
     (("truth",), [], "truth: Expected 'object | null', got 'array'"),
     (("truth", "goals"), {}, "truth.goals has no red agent and no green agent"),
     (("scene", "resets_velocity"), 1, "scene.resets_velocity: Expected 'bool', got 'int'"),

@@ -131,7 +131,7 @@ class _Reader(_Base):  # type: ignore[misc]
             raw = self._raw(content)
             self._count(len(raw))
             _check_array(raw, dtype, shape)
-            made.__setstate__((shape, dtype, int(fortran in (1, True)), raw))  # type: ignore[attr-defined]
+            made.__setstate__((1, shape, dtype, fortran in (1, True), raw))  # type: ignore[arg-type]
         else:
             raise InvalidEventError("sets the state of what is no array")
 
