@@ -57,10 +57,11 @@ from phase_ppl.data.events_json import (
     turned,
 )
 from phase_ppl.data.hdf5 import UNLOCKED, check_hdf5, content_of, netcdf_bytes, opened, reading
+from phase_ppl.world.arrays import finite_array
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.names import ENTITIES, LANDMARKS
-from phase_ppl.world.scene import PHASE, Turning, World, finite_array, one_or_all
+from phase_ppl.world.scene import PHASE, Turning, World, one_or_all
 
 LABELS: Final[Mapping[str, Sequence[str]]] = {
     "entity": ENTITIES,

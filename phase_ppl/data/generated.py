@@ -122,7 +122,9 @@ class GeneratedEvents(Printed, StoredEvents):
         try:
             return [told[one.file][one.id] for one in self._stored]
         except KeyError as error:
-            raise InvalidEventError(f"{self.path}: nothing is told about {error}") from None
+            raise InvalidEventError(
+                f"{self.path}: {EVENTS} and {ENTRIES} are not of the same events: {error}"
+            ) from None
 
     @property
     def cost(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray, finite_array
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -30,7 +30,7 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.names import NOTHING, Literal
 from phase_ppl.world.picture import drawn
-from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
+from phase_ppl.world.scene import PHASE, Scene, check_inside
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -59,14 +59,14 @@ from phase_ppl.data.generation.making import REFLECTIONS
 from phase_ppl.data.generation.situation import LAYOUTS
 from phase_ppl.data.motion import full_turn, observed_turning
 from phase_ppl.physics.constants import SUBSTEPS
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
 from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, Literal, Predicate
 from phase_ppl.world.rooms import RAY_DIRECTIONS
-from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase, finite_array
+from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase
 
 Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
