@@ -17,15 +17,13 @@ compared when the file is read.
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import functools
 import hashlib
 import io
-import itertools
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, overload
 
@@ -260,9 +258,6 @@ _RAGGED: Final = {"time": "n_frames", "wall": "n_walls"}
 """Per dimension along which events follow each other the variable with their lengths."""
 
 _CHECKSUM: Final = "sha256"
-_AT_ONCE: Final = 32
-"""Events that are read before the file is closed again, when all are gone through."""
-
 _LISTED_AT_MOST: Final = 16
 """Files of which it is kept where in them their events are."""
 
@@ -463,29 +458,6 @@ class StoredEvents(Sequence[Event]):
         found._stored = [self._stored[index] for index in indices]
         return found
 
-    def read(self, indices: Sequence[int]) -> list[Event]:
-        """Return events in one go."""
-        events: list[Event] = []
-        wanted = [self._stored[index] for index in indices]
-        for number, of_file in itertools.groupby(wanted, lambda one: one.file):
-            events += self._read(number, of_file)
-        return events if self._turning is None else [turned(e, self._turning) for e in events]
-
-    def _read(self, number: int, wanted: Iterable[_Stored]) -> Iterator[Event]:
-        path, state = self._files[number], self._states[number]
-        with contextlib.ExitStack() as stack:
-            with naming(path):
-                if _state(path) != state:
-                    raise InvalidEventError(
-                        "was changed since its events were listed; load it again"
-                    )
-                listed = _listing(path, state)
-                with reading():
-                    file = stack.enter_context(opened(path))
-            for one in wanted:
-                with naming(path, one.id):
-                    yield event_at(file, listed, one.place)
-
     @overload
     def __getitem__(self, index: int) -> Event: ...
 
@@ -495,14 +467,20 @@ class StoredEvents(Sequence[Event]):
     def __getitem__(self, index: int | slice) -> Event | Self:
         if isinstance(index, slice):
             return self.chosen(range(len(self))[index])
-        return self.read([range(len(self))[index]])[0]
+        id, number, place = self._stored[index]
+        path, state = self._files[number], self._states[number]
+        with naming(path):
+            if _state(path) != state:
+                raise InvalidEventError("was changed since its events were listed; load it again")
+            listed = _listing(path, state)
+            with reading():
+                file = opened(path)
+        with file, naming(path, id):
+            event = event_at(file, listed, place)
+        return event if self._turning is None else turned(event, self._turning)
 
     def __len__(self) -> int:
         return len(self._stored)
-
-    def __iter__(self) -> Iterator[Event]:
-        for start in range(0, len(self), _AT_ONCE):
-            yield from self.read(range(start, min(start + _AT_ONCE, len(self))))
 
 
 _State = tuple[int, int]

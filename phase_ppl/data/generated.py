@@ -12,7 +12,7 @@
       cost.json           what the last call took, and what it made anew
 
 A part is written whole or not at all, so interrupted generation goes on with the slots that are
-missing, or whose part was damaged since; the finished set is the same.
+missing; the finished set is the same.
 
 A set of more than 1000 slots has a folder for each thousand, ``blocks/00000`` and so on, with
 events.nc, rejected.nc and rejected.json of these, and entries.json in place of the manifest's

@@ -64,7 +64,7 @@ def read_part(folder: Path, slot: Slot) -> Part:
     source = part_file(folder, slot)
     part = read_json(source)
     try:
-        if part.pop("sha256", None) != _digest(part) or part["name"] != slot.name:
+        if part.pop("sha256") != _digest(part) or part["name"] != slot.name:
             raise InvalidEventError("its content is not what sha256 says, or of another slot")
         part["events"] = [event_from_record(record) for record in part["events"]]
         for draw in part["rejected"]:
@@ -72,25 +72,14 @@ def read_part(folder: Path, slot: Slot) -> Part:
                 draw["event"] = event_from_record(draw["event"])
         return part
     except (KeyError, TypeError, PhasePPLError) as error:
-        raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
+        raise InvalidEventError(
+            f"{source}: is damaged ({error}); without it resume makes it anew"
+        ) from None
 
 
 def _digest(part: Part) -> str:
     text = json.dumps(part, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _missing(folder: Path, slots: Sequence[Slot]) -> tuple[list[Slot], list[str]]:
-    """Return the slots that have no part, or a damaged one; and the names of the latter."""
-    missing, damaged = [], []
-    for slot in slots:
-        if part_file(folder, slot).is_file():
-            with contextlib.suppress(InvalidEventError):
-                read_part(folder, slot)
-                continue
-            damaged.append(slot.name)
-        missing.append(slot)
-    return missing, damaged
 
 
 def assemble(
@@ -319,7 +308,7 @@ def generate(
                 raise OutputError(f"{folder} holds a data set of another plan: {'; '.join(apart)}")
         parts = writable_folder(folder / PARTS)
         if not (folder / MANIFEST).is_file():
-            missing, damaged = _missing(folder, slots)
+            missing = [slot for slot in slots if not part_file(folder, slot).is_file()]
             if missing:
                 made_by = versions_so_far(made_by, folder, other_versions)
                 write_json(folder / PLAN, {**record, "versions": made_by})
@@ -328,7 +317,7 @@ def generate(
             _make_missing(folder, plan, missing, len(slots), keep_rejected, **how)
             cost = {"seconds": time.perf_counter() - clock, "workers": at_once}
             assemble(folder, plan.to_dict(), made_by, slots)
-            write_json(folder / COST, {**cost, "made_now": len(missing), "made_anew": damaged})
+            write_json(folder / COST, {**cost, "made_now": len(missing)})
         for file in (*(part_file(folder, slot) for slot in slots), *parts.glob(".part-*")):
             file.unlink(missing_ok=True)  # also halves of a process that was killed
         with contextlib.suppress(OSError):  # what else is there is not ours
