@@ -5,7 +5,6 @@ from __future__ import annotations
 import codecs
 import contextlib
 import csv
-import io
 import os
 import re
 from collections import Counter
@@ -209,35 +208,6 @@ def naming(path: str | os.PathLike[str], video: str | None = None) -> Iterator[N
 # --- CSV: cells of text, and errors that name file and line ---------------------------------------
 
 
-def csv_text(source: Path) -> str:
-    """Return the text of a file (InvalidEventError: it is none)."""
-    with reading_bytes("a CSV file"), open(source, "rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise too_large(MAX_BYTES)
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InvalidEventError(f"is no CSV file: byte {error.start} is not UTF-8") from None
-    if "\0" in text:
-        raise InvalidEventError("is no CSV file in UTF-8: it holds zero bytes")
-    return text
-
-
-def csv_lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number of its first line and the cells of each row that is not blank."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    line = 1
-    try:
-        for row in reader:
-            cells = [cell.strip() for cell in row]
-            if any(cells):
-                yield line, cells
-            line = reader.line_num + 1
-    except csv.Error as error:
-        raise InvalidEventError(f", line {line}: is no CSV: {error}") from None
-
-
 class Faults:
     """Collects what is wrong with a thing, to say it all at once."""
 
@@ -281,28 +251,46 @@ def read_rows(
     """
     source = existing_file(path)
     found: list[dict[str, Any]] = []
-    faults = Faults()
-    seen: dict[tuple[Any, ...], int] = {}
-    with in_front(f"{source}: "):
-        text = csv_text(source)
-    with in_front(str(source)):
-        lines = csv_lines(text)
-        line, header = next(lines, (0, []))
+    faults, seen = Faults(), dict[tuple[Any, ...], int]()
+    header: list[str] = []
+    line = after = 1
+    with in_front(f"{source}"):
+        if source.stat().st_size > MAX_BYTES:
+            raise InvalidEventError(f": {too_large(MAX_BYTES)}")
+        try:
+            with open(source, encoding="utf-8-sig", newline="") as file:
+                reader = csv.reader(file, strict=True)
+                for row in reader:
+                    line, after = after, reader.line_num + 1
+                    cells = [cell.strip() for cell in row]
+                    if not any(cells):
+                        continue
+                    if not header:
+                        header = cells
+                        with in_front(f", line {line}: "):
+                            check_header(header)
+                        continue
+                    with faults.noted(f"line {line}: "):
+                        if len(cells) != len(header):
+                            raise InvalidEventError(
+                                f"has {len(cells)} cells, expected {len(header)}"
+                            )
+                        given = check(dict(zip(header, cells, strict=True)))
+                        key = tuple(given[name] for name in once)
+                        if seen.setdefault(key, line) != line:
+                            what = ", ".join(f"{name} {shown(given[name])}" for name in once)
+                            raise InvalidEventError(
+                                f"has {what} a second time, after line {seen[key]}"
+                            )
+                        found.append(given)
+        except UnicodeDecodeError:
+            raise InvalidEventError(": is no CSV file in UTF-8") from None
+        except OSError as error:
+            raise InvalidEventError(f": cannot be read: {error.strerror or error}") from None
+        except csv.Error as error:
+            raise InvalidEventError(f", line {after}: is no CSV: {error}") from None
         if not header:
             raise InvalidEventError(": is empty")
-        with in_front(f", line {line}: "):
-            check_header(header)
-        for line, cells in lines:
-            with faults.noted(f"line {line}: "):
-                if len(cells) != len(header):
-                    raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
-                row = check(dict(zip(header, cells, strict=True)))
-                given = tuple(row[name] for name in once)
-                if given in seen:
-                    what = ", ".join(f"{name} {shown(row[name])}" for name in once)
-                    raise InvalidEventError(f"has {what} a second time, after line {seen[given]}")
-                seen[given] = line
-                found.append(row)
         with in_front(", "):
             faults.check()
     return found

@@ -93,9 +93,8 @@ def assemble(
     A block of slots is in memory at a time. A set of one block has its events in one file, and its
     entries in the manifest. It was ``made_by`` these versions, the last ones last.
     """
-    # of simulations, and of those of re-planned copies
-    kept = {again: Counter(dict.fromkeys(plan["cells"], 0)) for again in (False, True)}
-    refused = {again: {cell: Counter[str]() for cell in plan["cells"]} for again in (False, True)}
+    kept = Counter(dict.fromkeys(plan["cells"], 0))
+    refused = {cell: Counter[str]() for cell in plan["cells"]}
     given_up: list[str] = []
     sizes: list[int] = []
     single = len(slots) <= BLOCK
@@ -103,10 +102,8 @@ def assemble(
         parts = [read_part(out, slot) for slot in slots[start : start + BLOCK]]
         given_up += [part["name"] for part in parts if not part["events"]]
         for part in parts:
-            kept[False][part["cell"]] += bool(part["events"])
-            kept[True][part["cell"]] += sum(bool(one.get("replanned")) for one in part["entries"])
-            for draw in part["rejected"]:
-                refused[draw["replanned"]][part["cell"]][draw["reason"]] += 1
+            kept[part["cell"]] += bool(part["events"])
+            refused[part["cell"]].update(draw["reason"] for draw in part["rejected"])
         events = [event for part in parts for event in part["events"]]
         entries = [entry for part in parts for entry in part["entries"]]
         for event, entry in zip(events, entries, strict=True):
@@ -129,9 +126,6 @@ def assemble(
         sizes.append(len(events))
     if not sum(sizes):
         raise OutputError(f"{out}: no draw of any kind was kept")
-    replans = {
-        cell: {"kept": kept[True][cell], "rejected": refused[True][cell]} for cell in kept[True]
-    }
     write_json(
         out / MANIFEST,
         {
@@ -139,9 +133,8 @@ def assemble(
             "plan": dict(plan),
             "versions": made_by[-1],
             "earlier_versions": made_by[:-1],
-            "kept": kept[False],
-            "rejected": refused[False],
-            "replans": replans if plan["replans"] else {},
+            "kept": kept,
+            "rejected": refused,
             "given_up": given_up,
             **({"entries": entries} if single else {"blocks": sizes}),
         },
@@ -202,7 +195,6 @@ def generate(
     cells: Mapping[str, int] | None = None,
     splits: Mapping[str, float] | None = None,
     copies: int = 0,
-    replans: int = 0,
     planner: str | PlannerConfig = "fast",
     seed: int = 0,
     turning: Any = "both",
@@ -240,16 +232,13 @@ def generate(
             world, or with ``roles``, random scenes (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
         copies: further copies of each event with other reflections and colours, in its split.
-        replans: further copies of each event at most, in its split: the same situation simulated
-            in a layout of the same kind, or with all sizes and strengths one id further, where its
-            family allows that and the result shows what it should.
         planner: "fast", "paper" or a ``PlannerConfig``.
         seed: of everything random.
         turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
         frames: length, in PHASE before the cut after the last motion; default 101.
         max_tries: draws after which an event is given up; default 200.
         reflect, recolour: whether events are reflected, and colours exchanged, at random; by
-            default those of PHASE. Like copies and replans they are of PHASE only.
+            default those of PHASE. Like copies they are of PHASE only.
         keep_rejected: whether rejected draws are kept, with the reason.
         resume: go on with what ``out`` holds.
         other_versions: also where that was made by other versions of this package, or of what it
@@ -285,7 +274,6 @@ def generate(
         roles=roles,
         cells=cells if n is None else scaled(cells, n),
         copies=copies,
-        replans=replans,
         planner=planner,
         seed=seed,
         turning=turning,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.data.events_json import event_record
-from phase_ppl.data.generation.families import Change, Drawn, changed, pairs_showing
+from phase_ppl.data.generation.families import Drawn, pairs_showing
 from phase_ppl.data.generation.plan import MOST_TRIES, UNCHANGED, Look, Plan, Slot, is_as_before
 from phase_ppl.data.generation.situation import tables_of
 from phase_ppl.data.motion import last_motion
@@ -270,7 +270,6 @@ def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | 
 
 # --- making ----------------------------------------------------------------------------------
 
-REPLAN_TRIES: Final = 3  # simulations of a changed situation after which it is given up
 _SLOTS: Final = 10**5
 
 Part = dict[str, Any]
@@ -278,8 +277,8 @@ Part = dict[str, Any]
 
 ``name`` and ``cell`` are the slot's. ``events``, the event and its copies, are none where every
 draw was rejected; ``entries`` say of each what the manifest says. ``rejected`` are the draws before
-the one that was kept, and failed attempts at re-planned copies (``replanned``): with ``id``,
-``reason``, ``measures``, and ``event`` unless there was nothing to simulate.
+the one that was kept: with ``id``, ``reason``, ``measures``, and ``event`` unless there was
+nothing to simulate.
 """
 
 
@@ -325,34 +324,11 @@ class _Making:
         recording = self.simulated(drawn, steps, id)
         if recording is None:
             return
-        found = {"attempt": attempt, "seed": seed, "replanned": None}
+        found = {"attempt": attempt, "seed": seed}
         for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
             self.keep(recording, plan.looks[index], found)
-        if plan.replans and self.family is not None:
-            self.replan(changed(self.family, drawn))
 
-    def replan(self, changes: Sequence[Change]) -> None:
-        """Keep recordings of changed situations that are good, as many as the plan wants."""
-        plan, kept = self.plan, 0
-        # numbers of their own: the event and its other copies are the same without them
-        rng = np.random.default_rng([plan.seed, 2, self.slot.number])
-        for place in rng.permutation(len(changes)):
-            if kept == plan.replans:
-                break
-            name, told, drawn = changes[place]
-            for again in range(REPLAN_TRIES):
-                steps = np.random.default_rng(rng.integers(2**31))
-                id = f"{self.slot.name}-{name}-{again}"
-                recording = self.simulated(drawn, steps, id, replanned=True)
-                if recording is not None:
-                    look = plan.looks[int(rng.choice(len(plan.looks), p=plan.shares))]
-                    self.keep(recording, look, {"attempt": again, "replanned": told})
-                    kept += 1
-                    break
-
-    def simulated(
-        self, drawn: Drawn, rng: np.random.Generator, id: str, replanned: bool = False
-    ) -> Recording | None:
+    def simulated(self, drawn: Drawn, rng: np.random.Generator, id: str) -> Recording | None:
         """Return the recording of a situation if it is good."""
         scene = dataclasses.replace(drawn.scene, turning=self.plan.turning)
         recording = record(drawn._replace(scene=scene), self.simulator, self.plan.frames, rng)
@@ -364,13 +340,12 @@ class _Making:
         if reason is None:
             return recording
         event = event_record(event_of(recording, id))
-        self.reject(id, reason, replanned, measures=found, event=event)
+        self.reject(id, reason, measures=found, event=event)
         return None
 
-    def reject(self, id: str, reason: str, replanned: bool = False, **found: Any) -> None:
+    def reject(self, id: str, reason: str, **found: Any) -> None:
         """Keep of a draw why it is not good."""
-        told = {"id": id, "reason": reason, "replanned": replanned, "measures": {}}
-        self.part["rejected"].append({**told, **found})
+        self.part["rejected"].append({"id": id, "reason": reason, "measures": {}, **found})
 
     def keep(self, shown: Recording, look: Look, made: Mapping[str, Any]) -> None:
         """Keep a recording in a look, and how it was made."""
@@ -390,7 +365,6 @@ class _Making:
         else:
             entry |= {
                 "layout": shown.layout,
-                "replanned": made["replanned"],
                 "reflection": look.reflection,
                 "agents_exchanged": look.agents,
                 "items_exchanged": look.items,

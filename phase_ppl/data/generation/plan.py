@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.data.generation.families import Family, family_of, most_changes
+from phase_ppl.data.generation.families import Family, family_of
 from phase_ppl.data.generation.situation import PHASE500, tables_of
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
@@ -93,7 +93,6 @@ class Plan:
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
     copies: int = 0
-    replans: int = 0
     reflect: bool = True
     recolour: bool = True
     turning: Turning = "both"  # the original events have only "ccw", before any reflection
@@ -122,20 +121,14 @@ class Plan:
         if not sum(self.splits.values()) > 0:
             raise InvalidSettingError("the splits have no shares")
         check_name("turning", self.turning, TURNINGS)
-        least = {"copies": 0, "replans": 0, "frames": 2, "seed": 0, "max_tries": 1}
+        least = {"copies": 0, "frames": 2, "seed": 0, "max_tries": 1}
         for name, minimum in least.items():
             whole_number(name, getattr(self, name), minimum)
         if not is_as_before(self.world):
             whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
         for family in self.families.values():  # what functions of others do is found out now
             family.draw(self.world, np.random.default_rng(self.seed))
-        most = most_changes(self.world)
-        if self.replans > most:
-            raise InvalidSettingError(
-                f"replans={self.replans}, but situations of {self.world.name!r} have at most "
-                f"{most} changes"
-            )
-        n, each = sum(self.cells.values()), 1 + self.copies + self.replans
+        n, each = sum(self.cells.values()), 1 + self.copies
         together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
         what = f"a plan of {n * each} events of {self.frames} frames"
         check_memory(what, n * _SLOT_BYTES + together)
