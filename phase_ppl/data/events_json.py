@@ -81,7 +81,7 @@ from phase_ppl.world.event import (
     Truth,
 )
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS, Roles
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.scene import (
     LANDMARK_HALF_WIDTH,
@@ -218,10 +218,10 @@ def _observation(record: Mapping[str, Any], world: World, where: str) -> Observa
     return Observation(np.array(tracks).reshape(len(tracks), -1, 3).swapaxes(0, 1))
 
 
-def _truth(record: _Document, world: World) -> Truth | Roles:
+def _truth(record: _Document, world: World) -> Truth | Hypothesis:
     told = converted(record, _Truth, "truth") if world == PHASE else None
     if told is None:
-        return Roles.from_dict(record, world)
+        return Hypothesis.from_dict(record, world)
     red, green = _by_name(told.goals, AGENTS, str, "truth.goals")
     forces = told.strengths or dict.fromkeys(AGENTS)
     one, other = _by_name(forces, AGENTS, float | None, "truth.strengths")

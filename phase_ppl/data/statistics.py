@@ -19,7 +19,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Truth
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Roles
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
 from phase_ppl.world.scene import PHASE, World
 
 GOAL_TYPES: Final = ("LMO+", "LMO-", "LMA+", "LMA-", "TE+", "TE-")
@@ -137,7 +137,7 @@ def _labels(event: Event, entry: Mapping[str, Any]) -> dict[str, list[str]]:
     if isinstance(truth, Truth):
         goals = [truth.goal_red, truth.goal_green]
         relations, scenarios = [truth.relation], [truth.scenario]
-    elif isinstance(truth, Roles):
+    elif isinstance(truth, Hypothesis):
         goals = [world.goals[goal] for goal in truth.effective_goals]
         pairs = list(itertools.combinations(world.agents, 2))
         relations = [truth.relation_between(*pair) for pair in pairs]
@@ -192,7 +192,7 @@ def goal_type(goal: str | int, world: World = PHASE) -> str:
 
 def _strengths(event: Event) -> tuple[float | None, ...]:
     """Return (agent,) strengths, newtons, as far as they are known."""
-    if isinstance(event.truth, Roles):
+    if isinstance(event.truth, Hypothesis):
         return event.truth.strengths
     if event.truth is not None:
         return event.truth.strength_red, event.truth.strength_green

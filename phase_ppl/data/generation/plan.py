@@ -31,7 +31,7 @@ from phase_ppl.world.errors import (
     shown,
     whole_number,
 )
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
 
@@ -55,7 +55,7 @@ _FRAME_BYTES: Final = 600
 
 MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
 
-DrawRoles = Callable[[World, int], Roles | None]
+DrawRoles = Callable[[World, int], Hypothesis | None]
 """``(world, seed)`` -> who wants what, such as :func:`phase_ppl.roles.draw`; None: draw anew."""
 
 

@@ -13,7 +13,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.geometry import is_agent, overlaps
 from phase_ppl.world.goals import goal_literal, possible_goals
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE, Roles, scenario
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE, Hypothesis, scenario
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.rooms import N_ROOMS, RAY_DIRECTIONS, ROOMS_OF_RAY, Rooms
 from phase_ppl.world.scene import ARENA, PHASE, Scene, World
@@ -109,7 +109,7 @@ class Situation(NamedTuple):
     """What is to be simulated."""
 
     scene: Scene
-    roles: Roles
+    roles: Hypothesis
 
 
 class CannotDraw(Exception):  # control flow within this package, never seen by users
@@ -257,7 +257,7 @@ class Draw:
             others = [name for name in self.agents() if name not in busy]
             forces = {name: self.strength() for name in world.agents} | forces
         anything = {name: possible_goals(world.agent(name), world)[0] for name in others}
-        roles = Roles.of(world, own | anything, relation, forces)
+        roles = Hypothesis.of(world, own | anything, relation, forces)
         wanted = {world.agent(a): g for a, g in roles.goals.items() if a not in others}
         for name in others:
             agent = world.agent(name)
@@ -274,7 +274,7 @@ class Draw:
             scene = self._on_spots(places, sizes)
         else:
             scene = world.random_scene(self.rng, self.walls, rooms=places, near=near, size=sizes)
-        return Situation(scene, Roles.of(world, own, relation, forces))
+        return Situation(scene, Hypothesis.of(world, own, relation, forces))
 
     def _on_spots(self, rooms: Mapping[str, Any], sizes: Mapping[str, float]) -> Scene:
         """Return a scene with places and angles drawn, nothing overlapping."""
