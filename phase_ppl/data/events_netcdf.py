@@ -27,7 +27,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, overload
 
-import h5py
 import numpy as np
 import xarray as xr
 
@@ -53,7 +52,15 @@ from phase_ppl.data.events_json import (
     truth_record,
     turned,
 )
-from phase_ppl.data.hdf5 import UNLOCKED, check_hdf5, content_of, netcdf_bytes, opened, reading
+from phase_ppl.data.hdf5 import (
+    UNLOCKED,
+    check_hdf5,
+    content_of,
+    netcdf_bytes,
+    opened,
+    reading,
+    root_attribute,
+)
 from phase_ppl.world.arrays import finite_array
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
@@ -276,25 +283,21 @@ class Listing(NamedTuple):
 def read(path: str | os.PathLike[str]) -> Entries:
     """Return the events of the file ``path``, each still to be read or checked."""
     check_hdf5(path)
+    tag = root_attribute(path, "format")
+    if tag == EVENTS_FORMAT:
+        file = Path(path)
+        listed = _listing(file, _state(file))
+        return [
+            (id, functools.partial(event_at, file, listed, index))
+            for index, id in enumerate(listed.ids)
+        ]
+    if tag != EVENT_FORMAT:
+        what = f"format {shown(tag)}" if tag else "no format"
+        raise InvalidEventError(f"has {what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
     with reading():
         dataset = content_of(path)["/"]
-    tag = _format(dataset)
-    if tag == EVENT_FORMAT:
-        name = event_id(_text(dataset, "event"))
-        return [(name, functools.partial(_checked_event, dataset))]
-    if tag == EVENTS_FORMAT:
-        ids, places = _listed(dataset)
-        return [
-            (name, functools.partial(_checked_event, dataset, place))
-            for name, place in zip(ids, places, strict=True)
-        ]
-    what = "has no format" if tag is None else f"has format {shown(tag)}"
-    raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
-
-
-def _format(dataset: xr.Dataset) -> str | None:
-    tag = dataset.attrs.get("format")
-    return tag if isinstance(tag, str) else None  # an array would compare element by element
+    name = event_id(_text(dataset, "event"))
+    return [(name, functools.partial(_checked_event, dataset))]
 
 
 def event_bytes(event: Event) -> bytes:
@@ -336,8 +339,7 @@ def checksum(event: Event) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def _checked_event(dataset: xr.Dataset, place: Place | None = None) -> Event:
-    dataset = dataset.isel(place or {})
+def _checked_event(dataset: xr.Dataset) -> Event:
     event = event_from_dataset(dataset)
     if _CHECKSUM in dataset and dataset.variables[_CHECKSUM].values.tolist() != checksum(event):
         raise InvalidEventError(
@@ -347,13 +349,13 @@ def _checked_event(dataset: xr.Dataset, place: Place | None = None) -> Event:
     return event
 
 
-def event_at(file: h5py.File, listed: Listing, index: int) -> Event:
-    """Return one event of an open file of several; of the others nothing is read.
+def event_at(path: Path, listed: Listing, index: int) -> Event:
+    """Return one event of a file of several; of the others nothing is read.
 
     Straight from HDF5, since xarray takes several times as long to open a file and find its way.
     """
     place, variables = listed.places[index], {}
-    with reading():
+    with reading(), opened(path) as file:
         for name, dims in listed.dims.items():
             array = file[name].asstr() if file[name].dtype.kind == "O" else file[name]
             value = array[tuple(place.get(dim, slice(None)) for dim in dims)]
@@ -473,10 +475,8 @@ class StoredEvents(Sequence[Event]):
             if _state(path) != state:
                 raise InvalidEventError("was changed since its events were listed; load it again")
             listed = _listing(path, state)
-            with reading():
-                file = opened(path)
-        with file, naming(path, id):
-            event = event_at(file, listed, place)
+        with naming(path, id):
+            event = event_at(path, listed, place)
         return event if self._turning is None else turned(event, self._turning)
 
     def __len__(self) -> int:
@@ -490,11 +490,11 @@ _State = tuple[int, int]
 def _listing(path: Path, _state: _State) -> Listing:
     """Return what a file of several events holds that was in this state; no event is read."""
     check_hdf5(path)
+    tag = root_attribute(path, "format")
+    if tag != EVENTS_FORMAT:
+        raise InvalidEventError(f"has format {tag!r}, expected {EVENTS_FORMAT!r}")
     options: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
     with reading(), xr.open_dataset(path, engine="h5netcdf", **options) as dataset:
-        tag = _format(dataset)
-        if tag != EVENTS_FORMAT:
-            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
         for name, variable in dataset.variables.items():
             if {"scale_factor", "add_offset"} & set(variable.encoding):
                 raise InvalidEventError(f"array {name} is packed, expected plain numbers")

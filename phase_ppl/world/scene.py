@@ -483,30 +483,25 @@ class Scene:
         instance_of("world", self.world, World, "a phase_ppl.World")
         n, places = len(self.world.entities), self.world.landmarks
         set_field = functools.partial(object.__setattr__, self)
-        for name, value in (
-            ("walls", self.world.walls),
-            ("arena", self.world.arena),
-            ("landmark_centres", [(one.x, one.y) for one in places]),
-            ("landmark_half_width", one_or_all([one.half_width for one in places])),
-        ):
-            if getattr(self, name) is None:
-                set_field(name, value)
-        shapes: dict[str, tuple[int | None, ...]] = {
-            "start": (n, 3),
-            "radius": (n,),
-            "walls": (None, 2, 2),
-            "landmark_centres": (len(places), 2),
+        given: dict[str, tuple[Any, tuple[int | None, ...]]] = {
+            "start": (None, (n, 3)),
+            "radius": (None, (n,)),
+            "walls": (self.world.walls, (None, 2, 2)),
+            "landmark_centres": ([(one.x, one.y) for one in places], (len(places), 2)),
+            "arena": (self.world.arena, (4,)),
         }
-        for name, shape in shapes.items():
-            set_field(name, finite_array(f"scene.{name}", getattr(self, name), shape))
-        arena = finite_array("scene.arena", self.arena, (4,))
-        set_field("arena", tuple(arena.tolist()))
+        for name, (of_world, shape) in given.items():
+            value = getattr(self, name)
+            value = of_world if value is None else value
+            set_field(name, finite_array(f"scene.{name}", value, shape))
+        x0, x1, y0, y1 = arena = tuple(np.asarray(self.arena).tolist())
+        set_field("arena", arena)
         check_name("turning", self.turning, TURNINGS)
         if not isinstance(self.resets_velocity, bool):
             raise InvalidEventError(
                 f"scene.resets_velocity is {shown(self.resets_velocity)}, expected true or false"
             )
-        width, height = arena[1] - arena[0], arena[3] - arena[2]
+        width, height = x1 - x0, y1 - y0
         if width <= 0 or height <= 0 or (self.world == PHASE and abs(width - height) > 1e-6):
             kind = "a square" if self.world == PHASE else "a rectangle"
             raise InvalidEventError(f"scene.arena {self.arena} is not {kind} x0, x1, y0, y1")
@@ -517,9 +512,12 @@ class Scene:
             )
         check_inside(self.start[None], self, "scene.start")
         self._check_rooms()
-        each = self.world != PHASE and np.ndim(self.landmark_half_width) == 1
+        half_width = self.landmark_half_width
+        if half_width is None:
+            half_width = one_or_all([one.half_width for one in places])
+        each = self.world != PHASE and np.ndim(half_width) == 1
         half_width = finite_array(
-            "scene.landmark_half_width", self.landmark_half_width, (len(places),) if each else ()
+            "scene.landmark_half_width", half_width, (len(places),) if each else ()
         )
         for one in half_width.flat:
             if not 0 < one <= most:
