@@ -10,7 +10,6 @@ import dataclasses
 import functools
 import itertools
 import json
-import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
@@ -27,7 +26,7 @@ from phase_ppl.world.errors import (
     check_memory,
     check_name,
     instance_of,
-    number_or_nan,
+    nonnegative_number,
     shown,
     whole_number,
 )
@@ -116,8 +115,7 @@ class Plan:
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
         for name, share in self.splits.items():
-            if not 0 <= number_or_nan(share) < math.inf:
-                raise InvalidSettingError(f"split {name}={shown(share)}, expected a share >= 0")
+            nonnegative_number(f"split {name}", share)
         if not sum(self.splits.values()) > 0:
             raise InvalidSettingError("the splits have no shares")
         check_name("turning", self.turning, TURNINGS)
@@ -166,7 +164,17 @@ class Plan:
 
     def slots(self) -> list[Slot]:
         """Return the events to be made; in each split about the same shares of every cell."""
-        return slots(self.cells, self.splits, self.seed)
+        rng = np.random.default_rng([self.seed, 1])
+        row = [cell for cell, n in self.cells.items() for _ in range(n)]
+        # neighbours are of a kind: dealing the splits out along the row stratifies them
+        names = list(self.splits)
+        counts = apportioned(len(row), self.splits)
+        place = np.concatenate(
+            [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
+        )
+        split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
+        order = rng.permutation(len(row))  # numbers say nothing about kinds
+        return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
 
     def warm_up(self) -> None:
         """Compile what its events are simulated with."""
@@ -187,21 +195,6 @@ class Plan:
                     for family in self.families.values()
                 }
         return dict(json.loads(json.dumps(record, default=dict)))
-
-
-def slots(cells: Mapping[str, int], splits: Mapping[str, float], seed: int) -> list[Slot]:
-    """Return the slots of a plan with these settings (:meth:`Plan.slots`)."""
-    rng = np.random.default_rng([seed, 1])
-    row = [cell for cell, n in cells.items() for _ in range(n)]
-    # neighbours are of a kind: dealing the splits out along the row stratifies them
-    names = list(splits)
-    counts = apportioned(len(row), splits)
-    place = np.concatenate(
-        [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
-    )
-    split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
-    order = rng.permutation(len(row))  # numbers say nothing about kinds
-    return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
 
 
 def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
