@@ -65,7 +65,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -250,13 +250,7 @@ def event_record(event: Event) -> dict[str, Any]:
         "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
         "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
-    if isinstance(truth, Truth):
-        goals, forces = (
-            (truth.goal_red, truth.goal_green),
-            (truth.strength_red, truth.strength_green),
-        )
-        record["truth"] = truth_record(goals, truth.relation, truth.scenario, forces)
-    elif truth is not None:
+    if truth is not None:
         record["truth"] = truth.to_dict()
     given = ((name, getattr(event, name)) for name in DOCUMENTS)
     return record | {name: dict(content) for name, content in given if content is not None}
@@ -275,18 +269,6 @@ def scene_record(
         **({"resets_velocity": True} if resets_velocity else {}),
         "radius": dict(zip(world.entities, arrays["radius"], strict=True)),
         "start": dict(zip(world.entities, arrays["start"], strict=True)),
-    }
-
-
-def truth_record(
-    goals: Iterable[str], relation: str, scenario: str, strengths: Iterable[float | None]
-) -> dict[str, Any]:
-    """Return the JSON object of a truth of PHASE."""
-    return {
-        "goals": dict(zip(AGENTS, goals, strict=True)),
-        "relation": relation,
-        "scenario": scenario,
-        "strengths": dict(zip(AGENTS, strengths, strict=True)),
     }
 
 

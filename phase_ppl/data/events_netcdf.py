@@ -49,7 +49,6 @@ from phase_ppl.data.events_json import (
     event_record,
     scene_record,
     to_text,
-    truth_record,
     turned,
 )
 from phase_ppl.data.hdf5 import (
@@ -64,7 +63,7 @@ from phase_ppl.data.hdf5 import (
 from phase_ppl.world.arrays import finite_array
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
-from phase_ppl.world.names import ENTITIES, LANDMARKS
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.scene import PHASE, Turning, World, one_or_all
 
 LABELS: Final[Mapping[str, Sequence[str]]] = {
@@ -183,9 +182,12 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     }
     goals = [_text(dataset, name, "") for name in _GOALS]
     if any(goals):
-        relation, scenario = _text(dataset, "relation", ""), _text(dataset, "scenario", "")
         forces = [_value(dataset, name, None) for name in _STRENGTHS]
-        record["truth"] = truth_record(goals, relation, scenario, forces)
+        record["truth"] = {
+            "goals": dict(zip(AGENTS, goals, strict=True)),
+            **{name: _text(dataset, name, "") for name in ("relation", "scenario")},
+            "strengths": dict(zip(AGENTS, forces, strict=True)),
+        }
     return event_from_record(record)
 
 

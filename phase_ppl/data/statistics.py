@@ -129,13 +129,11 @@ def statistics(events: Sequence[Event]) -> pd.DataFrame:
 def _labels(event: Event, entry: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return quantity -> the labels that an event counts for."""
     truth, world = event.truth, event.scene.world
-    goals: list[str] = []
+    goals = [] if truth is None else [*truth.goals.values()]
     relations, scenarios = [], []
     if isinstance(truth, Truth):
-        goals = [truth.goal_red, truth.goal_green]
         relations, scenarios = [truth.relation], [truth.scenario]
     elif truth is not None:
-        goals = [*truth.goals.values()]
         pairs = list(itertools.combinations(world.agents, 2))
         relations = [truth.relation_between(*pair) for pair in pairs]
         scenarios = [truth.scenario_between(*pair) for pair in pairs]
@@ -185,11 +183,9 @@ def goal_type(goal: str | int, world: World = PHASE) -> str:
 
 def _strengths(event: Event) -> tuple[float | None, ...]:
     """Return (agent,) strengths, newtons, as far as they are known."""
-    if isinstance(event.truth, Truth):
-        return event.truth.strength_red, event.truth.strength_green
-    if event.truth is not None:
-        return tuple(event.truth.strengths)
-    return (None,) * len(event.scene.world.agents)
+    if event.truth is None:
+        return (None,) * len(event.scene.world.agents)
+    return tuple(event.truth.strengths)
 
 
 # --- how bodies move ------------------------------------------------------------------------------

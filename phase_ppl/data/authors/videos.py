@@ -197,9 +197,9 @@ def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
     if truth is not None:
         goals = "_".join(
             str(list(goal_numbers(goal, holder)))
-            for holder, goal in enumerate((truth.goal_red, truth.goal_green))
+            for holder, goal in enumerate(truth.goals.values())
         )
-        red, green = map(strength_level, (truth.strength_red, truth.strength_green))
+        red, green = map(strength_level, truth.strengths)
         parameters = f"_G{goals}_ST{red}_{green}"
         of_red = of_green = 0.0
         if truth.scenario == "opposing":  # whoever wants that something is not so hinders
@@ -484,7 +484,7 @@ def video(event: Event) -> dict[str, Any]:
             raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
     velocity = _velocity(trajectory, place.copy, scene)
     rows = np.concatenate([trajectory[..., :2], velocity, trajectory[..., 2:]], axis=-1)
-    goals = [] if truth is None else [truth.goal_red, truth.goal_green]
+    goals = [] if truth is None else truth.goals.values()
     majority = (event.judgments or {}).get("majority")
     return {
         "name": file_name(event_id(event.id), place, truth, len(rows)),
