@@ -38,8 +38,6 @@ def generate(options: Options) -> int:
         $planner
         $seed
         --copies N: of each event, with other reflections and colours; default 0
-        --replans N: copies of each event simulated anew in a layout of the same kind, or with sizes
-            and strengths moved by one, as far as its family allows; default 0
         --turning both|ccw|cw: which way agents can turn, before any reflection; default both
         $cluster
         --keep-rejected: keep the draws that were not good enough
@@ -102,15 +100,9 @@ def _print(made: GeneratedEvents) -> None:
         if not kept:
             continue
         print(f"{cell:<22}{_kept(kept, manifest['rejected'][cell], 'draws')}")
-        again = manifest.get("replans", {}).get(cell)
-        if again and (again["kept"] or again["rejected"]):
-            told = _kept(again["kept"], again["rejected"], "simulations of re-planned copies")
-            print(f"{'':<22}{told}")
     splits = Counter(entry["split"] for entry in made.entries)
     parts = ", ".join(f"{n} {name}" for name, n in splits.items())
     print(f"{len(made)} events ({parts}) in {made.path}")
-    if anew := made.cost.get("made_anew"):
-        print(f"Made anew, since their parts were damaged: {', '.join(anew)}", file=sys.stderr)
 
 
 def _kept(kept: int, refused: Mapping[str, int], what: str) -> str:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
-import io
-import json
-import math
 import os
 import re
 from collections import Counter
@@ -14,47 +12,34 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
+import msgspec
+
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     PhasePPLError,
-    UnknownNameError,
     check_name,
     shown,
+    unknown_name,
 )
 from phase_ppl.world.files import existing_file
 
 T = TypeVar("T")
 MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 _PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
-_HEAD_BYTES: Final = 64
 _FAULTS_SHOWN: Final = 8
-_OLD_PICKLE: Final = re.compile(rb"\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
-"""How pickles of the text protocols begin; JSON never does."""
-
-
-def read_document(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the JSON object in the file ``path``. A pickle is refused, not loaded."""
-    with reading_bytes("an event file"), open(path, "rb") as file:
-        content = file.read(_HEAD_BYTES)
-        _refuse_binary(content)
-        content += file.read(MAX_BYTES + 1 - len(content))
-    return parse_document(content)
+_PICKLE: Final = re.compile(rb"\x80[\x00-\x0f]|\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
+"""How pickles begin; JSON never does."""
 
 
 def is_pickle(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a pickle by its first bytes, or claims to be one by its name."""
     try:
         with open(path, "rb") as file:
-            head = file.read(_HEAD_BYTES)
+            head = file.read(64)
     except OSError:  # said by who reads it
         return False
-    return _begins_a_pickle(head) or Path(path).suffix.lower() in _PICKLE_SUFFIXES
-
-
-def _begins_a_pickle(head: bytes) -> bool:
-    new_style = len(head) > 1 and head[0] == 0x80 and head[1] <= 0x0F
-    return new_style or _OLD_PICKLE.match(head) is not None
+    return bool(_PICKLE.match(head)) or Path(path).suffix.lower() in _PICKLE_SUFFIXES
 
 
 @contextlib.contextmanager
@@ -76,88 +61,68 @@ def too_large(limit: int) -> InvalidEventError:
 
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the JSON object in a file. A pickle is refused, not loaded.
+    """Return the JSON object in a file.
 
     Raises:
-        InvalidEventError: there is no such file, or it holds no JSON object, a name twice, or
-            numbers that are not finite. The message names the file and the place.
+        InvalidEventError: there is no such file, or it holds no JSON object, or numbers that are
+            not finite. The message names the file and the place.
     """
     with in_front(f"{path}: "):
         return read_document(path)
 
 
-def parse_document(content: bytes) -> dict[str, Any]:
+def read_document(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the JSON object in the file ``path``."""
+    with reading_bytes("an event file"), open(path, "rb") as file:
+        return parse_document(file.read(MAX_BYTES + 1))
+
+
+def parse_document(content: bytes | str) -> dict[str, Any]:
     """Return the JSON object that ``content`` spells."""
-    _refuse_binary(content[:_HEAD_BYTES])
-    return parse_text(_decoded(content, "is not text"))
-
-
-def _decoded(content: bytes, otherwise: str) -> str:
-    """Return the text of a file, or raise what it is ``otherwise``."""
     if len(content) > MAX_BYTES:
         raise too_large(MAX_BYTES)
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InvalidEventError(f"{otherwise}: byte {error.start} is not UTF-8") from None
-
-
-def parse_text(text: str) -> dict[str, Any]:
-    """Return the JSON object that ``text`` spells. Errors as for :func:`parse_document`."""
-    if not text.strip():
+    if not content.strip():
         raise InvalidEventError("is empty")
+    if isinstance(content, str):
+        content = content.encode(errors="replace")
     try:
-        document = json.loads(
-            text,
-            object_pairs_hook=_without_duplicates,
-            parse_constant=_finite,
-            parse_float=_finite,
-        )
-    except json.JSONDecodeError as error:
-        cut = " (the file ends too early)" if error.pos >= len(text.rstrip()) else ""
-        raise InvalidEventError(
-            f"is not JSON: line {error.lineno}, column {error.colno}: {error.msg}{cut}"
-        ) from None
+        return msgspec.json.decode(content.removeprefix(codecs.BOM_UTF8), type=dict[str, Any])
+    except UnicodeError:
+        raise InvalidEventError("is no text in UTF-8") from None
     except RecursionError:
         raise InvalidEventError("is nested too deeply for an event") from None
-    except InvalidEventError:
-        raise
-    except ValueError:
-        raise InvalidEventError("holds a whole number with thousands of digits") from None
-    if not isinstance(document, dict):
-        raise InvalidEventError(f"holds {shown(document)}, expected a JSON object")
-    return document
-
-
-def _refuse_binary(head: bytes) -> None:
-    if _begins_a_pickle(head):
-        raise InvalidEventError(
-            "is a pickle, which is not loaded here because loading one can run any code; expected "
-            "a JSON file"
-        )
-    if b"\0" in head:
-        raise InvalidEventError("is a binary file, expected a JSON file")
-
-
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    result = dict(pairs)
-    if len(result) < len(pairs):
-        counts = Counter(name for name, _ in pairs)
-        twice = next(name for name, n in counts.items() if n > 1)
-        raise InvalidEventError(f"gives {shown(twice)} twice in one object")
-    return result
-
-
-def _finite(token: str) -> float:
-    value = float(token)
-    if not math.isfinite(value):
-        raise InvalidEventError(f"holds {token[:40]}, expected finite numbers")
-    return value
+    except msgspec.ValidationError as error:
+        raise InvalidEventError(f"is no JSON object: {error}") from None
+    except msgspec.DecodeError as error:
+        byte = re.search(r"\(byte (\d+)\)", str(error))
+        line = content.count(b"\n", 0, int(byte[1]) if byte else None) + 1
+        raise InvalidEventError(f"is not JSON: line {line}: {error}") from None
 
 
 # --- fields ----------------------------------------------------------------------------------
 
 _WORDS = {dict: "an object", list: "a list", str: "a string", int: "a whole number"}
+
+
+def converted(value: object, form: type[T], where: str = "") -> T:
+    """Return a value of a file in the form of a type, as msgspec has them.
+
+    Raises:
+        InvalidEventError: a part is missing or of another form; ``where`` and the path of the part
+            are named.
+        UnknownNameError: a field that there is not.
+    """
+    try:
+        return msgspec.convert(value, form)
+    except msgspec.ValidationError as error:
+        said, _, path = str(error).replace("`", "'").partition(" - at '$")
+        place = f"{where}{path[:-1]}".lstrip(".")
+        if "unknown field" in said and not path:
+            fields = cast("Any", form).__struct_encode_fields__
+            raise unknown_name(
+                f"field of {where or 'an event'}", said.split("'")[1], fields
+            ) from None
+        raise InvalidEventError(f"{place}: {said}" if place else said) from None
 
 
 def of_kind(path: str, value: object, kind: type[T]) -> T:
@@ -184,25 +149,19 @@ def optional(record: Mapping[str, Any], name: str, kind: type[T], where: str = "
     return None if record.get(name) is None else require(record, name, kind, where)
 
 
-def only(record: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
-    """Raise UnknownNameError if ``record`` has a field that is none of ``allowed``."""
-    for name in record:
-        check_name(f"field of {where}", name, allowed)
-
-
 def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
     """Return the values of an object whose fields must be exactly ``names``, in that order."""
-    only(record, names, where)
+    for name in record:
+        check_name(f"field of {where}", name, names)
     missing = [name for name in names if name not in record]
     if missing:
         raise InvalidEventError(f"{where} has no {' and no '.join(missing)}")
     return [record[name] for name in names]
 
 
-def event_id(record: Mapping[str, Any], where: str = "") -> str:
-    """Return the field ``id``: a string that can be printed."""
-    name = require(record, "id", str, where)
-    if not name.strip() or not name.isprintable():
+def event_id(name: object) -> str:
+    """Return an event's id, which must be a string that can be printed."""
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
         raise InvalidEventError(f"id is {shown(name)}, expected printable text")
     return name
 
@@ -211,11 +170,9 @@ def check_ids(ids: Sequence[str]) -> None:
     """Raise InvalidEventError if there are no ids, or one is there twice."""
     if not ids:
         raise InvalidEventError("holds no videos: the list is empty")
-    seen: set[str] = set()
-    for name in ids:
-        if name in seen:
-            raise InvalidEventError(f"holds two videos with the id {shown(name)}")
-        seen.add(name)
+    twice = [name for name, n in Counter(ids).items() if n > 1]
+    if twice:
+        raise InvalidEventError(f"holds two videos with the id {shown(twice[0])}")
 
 
 def check_schema(record: Mapping[str, Any], schema: str, where: object = "") -> None:
@@ -240,39 +197,15 @@ def in_front(words: str) -> Iterator[None]:
 @contextlib.contextmanager
 def naming(path: str | os.PathLike[str], video: str | None = None) -> Iterator[None]:
     """Put the file, and the video where there is one, in front of an error's message."""
+    where = str(path) if video is None or video == Path(path).stem else f"{path}, video {video}"
     try:
-        yield
-    except (InvalidEventError, InvalidSettingError, UnknownNameError) as error:
-        where = str(path) if video is None or video == Path(path).stem else f"{path}, video {video}"
-        # a wrong value in a file is the file's fault, not that of a setting
-        kind = UnknownNameError if isinstance(error, UnknownNameError) else InvalidEventError
-        raise kind(f"{where}: {error}") from None
+        with in_front(f"{where}: "):
+            yield
+    except InvalidSettingError as error:  # a wrong value in a file is the file's fault
+        raise InvalidEventError(str(error)) from None
 
 
 # --- CSV: cells of text, and errors that name file and line ---------------------------------------
-
-
-def csv_text(source: Path) -> str:
-    """Return the text of a file (InvalidEventError: it is none)."""
-    with reading_bytes("a CSV file"), open(source, "rb") as file:
-        text = _decoded(file.read(MAX_BYTES + 1), "is no CSV file")
-    if "\0" in text:
-        raise InvalidEventError("is no CSV file in UTF-8: it holds zero bytes")
-    return text
-
-
-def csv_lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number of its first line and the cells of each row that is not blank."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    line = 1
-    try:
-        for row in reader:
-            cells = [cell.strip() for cell in row]
-            if any(cells):
-                yield line, cells
-            line = reader.line_num + 1
-    except csv.Error as error:
-        raise InvalidEventError(f", line {line}: is no CSV: {error}") from None
 
 
 class Faults:
@@ -318,28 +251,46 @@ def read_rows(
     """
     source = existing_file(path)
     found: list[dict[str, Any]] = []
-    faults = Faults()
-    seen: dict[tuple[Any, ...], int] = {}
-    with in_front(f"{source}: "):
-        text = csv_text(source)
-    with in_front(str(source)):
-        lines = csv_lines(text)
-        line, header = next(lines, (0, []))
+    faults, seen = Faults(), dict[tuple[Any, ...], int]()
+    header: list[str] = []
+    line = after = 1
+    with in_front(f"{source}"):
+        if source.stat().st_size > MAX_BYTES:
+            raise InvalidEventError(f": {too_large(MAX_BYTES)}")
+        try:
+            with open(source, encoding="utf-8-sig", newline="") as file:
+                reader = csv.reader(file, strict=True)
+                for row in reader:
+                    line, after = after, reader.line_num + 1
+                    cells = [cell.strip() for cell in row]
+                    if not any(cells):
+                        continue
+                    if not header:
+                        header = cells
+                        with in_front(f", line {line}: "):
+                            check_header(header)
+                        continue
+                    with faults.noted(f"line {line}: "):
+                        if len(cells) != len(header):
+                            raise InvalidEventError(
+                                f"has {len(cells)} cells, expected {len(header)}"
+                            )
+                        given = check(dict(zip(header, cells, strict=True)))
+                        key = tuple(given[name] for name in once)
+                        if seen.setdefault(key, line) != line:
+                            what = ", ".join(f"{name} {shown(given[name])}" for name in once)
+                            raise InvalidEventError(
+                                f"has {what} a second time, after line {seen[key]}"
+                            )
+                        found.append(given)
+        except UnicodeDecodeError:
+            raise InvalidEventError(": is no CSV file in UTF-8") from None
+        except OSError as error:
+            raise InvalidEventError(f": cannot be read: {error.strerror or error}") from None
+        except csv.Error as error:
+            raise InvalidEventError(f", line {after}: is no CSV: {error}") from None
         if not header:
             raise InvalidEventError(": is empty")
-        with in_front(f", line {line}: "):
-            check_header(header)
-        for line, cells in lines:
-            with faults.noted(f"line {line}: "):
-                if len(cells) != len(header):
-                    raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
-                row = check(dict(zip(header, cells, strict=True)))
-                given = tuple(row[name] for name in once)
-                if given in seen:
-                    what = ", ".join(f"{name} {shown(row[name])}" for name in once)
-                    raise InvalidEventError(f"has {what} a second time, after line {seen[given]}")
-                seen[given] = line
-                found.append(row)
         with in_front(", "):
             faults.check()
     return found

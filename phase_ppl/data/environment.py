@@ -23,9 +23,9 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event, Observation, Truth
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
-from phase_ppl.world.hypothesis import STRENGTH, Roles
+from phase_ppl.world.hypothesis import STRENGTH, Hypothesis
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.scene import Scene, World
 
 _ParallelEnv: Any = object  # without the extra `env`, which `env()` then says
 with contextlib.suppress(ImportError):
@@ -179,7 +179,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
                 name: int(rng.choice(possible_goals(agent, world)))
                 for agent, name in enumerate(world.agents)
             }
-        self.roles = Roles.of(world, goals, given["relation"], self._strength)
+        self.roles = Hypothesis.of(world, goals, given["relation"], self._strength)
         self.scene: Scene = scene
         self._goals = self.roles.effective_goals
         self._stage = Stage(scene, self.roles.strengths)
@@ -264,5 +264,5 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         """
         if len(self._frames) < 2:
             raise InvalidEventError(f"event {shown(id)}: no step has been made since the reset")
-        truth = Truth.of(self.roles) if self.world == PHASE else self.roles
+        truth = Truth.of(self.roles)
         return Event(self.scene, Observation(np.array(self._frames)), id=id, truth=truth)

@@ -65,14 +65,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Final
 
+import msgspec
 import numpy as np
 
-from phase_ppl.data.documents import event_id, only, optional, per_name, require
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, UnknownNameError, instance_of, shown
+from phase_ppl.data.documents import converted, event_id, per_name
+from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import (
     FRAMES_PER_SECOND,
     SHOWN_SECONDS_PER_FRAME,
@@ -81,8 +81,8 @@ from phase_ppl.world.event import (
     Truth,
 )
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS, Roles
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.scene import (
     LANDMARK_HALF_WIDTH,
     PHASE,
@@ -90,7 +90,6 @@ from phase_ppl.world.scene import (
     Turning,
     World,
     check_is_phase,
-    finite_array,
     one_or_all,
 )
 
@@ -105,112 +104,128 @@ ARRAYS: Final = ("start", "radius", "walls", "landmark_centres", "landmark_half_
 """Of a scene, which also has ``turning``, a text, and perhaps ``resets_velocity``."""
 
 DOCUMENTS: Final = ("judgments", "predictions")  # of any content
-_EVENT_FIELDS: Final = ("format", "id", "world", "scene", "trajectories", "truth", *DOCUMENTS)
-_TRUTH_FIELDS: Final = ("goals", "relation", "scenario", "strengths")
-_SCENE_FIELDS: Final = (
-    *("arena", "walls", "landmarks", "landmark_half_width", "turning"),
-    *("resets_velocity", "radius", "start"),
-)
 _LINE_CHARACTERS = 100
 
 
 # --- reading ---------------------------------------------------------------------------------
 
+_Point = tuple[float, float]
+_Pose = tuple[float, float, float]
+_Document = dict[str, Any]
+
+
+class _Own(msgspec.Struct, forbid_unknown_fields=True):
+    """What the package wrote, of which it knows all fields; a field may be null for its default."""
+
+
+class _Arena(_Own):
+    x: _Point
+    y: _Point
+
+
+class _Scene(_Own):
+    radius: _Document
+    arena: _Arena | None = None
+    walls: list[tuple[_Point, _Point]] | None = None
+    landmarks: _Document | None = None
+    landmark_half_width: float | list[float] | None = None
+    turning: Any = "both"
+    resets_velocity: bool = False
+    start: _Document | None = None
+
+
+class _Truth(_Own):
+    goals: _Document
+    relation: str | None = None
+    scenario: str | None = None
+    strengths: _Document | None = None
+
+
+class _Event(_Own):
+    id: Any
+    scene: _Document
+    trajectories: _Document
+    format: Any = EVENT_FORMAT
+    world: _Document | None = None
+    truth: _Document | None = None
+    judgments: _Document | None = None
+    predictions: _Document | None = None
+
+
+class _Events(_Own):
+    format: str
+    events: list[_Document]
+
 
 def read(document: Mapping[str, Any]) -> Entries:
     """Return the events of a document in one of these formats, each still to be read."""
-    tag = document.get("format")
+    tag, reader = document.get("format"), event_from_record
     if tag == EVENT_FORMAT:
-        return [(event_id(document), functools.partial(event_from_record, document))]
-    if tag == EVENTS_FORMAT:
-        only(document, ("format", "events"), "a file of events")
-        return _entries_of(document, "events", event_from_record)
-    if tag == VIDEOS_FORMAT:
-        return _entries_of(document, "videos", functools.partial(_event_of_video, head=document))
-    known = ", ".join(map(repr, (EVENT_FORMAT, EVENTS_FORMAT, VIDEOS_FORMAT)))
-    if tag is None:
-        raise InvalidEventError(f"is not an event file: it has no format, such as {known}")
-    raise InvalidEventError(f"has format {shown(tag)}, expected one of {known}")
-
-
-def _entries_of(
-    document: Mapping[str, Any], field: str, read: Callable[[dict[str, Any]], Event]
-) -> Entries:
-    """Return the events in a list of JSON objects, each to be read by ``read``."""
-    entries: Entries = []
-    for index, record in enumerate(require(document, field, list)):
-        where = f"{field}[{index}]"
-        if not isinstance(record, dict):
-            raise InvalidEventError(f"{where} is no JSON object")
-        entries.append((event_id(record, where), functools.partial(read, record)))
-    return entries
+        records = [dict(document)]
+    elif tag == EVENTS_FORMAT:
+        records = converted(document, _Events).events
+    elif tag == VIDEOS_FORMAT:
+        head = converted(document, _Videos)
+        records, reader = head.videos, functools.partial(_event_of_video, head=head)
+    else:
+        known = ", ".join(map(repr, (EVENT_FORMAT, EVENTS_FORMAT, VIDEOS_FORMAT)))
+        has = "no format" if tag is None else f"format {shown(tag)}"
+        raise InvalidEventError(f"is no event file: it has {has}, expected one of {known}")
+    return [(event_id(record.get("id")), functools.partial(reader, record)) for record in records]
 
 
 def event_from_record(record: Mapping[str, Any]) -> Event:
-    """Return the event that a JSON object describes; in place of lists it may have arrays."""
-    only(record, _EVENT_FIELDS, "an event")
-    given = optional(record, "world", dict)
-    world = PHASE if given is None else World.from_dict(given)
-    tracks = require(record, "trajectories", dict)
-    observation = _observation(tracks, world.entities)
-    truth = optional(record, "truth", dict)
-    known: Truth | Roles | None = None
-    if truth is not None:
-        only(truth, _TRUTH_FIELDS, "truth")
-        known = _truth(truth) if world == PHASE else Roles.from_dict(truth, world)
+    """Return the event that a JSON object describes."""
+    own = converted(record, _Event)
+    world = PHASE if own.world is None else World.from_dict(own.world)
+    observation = _observation(own.trajectories, world, "trajectories")
+    scene, bodies = converted(own.scene, _Scene, "scene"), world.entities
+    start, centres, arena = scene.start, scene.landmarks, scene.arena
+    first = observation.trajectory[0]
     return Event(
-        scene=_scene(require(record, "scene", dict), observation.trajectory[0], world),
-        observation=observation,
-        id=event_id(record),
-        truth=known,
-        judgments=optional(record, "judgments", dict),
-        predictions=optional(record, "predictions", dict),
+        Scene(
+            first if start is None else _by_name(start, bodies, _Pose, "scene.start"),
+            _by_name(scene.radius, bodies, float, "scene.radius"),
+            scene.walls,
+            scene.turning,
+            None if arena is None else (*arena.x, *arena.y),
+            None
+            if centres is None
+            else _by_name(centres, world.landmark_names, _Point, "scene.landmarks"),
+            scene.landmark_half_width,
+            scene.resets_velocity,
+            world,
+        ),
+        observation,
+        event_id(own.id),
+        None if own.truth is None else _truth(own.truth, world),
+        own.judgments,
+        own.predictions,
     )
 
 
-def _observation(record: Mapping[str, Any], entities: Sequence[str]) -> Observation:
-    tracks = [
-        finite_array(f"trajectories[{name!r}]", rows, (None, 3))
-        for name, rows in zip(entities, per_name(record, entities, "trajectories"), strict=True)
-    ]
-    lengths = [len(track) for track in tracks]
-    if len(set(lengths)) > 1:
-        listed = ", ".join(f"{n} {name}" for n, name in zip(lengths, entities, strict=True))
-        raise InvalidEventError(f"trajectories differ in length: {listed}")
-    return Observation(np.stack(tracks, axis=1))
+def _by_name(record: Mapping[str, Any], names: Sequence[str], form: Any, where: str) -> list[Any]:
+    """Return the values of an object that has exactly these names, in their order."""
+    values = zip(names, per_name(record, names, where), strict=True)
+    return [converted(value, form, f"{where}[{name!r}]") for name, value in values]
 
 
-def _scene(record: Mapping[str, Any], first_frame: FloatArray, world: World) -> Scene:
-    only(record, _SCENE_FIELDS, "scene")
-    given: dict[str, Any] = {"start": first_frame, "world": world}
-    for name in ("walls", "turning", "landmark_half_width", "resets_velocity"):
-        if name in record:
-            given[name] = record[name]
-    bodies, marks = world.entities, world.landmark_names
-    for name, key, names, each in (
-        ("arena", "arena", ("x", "y"), (2,)),
-        ("landmark_centres", "landmarks", marks, (2,)),
-        ("start", "start", bodies, (3,)),
-        ("radius", "radius", bodies, ()),
-    ):
-        if key in record or name == "radius":
-            values = per_name(require(record, key, dict, "scene"), names, f"scene.{key}")
-            given[name] = finite_array(f"scene.{key}", values, (len(names), *each))
-    if "arena" in given:
-        given["arena"] = given["arena"].ravel()
-    return Scene(**given)
+def _observation(record: Mapping[str, Any], world: World, where: str) -> Observation:
+    tracks = _by_name(record, world.entities, list[_Pose], where)
+    if len(set(map(len, tracks))) > 1:
+        listed = (f"{len(rows)} {name}" for rows, name in zip(tracks, world.entities, strict=True))
+        raise InvalidEventError(f"{where} differ in length: {', '.join(listed)}")
+    return Observation(np.array(tracks).reshape(len(tracks), -1, 3).swapaxes(0, 1))
 
 
-def _truth(record: Mapping[str, Any]) -> Truth:
-    red, green = per_name(require(record, "goals", dict, "truth"), AGENTS, "truth.goals")
-    forces = optional(record, "strengths", dict, "truth")
-    return Truth(
-        red,
-        green,
-        optional(record, "relation", str, "truth") or "",
-        optional(record, "scenario", str, "truth") or "",
-        *((None, None) if forces is None else per_name(forces, AGENTS, "truth.strengths")),
-    )
+def _truth(record: _Document, world: World) -> Truth | Hypothesis:
+    told = converted(record, _Truth, "truth") if world == PHASE else None
+    if told is None:
+        return Hypothesis.from_dict(record, world)
+    red, green = _by_name(told.goals, AGENTS, str, "truth.goals")
+    forces = told.strengths or dict.fromkeys(AGENTS)
+    one, other = _by_name(forces, AGENTS, float | None, "truth.strengths")
+    return Truth(red, green, told.relation or "", told.scenario or "", one, other)
 
 
 def turned(event: Event, turning: Turning) -> Event:
@@ -230,18 +245,12 @@ def event_record(event: Event) -> dict[str, Any]:
     tracks = np.moveaxis(event.observation.trajectory, 1, 0).tolist()
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
-        "id": event_id({"id": event.id}),
+        "id": event_id(event.id),
         **({} if world == PHASE else {"world": world.to_dict()}),
         "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
         "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
-    if isinstance(truth, Truth):
-        goals, forces = (
-            (truth.goal_red, truth.goal_green),
-            (truth.strength_red, truth.strength_green),
-        )
-        record["truth"] = truth_record(goals, truth.relation, truth.scenario, forces)
-    elif truth is not None:
+    if truth is not None:
         record["truth"] = truth.to_dict()
     given = ((name, getattr(event, name)) for name in DOCUMENTS)
     return record | {name: dict(content) for name, content in given if content is not None}
@@ -260,18 +269,6 @@ def scene_record(
         **({"resets_velocity": True} if resets_velocity else {}),
         "radius": dict(zip(world.entities, arrays["radius"], strict=True)),
         "start": dict(zip(world.entities, arrays["start"], strict=True)),
-    }
-
-
-def truth_record(
-    goals: Iterable[str], relation: str, scenario: str, strengths: Iterable[float | None]
-) -> dict[str, Any]:
-    """Return the JSON object of a truth of PHASE."""
-    return {
-        "goals": dict(zip(AGENTS, goals, strict=True)),
-        "relation": relation,
-        "scenario": scenario,
-        "strengths": dict(zip(AGENTS, strengths, strict=True)),
     }
 
 
@@ -319,91 +316,80 @@ def _layout(value: Any, indent: int) -> str:
 
 # --- the authors' test videos --------------------------------------------------------------------
 
-_AUTHORS_DOCUMENTS: Final = {"judgments": "human", "predictions": "models"}
-"""What the package calls them -> what the authors do."""
 
-_AUTHORS_PLACES: Final = {
-    "scene.arena": "arena",
-    "scene.walls": "observed.wall_segments",
-    "scene.landmarks": "observed.landmarks",
-    "scene.radius": "observed.entities",
-    "trajectories": "observed.trajectories",
-    "truth.strengths": "truth.strength_id",
-    **_AUTHORS_DOCUMENTS,
-}
-"""Place in an event's record -> that in the authors' files, as errors have to name it."""
+class _Mark(msgspec.Struct):
+    name: str
+    centre: _Point
 
 
-def _event_of_video(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Event:
-    """Return what a video is in the package's own words, read."""
-    observed = require(record, "observed", dict)
-    truth = optional(record, "truth", dict)
-    if truth is not None:
-        levels = optional(truth, "strength_id", dict, "truth")
-        if levels is not None:
-            levels = {agent: _newtons(level) for agent, level in levels.items()}
-        known = {name: truth[name] for name in ("goals", "relation", "scenario") if name in truth}
-        truth = {**known, "strengths": levels}
-    own = {
-        "id": record.get("id"),
-        "scene": {
-            "arena": require(head, "arena", dict),
-            "walls": require(observed, "wall_segments", list, "observed"),
-            "landmarks": _by_its_name(observed, "landmarks", "centre"),
-            "landmark_half_width": head.get("landmark_half_width", LANDMARK_HALF_WIDTH),
-            "radius": _by_its_name(observed, "entities", "radius"),
-        },
-        "trajectories": require(observed, "trajectories", dict, "observed"),
-        "truth": truth,
-        **{name: record.get(theirs) for name, theirs in _AUTHORS_DOCUMENTS.items()},
-    }
-    try:
-        event = event_from_record(own)
-    except (InvalidEventError, UnknownNameError) as error:
-        raise type(error)(_in_their_words(str(error))) from None
-    n_frames = optional(observed, "n_frames", int, "observed")
-    if n_frames not in (None, event.observation.n_frames):
-        raise InvalidEventError(
-            f"observed.n_frames is {n_frames}, but the trajectories have "
-            f"{event.observation.n_frames}"
-        )
+class _Body(msgspec.Struct):
+    name: str
+    radius: float
+
+
+class _Observed(msgspec.Struct):
+    wall_segments: list[tuple[_Point, _Point]]
+    landmarks: list[_Mark]
+    entities: list[_Body]
+    trajectories: _Document
+    n_frames: int | None = None
+
+
+class _Generated(msgspec.Struct):
+    goals: _Document
+    relation: str | None = None
+    scenario: str | None = None
+    strength_id: dict[str, Annotated[int, msgspec.Meta(ge=0, le=3)] | None] | None = None
+
+
+class _Video(msgspec.Struct):
+    id: Any
+    observed: _Observed
+    truth: _Generated | None = None
+    human: _Document | None = None
+    models: _Document | None = None
+
+
+class _Videos(msgspec.Struct):
+    arena: _Arena
+    videos: list[_Document]
+    landmark_half_width: float = LANDMARK_HALF_WIDTH
+
+
+def _event_of_video(record: Mapping[str, Any], *, head: _Videos) -> Event:
     from phase_ppl.data.motion import observed_turning
 
-    return turned(event, observed_turning(event.observation.trajectory, event.scene.radius))
-
-
-def _in_their_words(message: str) -> str:
-    """Return what an error says of a place in the package's records, of that in the file."""
-    for ours, theirs in _AUTHORS_PLACES.items():
-        if message.startswith((ours, f"unknown field of {ours}")):
-            return message.replace(ours, theirs, 1)
-    return message
-
-
-def _by_its_name(observed: Mapping[str, Any], field: str, value: str) -> dict[str, Any]:
-    """Return name -> ``value`` of each object of the list ``field``."""
-    where = f"observed.{field}"
-    found: dict[str, Any] = {}
-    for index, part in enumerate(require(observed, field, list, "observed")):
-        if not isinstance(part, dict):
-            raise InvalidEventError(f"{where}[{index}] is no JSON object")
-        name = require(part, "name", str, f"{where}[{index}]")
-        if name in found:
-            raise InvalidEventError(f"{where} names {name!r} twice")
-        if value not in part:
-            raise InvalidEventError(f"{where}[{index}], the {name}, has no {value}")
-        found[name] = part[value]
-    return found
-
-
-def _newtons(level: Any) -> float | None:
-    if level is None:
-        return None
-    if isinstance(level, bool) or level not in range(len(STRENGTH_LEVELS)):
+    own = converted(record, _Video)
+    observed, told = own.observed, own.truth
+    truth = None
+    if told is not None:
+        levels = (told.strength_id or {}).items()
+        forces = {
+            name: level if level is None else STRENGTH_LEVELS[level] for name, level in levels
+        }
+        fields = {"relation": told.relation, "scenario": told.scenario, "strengths": forces or None}
+        truth = _truth({"goals": told.goals, **fields}, PHASE)
+    observation = _observation(observed.trajectories, PHASE, "observed.trajectories")
+    if observed.n_frames not in (None, observation.n_frames):
         raise InvalidEventError(
-            f"truth.strength_id is {shown(level)}, expected one of 0..{len(STRENGTH_LEVELS) - 1}"
+            f"observed.n_frames is {observed.n_frames}, but the trajectories have "
+            f"{observation.n_frames}"
         )
-    return STRENGTH_LEVELS[int(level)]
+    sizes = [(one.name, one.radius) for one in observed.entities]
+    centres = [(one.name, one.centre) for one in observed.landmarks]
+    for where, pairs in (("entities", sizes), ("landmarks", centres)):
+        if len(dict(pairs)) < len(pairs):
+            raise InvalidEventError(f"observed.{where} has a name twice")
+    scene = Scene(
+        observation.trajectory[0],
+        per_name(dict(sizes), ENTITIES, "observed.entities"),
+        observed.wall_segments,
+        arena=(*head.arena.x, *head.arena.y),
+        landmark_centres=per_name(dict(centres), LANDMARKS, "observed.landmarks"),
+        landmark_half_width=head.landmark_half_width,
+    )
+    event = Event(scene, observation, event_id(own.id), truth, own.human, own.models)
+    return turned(event, observed_turning(observation.trajectory, scene.radius))
 
 
 def videos_bytes(videos: Sequence[Mapping[str, Any]], scene: Scene) -> bytes:
@@ -453,7 +439,9 @@ def video(event: Event, like: Scene) -> dict[str, Any]:
         levels = {agent: strength_level(force) for agent, force in strengths.items()}
         record["truth"] = {**own["truth"], "strength_id": levels}
     return record | {
-        _AUTHORS_DOCUMENTS[name]: own[name] for name in _AUTHORS_DOCUMENTS if name in own
+        theirs: own[ours]
+        for ours, theirs in {"judgments": "human", "predictions": "models"}.items()
+        if ours in own
     }
 
 

@@ -17,22 +17,18 @@ compared when the file is read.
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import functools
 import hashlib
 import io
-import itertools
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, overload
 
-import h5py
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.data.documents import (
     check_ids,
@@ -53,14 +49,22 @@ from phase_ppl.data.events_json import (
     event_record,
     scene_record,
     to_text,
-    truth_record,
     turned,
 )
-from phase_ppl.data.hdf5 import UNLOCKED, check_hdf5, content_of, netcdf_bytes, opened, reading
+from phase_ppl.data.hdf5 import (
+    UNLOCKED,
+    check_hdf5,
+    content_of,
+    netcdf_bytes,
+    opened,
+    reading,
+    root_attribute,
+)
+from phase_ppl.world.arrays import finite_array
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
-from phase_ppl.world.names import ENTITIES, LANDMARKS
-from phase_ppl.world.scene import PHASE, Turning, World, finite_array, one_or_all
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
+from phase_ppl.world.scene import PHASE, Turning, World, one_or_all
 
 LABELS: Final[Mapping[str, Sequence[str]]] = {
     "entity": ENTITIES,
@@ -100,9 +104,8 @@ def labels_of(world: World) -> Mapping[str, Sequence[str]]:
 
 def _arrays_of(world: World) -> Mapping[str, tuple[tuple[str, ...], str]]:
     """Return :data:`_ARRAYS`; squares of landmarks have sizes of their own but in PHASE."""
-    return (
-        _ARRAYS if world == PHASE else {**_ARRAYS, "landmark_half_width": (("landmark",), _LENGTH)}
-    )
+    each = {"landmark_half_width": (("landmark",), _LENGTH)}
+    return _ARRAYS if world == PHASE else {**_ARRAYS, **each}
 
 
 def event_dataset(event: Event) -> xr.Dataset:
@@ -113,7 +116,7 @@ def event_dataset(event: Event) -> xr.Dataset:
             the id is no printable text.
     """
     instance_of("event", event, Event, "a phase_ppl.Event")
-    scene, world = event.scene, event.scene.world
+    scene, world, truth = event.scene, event.scene.world, event.truth
     values: dict[str, Any] = {"trajectory": event.observation.trajectory}
     values |= {name: getattr(scene, name) for name in (*ARRAYS, "turning")}
     if scene.resets_velocity:
@@ -121,32 +124,26 @@ def event_dataset(event: Event) -> xr.Dataset:
     documents: dict[str, Any] = {}
     if world == PHASE:
         for name in (*_GOALS, "relation", "scenario"):
-            values[name] = getattr(event.truth, name, "")
+            values[name] = getattr(truth, name, "")
         for name in _STRENGTHS:
-            force = getattr(event.truth, name, None)
-            values[name] = np.nan if force is None else force
+            values[name] = np.array(getattr(truth, name, None), float)  # NaN: not known
     else:
         values["landmark_half_width"] = scene.half_widths
-        documents = {"world": world.to_dict(), "truth": event.truth and event.truth.to_dict()}
+        documents = {"world": world.to_dict(), "truth": truth and truth.to_dict()}
     documents |= {name: getattr(event, name) for name in DOCUMENTS}
     for name, content in documents.items():
         values[name] = "" if content is None else to_text(dict(content), compact=True)
     described = {**_arrays_of(world), **dict.fromkeys(_STRENGTHS, ((), "N"))}
+    variables: dict[str, Any] = {}
+    for name, value in values.items():
+        dims, units = described.get(name, ((), ""))
+        # copies: an event's own arrays are read-only
+        variables[name] = dims, np.array(value), {"units": units} if units else {}
     seconds = np.arange(event.observation.n_frames) / FRAMES_PER_SECOND
-    return xr.Dataset(
-        {
-            # copies: an event's own arrays are read-only
-            name: (dims, np.array(values[name]), {"units": units} if units else {})
-            for name in values
-            for dims, units in [described.get(name, ((), ""))]
-        },
-        {
-            "time": ("time", seconds, {"units": "s", "long_name": "simulated time"}),
-            **{dim: list(labels) for dim, labels in labels_of(world).items()},
-            "event": event_id({"id": event.id}),
-        },
-        {"format": EVENT_FORMAT},
-    )
+    time = "time", seconds, {"units": "s", "long_name": "simulated time"}
+    labels = {dim: list(names) for dim, names in labels_of(world).items()}
+    coords = {"time": time, **labels, "event": event_id(event.id)}
+    return xr.Dataset(variables, coords, {"format": EVENT_FORMAT})
 
 
 def event_from_dataset(dataset: xr.Dataset) -> Event:
@@ -166,29 +163,31 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     _check_time(dataset)
     given = _document(dataset, "world")
     world = PHASE if given is None else World.from_dict(given)
-    labels = labels_of(world)
-    arrays = _arrays_of(world)
+    labels, arrays = labels_of(world), _arrays_of(world)
     found = {name: _values(dataset, name, dims, labels) for name, (dims, _) in arrays.items()}
-    found["radius"] = found["radius"].tolist()
+    tracks = found.pop("trajectory").swapaxes(0, 1).tolist()
+    found = {name: values.tolist() for name, values in found.items()}
     if given is not None:
-        found["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
-    tracks = np.moveaxis(found["trajectory"], 1, 0)
-    turning, resets = _text(dataset, "turning", required=True), _number(dataset, _RESETS)
-    if _RESETS in dataset.variables and resets not in (0, 1):
+        found["landmark_half_width"] = one_or_all(found["landmark_half_width"])
+    resets = _value(dataset, _RESETS, 0)
+    if resets not in (0, 1):
         raise InvalidEventError(f"{_RESETS} is {shown(resets)}, expected 0 or 1")
     record: dict[str, Any] = {
         "world": given,
         "truth": None if given is None else _document(dataset, "truth"),
         **{name: _document(dataset, name) for name in DOCUMENTS},
-        "id": _text(dataset, "event", required=True),
-        "scene": scene_record(found, turning, bool(resets), world),
+        "id": _text(dataset, "event"),
+        "scene": scene_record(found, _text(dataset, "turning"), bool(resets), world),
         "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
-    goals = [_text(dataset, name) for name in _GOALS]
+    goals = [_text(dataset, name, "") for name in _GOALS]
     if any(goals):
-        relation, scenario = _text(dataset, "relation"), _text(dataset, "scenario")
-        forces = (_number(dataset, name) for name in _STRENGTHS)
-        record["truth"] = truth_record(goals, relation, scenario, forces)
+        forces = [_value(dataset, name, None) for name in _STRENGTHS]
+        record["truth"] = {
+            "goals": dict(zip(AGENTS, goals, strict=True)),
+            **{name: _text(dataset, name, "") for name in ("relation", "scenario")},
+            "strengths": dict(zip(AGENTS, forces, strict=True)),
+        }
     return event_from_record(record)
 
 
@@ -228,20 +227,24 @@ def _order(dataset: xr.Dataset, dim: str, names: Sequence[str]) -> list[int]:
     """Return where the labels of ``dim`` stand, in the package's order."""
     if dim not in dataset.coords:
         raise InvalidEventError(f"has no coordinate {dim}, which says what is where along it")
-    labels = [_plain(label) for label in dataset.variables[dim].values.tolist()]
-    if len(set(labels)) < len(labels):
-        raise InvalidEventError(f"coordinate {dim} has a label twice: {shown(labels)}")
-    places = {label: place for place, label in enumerate(labels)}
-    return per_name(places, names, f"coordinate {dim}")
+    labels = map(_plain, dataset.variables[dim].values.tolist())
+    return per_name(
+        {label: place for place, label in enumerate(labels)}, names, f"coordinate {dim}"
+    )
 
 
-def _text(dataset: xr.Dataset, name: str, required: bool = False) -> str:
-    """Return the text of a variable without dimensions; "" where there is none."""
+def _value(dataset: xr.Dataset, name: str, *default: Any) -> Any:
+    """Return the value of a variable without dimensions, None for NaN; or the default."""
     if name not in dataset.variables:
-        if required:
+        if not default:
             raise InvalidEventError(f"has no {name}")
-        return ""
+        return default[0]
     value = _plain(dataset.variables[name].values.tolist())
+    return None if isinstance(value, float) and np.isnan(value) else value
+
+
+def _text(dataset: xr.Dataset, name: str, *default: str) -> str:
+    value = _value(dataset, name, *default)
     if not isinstance(value, str):
         raise InvalidEventError(f"{name} is {shown(value)}, expected a string")
     return value
@@ -252,16 +255,10 @@ def _plain(value: object) -> Any:
     return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
-def _number(dataset: xr.Dataset, name: str) -> Any:
-    """Return a number without dimensions; None where there is none."""
-    value = dataset.variables[name].values.tolist() if name in dataset.variables else None
-    return None if isinstance(value, float) and np.isnan(value) else value
-
-
 def _document(dataset: xr.Dataset, name: str) -> dict[str, Any] | None:
-    text = _text(dataset, name)
+    text = _text(dataset, name, "")
     with in_front(f"{name}: "):
-        return parse_document(text.encode(errors="surrogatepass")) if text else None
+        return parse_document(text) if text else None
 
 
 # --- files -----------------------------------------------------------------------------------
@@ -270,9 +267,6 @@ _RAGGED: Final = {"time": "n_frames", "wall": "n_walls"}
 """Per dimension along which events follow each other the variable with their lengths."""
 
 _CHECKSUM: Final = "sha256"
-_AT_ONCE: Final = 32
-"""Events that are read before the file is closed again, when all are gone through."""
-
 _LISTED_AT_MOST: Final = 16
 """Files of which it is kept where in them their events are."""
 
@@ -289,35 +283,23 @@ class Listing(NamedTuple):
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
-    """Return the events of the file ``path``, in memory, each still to be checked."""
+    """Return the events of the file ``path``, each still to be read or checked."""
     check_hdf5(path)
+    tag = root_attribute(path, "format")
+    if tag == EVENTS_FORMAT:
+        file = Path(path)
+        listed = _listing(file, _state(file))
+        return [
+            (id, functools.partial(event_at, file, listed, index))
+            for index, id in enumerate(listed.ids)
+        ]
+    if tag != EVENT_FORMAT:
+        what = f"format {shown(tag)}" if tag else "no format"
+        raise InvalidEventError(f"has {what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
     with reading():
         dataset = content_of(path)["/"]
-    tag = _format(dataset)
-    if tag == EVENT_FORMAT:
-        name = event_id({"id": _text(dataset, "event", required=True)})
-        return [(name, functools.partial(_checked_event, dataset))]
-    if tag == EVENTS_FORMAT:
-        ids, places = _listed(dataset)
-        return [
-            (name, functools.partial(_checked_event, dataset, place))
-            for name, place in zip(ids, places, strict=True)
-        ]
-    what = "has no format" if tag is None else f"has format {shown(tag)}"
-    raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
-
-
-@contextlib.contextmanager
-def _opened_dataset(path: str | os.PathLike[str]) -> Iterator[xr.Dataset]:
-    check_hdf5(path)
-    options: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
-    with reading(), xr.open_dataset(path, engine="h5netcdf", **options) as dataset:
-        yield dataset
-
-
-def _format(dataset: xr.Dataset) -> str | None:
-    tag = dataset.attrs.get("format")
-    return tag if isinstance(tag, str) else None  # an array would compare element by element
+    name = event_id(_text(dataset, "event"))
+    return [(name, functools.partial(_checked_event, dataset))]
 
 
 def event_bytes(event: Event) -> bytes:
@@ -335,10 +317,8 @@ def events_bytes(events: Sequence[Event]) -> bytes:
         )
     datasets = [_sealed(event) for event in events]
     if any(_RESETS in dataset for dataset in datasets):
-        datasets = [
-            dataset if _RESETS in dataset else dataset.assign({_RESETS: ((), np.int8(0))})
-            for dataset in datasets
-        ]
+        no = {_RESETS: ((), np.int8(0))}
+        datasets = [one if _RESETS in one else one.assign(no) for one in datasets]
     return _to_bytes(_packed(datasets))
 
 
@@ -361,8 +341,7 @@ def checksum(event: Event) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def _checked_event(dataset: xr.Dataset, place: Place | None = None) -> Event:
-    dataset = dataset.isel(place or {})
+def _checked_event(dataset: xr.Dataset) -> Event:
     event = event_from_dataset(dataset)
     if _CHECKSUM in dataset and dataset.variables[_CHECKSUM].values.tolist() != checksum(event):
         raise InvalidEventError(
@@ -372,13 +351,13 @@ def _checked_event(dataset: xr.Dataset, place: Place | None = None) -> Event:
     return event
 
 
-def event_at(file: h5py.File, listed: Listing, index: int) -> Event:
-    """Return one event of an open file of several; of the others nothing is read.
+def event_at(path: Path, listed: Listing, index: int) -> Event:
+    """Return one event of a file of several; of the others nothing is read.
 
     Straight from HDF5, since xarray takes several times as long to open a file and find its way.
     """
     place, variables = listed.places[index], {}
-    with reading():
+    with reading(), opened(path) as file:
         for name, dims in listed.dims.items():
             array = file[name].asstr() if file[name].dtype.kind == "O" else file[name]
             value = array[tuple(place.get(dim, slice(None)) for dim in dims)]
@@ -414,28 +393,19 @@ def _listed(dataset: xr.Dataset) -> tuple[list[str], list[Place]]:
     """Return the ids of the events of a packed dataset, and their places."""
     if "event" not in dataset.dims or "event" not in dataset.coords:
         raise InvalidEventError("has no coordinate event, which holds the ids")
-    stops = {dim: _stops(dataset, dim) for dim in _RAGGED}
-    places: list[Place] = []
-    for index in range(dataset.sizes["event"]):
-        place: Place = {"event": index}
-        for dim, ends in stops.items():
-            place[dim] = slice(int(ends[index - 1]) if index else 0, int(ends[index]))
-        places.append(place)
-    ids = dataset.variables["event"].values.tolist()
-    return [event_id({"id": name}) for name in ids], places
-
-
-def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
-    """Return per event where along ``dim`` it ends."""
-    counter = _RAGGED[dim]
-    if counter not in dataset.variables or dataset[counter].dims != ("event",):
-        raise InvalidEventError(f"has no {counter} (event)")
-    lengths, size = dataset[counter].values, dataset.sizes.get(dim, 0)
-    # no length beyond the whole, so that no sum can overflow
-    whole = lengths.dtype.kind in "iu" and not ((lengths < 0) | (lengths > size)).any()
-    if not whole or int(lengths.sum()) != size:
-        raise InvalidEventError(f"{counter} does not add up to the {size} along {dim}")
-    return np.cumsum(lengths, dtype=np.int64)
+    places: list[Place] = [{"event": index} for index in range(dataset.sizes["event"])]
+    for dim, counter in _RAGGED.items():
+        if counter not in dataset.variables or dataset[counter].dims != ("event",):
+            raise InvalidEventError(f"has no {counter} (event)")
+        lengths, size = dataset[counter].values, dataset.sizes.get(dim, 0)
+        # no length beyond the whole, so that no sum can overflow
+        whole = lengths.dtype.kind in "iu" and not ((lengths < 0) | (lengths > size)).any()
+        if not whole or int(lengths.sum()) != size:
+            raise InvalidEventError(f"{counter} does not add up to the {size} along {dim}")
+        stops = np.cumsum(lengths, dtype=np.int64).tolist()
+        for place, start, stop in zip(places, [0, *stops], stops, strict=False):
+            place[dim] = slice(start, stop)
+    return [event_id(name) for name in dataset.variables["event"].values.tolist()], places
 
 
 # --- events that are read when they are asked for --------------------------------------------
@@ -470,10 +440,8 @@ class StoredEvents(Sequence[Event]):
         path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
         turning: Turning | None = None,
     ) -> None:
-        self._files = [
-            Path(one) for one in ([path] if isinstance(path, str | os.PathLike) else path)
-        ]
-        self._turning = turning
+        paths = [path] if isinstance(path, str | os.PathLike) else path
+        self._files, self._turning = [Path(one) for one in paths], turning
         self._states: list[_State] = []
         self._stored: list[_Stored] = []
         for number, file in enumerate(self._files):
@@ -494,29 +462,6 @@ class StoredEvents(Sequence[Event]):
         found._stored = [self._stored[index] for index in indices]
         return found
 
-    def read(self, indices: Sequence[int]) -> list[Event]:
-        """Return events in one go."""
-        events: list[Event] = []
-        wanted = [self._stored[index] for index in indices]
-        for number, of_file in itertools.groupby(wanted, lambda one: one.file):
-            events += self._read(number, of_file)
-        return events if self._turning is None else [turned(e, self._turning) for e in events]
-
-    def _read(self, number: int, wanted: Iterable[_Stored]) -> Iterator[Event]:
-        path, state = self._files[number], self._states[number]
-        with contextlib.ExitStack() as stack:
-            with naming(path):
-                if _state(path) != state:
-                    raise InvalidEventError(
-                        "was changed since its events were listed; load it again"
-                    )
-                listed = _listing(path, state)
-                with reading():
-                    file = stack.enter_context(opened(path))
-            for one in wanted:
-                with naming(path, one.id):
-                    yield event_at(file, listed, one.place)
-
     @overload
     def __getitem__(self, index: int) -> Event: ...
 
@@ -526,14 +471,18 @@ class StoredEvents(Sequence[Event]):
     def __getitem__(self, index: int | slice) -> Event | Self:
         if isinstance(index, slice):
             return self.chosen(range(len(self))[index])
-        return self.read([range(len(self))[index]])[0]
+        id, number, place = self._stored[index]
+        path, state = self._files[number], self._states[number]
+        with naming(path):
+            if _state(path) != state:
+                raise InvalidEventError("was changed since its events were listed; load it again")
+            listed = _listing(path, state)
+        with naming(path, id):
+            event = event_at(path, listed, place)
+        return event if self._turning is None else turned(event, self._turning)
 
     def __len__(self) -> int:
         return len(self._stored)
-
-    def __iter__(self) -> Iterator[Event]:
-        for start in range(0, len(self), _AT_ONCE):
-            yield from self.read(range(start, min(start + _AT_ONCE, len(self))))
 
 
 _State = tuple[int, int]
@@ -542,10 +491,12 @@ _State = tuple[int, int]
 @functools.lru_cache(maxsize=_LISTED_AT_MOST)
 def _listing(path: Path, _state: _State) -> Listing:
     """Return what a file of several events holds that was in this state; no event is read."""
-    with _opened_dataset(path) as dataset:
-        tag = _format(dataset)
-        if tag != EVENTS_FORMAT:
-            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
+    check_hdf5(path)
+    tag = root_attribute(path, "format")
+    if tag != EVENTS_FORMAT:
+        raise InvalidEventError(f"has format {tag!r}, expected {EVENTS_FORMAT!r}")
+    options: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
+    with reading(), xr.open_dataset(path, engine="h5netcdf", **options) as dataset:
         for name, variable in dataset.variables.items():
             if {"scale_factor", "add_offset"} & set(variable.encoding):
                 raise InvalidEventError(f"array {name} is packed, expected plain numbers")

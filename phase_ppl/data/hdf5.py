@@ -234,87 +234,82 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
         n_bytes = Path(source).stat().st_size
     else:
         n_bytes = source.seek(0, os.SEEK_END)
-    limit = max(MAX_BYTES, 2 * n_bytes) if groups else MAX_BYTES
+    left: float = max(MAX_BYTES, 2 * n_bytes) if groups else MAX_BYTES
     with reading():
-        if n_bytes > limit:
+        if n_bytes > left:
             raise too_large(MAX_BYTES)
         with opened(source) as file:
             if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
                 raise InvalidEventError(
                     "is a posterior, not an event; phase_ppl.Posterior.load reads it"
                 )
-            _Check(n_bytes, limit).group(file, groups)
+            for size in _sizes(file, n_bytes, groups):
+                left -= size
+                if left < 0:
+                    raise too_large(MAX_BYTES)
 
 
-class _Check:
-    """Goes through a file of so many bytes, and adds up what it takes in memory."""
+def _sizes(group: Any, n_bytes: int, inner: bool) -> Iterator[float]:
+    """Yield what a group of a file of so many bytes takes in memory, part by part.
 
-    def __init__(self, n_bytes: int, limit: int) -> None:
-        self._n_bytes, self._left = n_bytes, limit
+    ``inner``: it may hold further groups. Raise InvalidEventError where it is not plain.
+    """
+    import h5py
 
-    def group(self, group: Any, inner: bool) -> None:
-        """Check a group; ``inner``: it may hold further ones."""
-        import h5py
+    yield from _sizes_of_attributes(group, n_bytes)
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise InvalidEventError(f"holds a link, {name!r}, expected arrays only")
+        member = group[name]
+        if inner and isinstance(member, h5py.Group):
+            yield from _sizes(member, n_bytes, False)
+        elif isinstance(member, h5py.Dataset):
+            yield from _sizes_of_attributes(member, n_bytes)
+            yield from _sizes_of_array(member, name, n_bytes)
+        else:
+            raise InvalidEventError(f"holds a group, {name!r}, expected arrays only")
 
-        self._attributes(group)
-        for name in group:
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                raise InvalidEventError(f"holds a link, {name!r}, expected arrays only")
-            member = group[name]
-            if inner and isinstance(member, h5py.Group):
-                self.group(member, False)
-            elif isinstance(member, h5py.Dataset):
-                self._attributes(member)
-                self._array(member, name)
-            else:
-                raise InvalidEventError(f"holds a group, {name!r}, expected arrays only")
 
-    def _take(self, size: float) -> None:
-        self._left -= int(size)
-        if self._left < 0:
-            raise too_large(MAX_BYTES)
+def _sizes_of_attributes(thing: Any, n_bytes: int) -> Iterator[float]:
+    for name in thing.attrs:
+        attribute = thing.attrs.get_id(name)
+        size = np.prod(attribute.shape or (), dtype=float)
+        # texts may all be the same one, which is in the file once
+        if attribute.dtype.kind == "O" and size > _ENTRIES_OF_ATTRIBUTE:
+            raise InvalidEventError(f"attribute {name!r} has {size:g} entries")
+        yield min(size * attribute.dtype.itemsize, n_bytes)
 
-    def _attributes(self, thing: Any) -> None:
-        for name in thing.attrs:
-            attribute = thing.attrs.get_id(name)
-            size = np.prod(attribute.shape or (), dtype=float)
-            # texts may all be the same one, which is in the file once
-            if attribute.dtype.kind == "O" and size > _ENTRIES_OF_ATTRIBUTE:
-                raise InvalidEventError(f"attribute {name!r} has {size:g} entries")
-            self._take(min(size * attribute.dtype.itemsize, self._n_bytes))
 
-    def _array(self, array: Any, name: str) -> None:
-        import h5py
+def _sizes_of_array(array: Any, name: str, n_bytes: int) -> Iterator[float]:
+    import h5py
 
-        if array.is_virtual or array.external:
-            raise InvalidEventError(f"array {name!r} lies in another file")
-        text = h5py.check_string_dtype(array.dtype)
-        if text is None and array.dtype.kind not in _NUMBERS + "S":
-            raise InvalidEventError(f"array {name!r} holds neither numbers nor texts")
-        if array.shape is None:
-            raise InvalidEventError(f"array {name!r} is without a shape")
-        if text is None or text.length is not None:
-            # what is compressed is read a chunk at a time, which may be larger than the array
-            chunk = np.prod(array.chunks or (0,), dtype=float) * array.dtype.itemsize
-            self._take(max(array.nbytes, chunk))
-            return
-        # texts of any length become an array that is as wide as the longest
-        self._take(array.size * _BYTES_PER_CHARACTER)
-        if array.size > self._n_bytes:
-            raise InvalidEventError(f"array {name!r} has more entries than the file has bytes")
-        longest = 1
-        for texts in self._blocks(array):
-            found = max(longest, *map(len, texts))
-            self._take(array.size * _BYTES_PER_CHARACTER * (found - longest))
+    text = h5py.check_string_dtype(array.dtype)
+    for is_so, what in (
+        (array.is_virtual or array.external, "lies in another file"),
+        (
+            text is None and array.dtype.kind not in _NUMBERS + "S",
+            "holds neither numbers nor texts",
+        ),
+        (array.shape is None, "is without a shape"),
+    ):
+        if is_so:
+            raise InvalidEventError(f"array {name!r} {what}")
+    if text is None or text.length is not None:
+        # what is compressed is read a chunk at a time, which may be larger than the array
+        chunk = np.prod(array.chunks or (0,), dtype=float) * array.dtype.itemsize
+        yield max(array.nbytes, chunk)
+        return
+    # texts of any length become an array that is as wide as the longest
+    yield array.size * _BYTES_PER_CHARACTER
+    if array.size > n_bytes:
+        raise InvalidEventError(f"array {name!r} has more entries than the file has bytes")
+    longest, at_once = 1, max(1, MAX_BYTES // n_bytes)  # so few that they fit even if all are huge
+    for row in np.ndindex(array.shape[:-1]):
+        for start in range(0, array.shape[-1] if array.ndim else 1, at_once):
+            place = (*row, slice(start, start + at_once)) if array.ndim else ()
+            found = max(longest, *map(len, np.ravel(array[place]).tolist()))
+            yield array.size * _BYTES_PER_CHARACTER * (found - longest)
             longest = found
-
-    def _blocks(self, array: Any) -> Iterator[list[bytes]]:
-        """Yield the texts of an array, so few at a time that they fit even if all are huge."""
-        at_once = max(1, MAX_BYTES // max(self._n_bytes, 1))
-        for row in np.ndindex(array.shape[:-1]):
-            for start in range(0, array.shape[-1] if array.ndim else 1, at_once):
-                place = (*row, slice(start, start + at_once)) if array.ndim else ()
-                yield np.ravel(array[place]).tolist()
 
 
 def _plain(value: Any) -> Any:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final
+from typing import Final
 
 from phase_ppl.data import events_json
 from phase_ppl.data.documents import (
@@ -178,7 +177,7 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions hold something that JSON has no form for, or
             the id is no printable text.
     """
-    _write(path, SUFFIXES, lambda: _format_of(path).event_bytes(event))
+    _write(path, lambda form: form.event_bytes(event))
 
 
 def save_events(events: Sequence[Event], path: PathLike) -> None:
@@ -194,7 +193,7 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
         instance_of("event", event, Event, "a phase_ppl.Event")
     with naming(path):
         check_ids([event.id for event in events])
-    _write(path, SUFFIXES, lambda: _format_of(path).events_bytes(events))
+    _write(path, lambda form: form.events_bytes(events))
 
 
 def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
@@ -216,45 +215,30 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
             has no place for.
     """
     check_name("format", format, EXPORTS)
-    suffixes = EXPORTS[format]
-    check_output(path, suffixes)
+    check_output(path, EXPORTS[format])
     if format in ("json", "netcdf"):
-        save_events(events, path)
-        return
+        return save_events(events, path)
     with naming(path):
         check_ids([event.id for event in events])
-    video: Callable[[Event], dict[str, Any]]
-    together: Callable[[list[dict[str, Any]]], bytes]
-    if format == "phase-test":
-        like = events[0].scene
-        video = functools.partial(events_json.video, like=like)
-        together = functools.partial(events_json.videos_bytes, scene=like)
-    else:
-        from phase_ppl.data.authors import videos as authors
+    from phase_ppl.data.authors import videos as authors
 
-        video, together = authors.video, authors.pickled
-    videos = []
+    like, is_json, videos = events[0].scene, format == "phase-test", []
     for event in events:
         with naming(path, event.id):
-            videos.append(video(event))
-    _write(path, suffixes, lambda: together(videos))
+            videos.append(events_json.video(event, like) if is_json else authors.video(event))
+    content = events_json.videos_bytes(videos, like) if is_json else authors.pickled(videos)
+    write_bytes(path, EXPORTS[format], content)
 
 
-def _write(path: PathLike, suffixes: Sequence[str], content: Callable[[], bytes]) -> None:
-    check_output(path, suffixes)  # what is wrong with the place is said before what is in it
+def _write(path: PathLike, content: Callable[[ModuleType], bytes]) -> None:
+    check_output(path, SUFFIXES)  # what is wrong with the place is said before what is in it
+    form: ModuleType = events_json
+    if _is_netcdf(path):
+        from phase_ppl.data import events_netcdf as form  # which brings xarray: only where needed
     with naming(path):
-        made = content()
-    write_bytes(path, suffixes, made)
+        made = content(form)
+    write_bytes(path, SUFFIXES, made)
 
 
 def _is_netcdf(path: PathLike) -> bool:
     return Path(path).suffix.lower() == _NETCDF
-
-
-def _format_of(path: PathLike) -> ModuleType:
-    """Return the module that writes a file; that for NetCDF brings xarray: only where needed."""
-    if not _is_netcdf(path):
-        return events_json
-    from phase_ppl.data import events_netcdf
-
-    return events_netcdf

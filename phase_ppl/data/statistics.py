@@ -6,7 +6,7 @@ import functools
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -19,7 +19,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Truth
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Roles
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.scene import PHASE, World
 
 GOAL_TYPES: Final = ("LMO+", "LMO-", "LMA+", "LMA-", "TE+", "TE-")
@@ -110,11 +110,8 @@ def statistics(events: Sequence[Event]) -> pd.DataFrame:
     units = [str(entry.get("group", event.id)) for event, entry in zip(events, told, strict=True)]
     labels = [_labels(event, entry) for event, entry in zip(events, told, strict=True)]
     moves = [_moves(event) for event in events]
-    rows: list[Row] = []
-    for name in labels[0]:
-        rows += _counted(name, [one[name] for one in labels], units, world)
-    for name in FIGURES:
-        rows += _figures(name, [one[name] for one in moves], units)
+    rows = [row for name in labels[0] for row in _counted(name, labels, units, world)]
+    rows += [row for name in FIGURES for row in _figures(name, moves, units)]
     table = pd.DataFrame(rows, columns=["quantity", "label", "count", "value", "error", "phase"])
     table = table.astype({"count": "Int64"}).set_index(["quantity", "label"])
     table.attrs = {
@@ -132,13 +129,11 @@ def statistics(events: Sequence[Event]) -> pd.DataFrame:
 def _labels(event: Event, entry: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return quantity -> the labels that an event counts for."""
     truth, world = event.truth, event.scene.world
-    goals: list[str] = []
+    goals = [] if truth is None else [*truth.goals.values()]
     relations, scenarios = [], []
     if isinstance(truth, Truth):
-        goals = [truth.goal_red, truth.goal_green]
         relations, scenarios = [truth.relation], [truth.scenario]
-    elif isinstance(truth, Roles):
-        goals = [world.goals[goal] for goal in truth.effective_goals]
+    elif truth is not None:
         pairs = list(itertools.combinations(world.agents, 2))
         relations = [truth.relation_between(*pair) for pair in pairs]
         scenarios = [truth.scenario_between(*pair) for pair in pairs]
@@ -160,24 +155,20 @@ def _labels(event: Event, entry: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def _counted(
-    name: str, labels: Sequence[Sequence[str]], units: Sequence[str], world: World
-) -> list[Row]:
-    """Return the rows of a quantity: labels that the original events have too, then others."""
-    counts = Counter(itertools.chain(*labels))
-    if not counts:
-        return []
+    name: str, labels: Sequence[Mapping[str, Any]], units: Sequence[str], world: World
+) -> Iterator[Row]:
+    """Yield the rows of a quantity: labels that the original events have too, then others."""
+    counts = Counter(label for one in labels for label in one[name])
     first = {"goal": world.goals, "item_size": COUNTS["agent_size"]}.get(name, COUNTS.get(name, ()))
     others = sorted({*counts} - {*first}, key=lambda one: (one == OTHER, one.zfill(9)))
-    n = len({unit for unit, given in zip(units, labels, strict=True) if given})
+    n = len({unit for unit, one in zip(units, labels, strict=True) if one[name]})
     phase = shares(name) if name in COUNTS else {}
-    rows: list[Row] = []
-    for label in (*first, *others):
+    for label in (*first, *others) if counts else ():
         share = counts[label] / counts.total()
         likely = (n * share + 2) / (n + 4)  # of Agresti and Coull: a share of 0 has an error too
         error = math.sqrt(likely * (1 - likely) / (n + 4))
         other = phase.get(label, 0.0 if phase else math.nan)
-        rows.append((name, label, counts[label], share, error, other))
-    return rows
+        yield name, label, counts[label], share, error, other
 
 
 def goal_type(goal: str | int, world: World = PHASE) -> str:
@@ -192,11 +183,9 @@ def goal_type(goal: str | int, world: World = PHASE) -> str:
 
 def _strengths(event: Event) -> tuple[float | None, ...]:
     """Return (agent,) strengths, newtons, as far as they are known."""
-    if isinstance(event.truth, Roles):
-        return event.truth.strengths
-    if event.truth is not None:
-        return event.truth.strength_red, event.truth.strength_green
-    return (None,) * len(event.scene.world.agents)
+    if event.truth is None:
+        return (None,) * len(event.scene.world.agents)
+    return tuple(event.truth.strengths)
 
 
 # --- how bodies move ------------------------------------------------------------------------------
@@ -222,21 +211,19 @@ def _moves(event: Event) -> dict[str, FloatArray]:
     return {name: np.asarray(given, np.float64) for name, given in numbers.items()}
 
 
-def _figures(name: str, per_event: Sequence[FloatArray], units: Sequence[str]) -> list[Row]:
-    """Return the rows of a quantity; events of a unit are resampled together."""
+def _figures(
+    name: str, moves: Sequence[Mapping[str, FloatArray]], units: Sequence[str]
+) -> Iterator[Row]:
+    """Yield the rows of a quantity; events of a unit are resampled together."""
     grouped: dict[str, list[FloatArray]] = {}
-    for unit, numbers in zip(units, per_event, strict=True):
-        if len(numbers):
-            grouped.setdefault(unit, []).append(numbers)
+    for unit, numbers in zip(units, moves, strict=True):
+        if len(numbers[name]):
+            grouped.setdefault(unit, []).append(numbers[name])
     parts = [np.concatenate(arrays) for arrays in grouped.values()]
-    if not parts:
-        return []
-    rows: list[Row] = []
-    for label, phase in FIGURES[name].items():
+    for label, phase in FIGURES[name].items() if parts else ():
         how = _HOW[label]
         error = math.nan if label in ("min", "max") else standard_error(parts, how)
-        rows.append((name, label, None, float(how(np.concatenate(parts))), error, phase))
-    return rows
+        yield name, label, None, float(how(np.concatenate(parts))), error, phase
 
 
 def standard_error(parts: Sequence[FloatArray], function: Callable[[FloatArray], Any]) -> float:

@@ -264,10 +264,9 @@ class Sampler:
 
     def advance(self) -> None:
         """Do what is left of the run."""
-        batch = self._run.chains * self._length.sims_per_step
         before = 0 if self._done < 0 else self._simulations()
         seconds, runner = self._length.limit("seconds"), self._runner
-        with Progress(self._expected(), self._options.progress, done=before, batch=batch) as bar:
+        with Progress(self._expected(), self._options.progress, done=before) as bar:
             runner.on_result = bar.one_more
             # the iteration that is under way when time is over does not count
             with contextlib.suppress(OutOfTime):

@@ -29,7 +29,7 @@ from phase_ppl.closed_loop.own_simulator import SimulatorFilter
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import (
     InvalidSettingError,
     instance_of,
@@ -39,7 +39,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.progress import counted, is_shown
-from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
+from phase_ppl.world.scene import PHASE, Scene, check_inside
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, whole_number
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.files import atomic_output
@@ -27,7 +27,7 @@ from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, r
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.picture import Colour, trail_colour
 from phase_ppl.world.progress import Bar
-from phase_ppl.world.scene import Scene, finite_array
+from phase_ppl.world.scene import Scene
 
 _RAYS: Final = 361
 """Rays at equal angles; further ones go to both sides of every wall's end and disc's edge."""

@@ -1,12 +1,15 @@
-"""Types of arrays, by what they hold, and which rows of a table are equal."""
+"""Types of arrays, by what they hold; numbers checked where they come in; equal rows of a table."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from phase_ppl.world.errors import InvalidEventError, number_or_nan, shown
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -24,3 +27,36 @@ def equal_rows(columns: Sequence[NDArray[Any]]) -> tuple[IntArray, IntArray]:
     table = pd.DataFrame(dict(enumerate(columns)))
     kind = table.groupby(list(table), sort=False, dropna=False).ngroup().to_numpy()
     return kind, np.unique(kind, return_index=True)[1]
+
+
+def finite_array(
+    name: str,
+    value: object,
+    shape: tuple[int | None, ...],
+    error: type[Exception] = InvalidEventError,
+) -> FloatArray:
+    """Return ``value`` as a read-only float array of ``shape`` (None: any length)."""
+    if np.ma.is_masked(value):
+        raise error(f"{name} is masked in places, expected numbers everywhere")
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        raise error(f"{name} is ragged: its rows differ in length") from None
+    if given.dtype.kind not in "iuf":
+        values = np.array(value, dtype=object).ravel().tolist()
+        odd = next((v for v in values if not math.isfinite(number_or_nan(v))), value)
+        raise error(f"{name} holds {shown(odd)}, expected numbers")
+    array = np.array(given, dtype=np.float64)
+    if array.size == 0 and None in shape:
+        array = array.reshape([0 if n is None else n for n in shape])
+    fits = array.ndim == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = tuple("n" if n is None else n for n in shape)
+        raise error(f"{name} has shape {array.shape}, expected {wanted}")
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise error(f"{name}{list(where)} is {array[where]}, expected a finite number")
+    array.setflags(write=False)
+    return array

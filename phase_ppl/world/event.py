@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray, finite_array
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -28,9 +28,9 @@ from phase_ppl.world.hypothesis import (
     relation,
     scenario,
 )
-from phase_ppl.world.names import NOTHING, Literal
+from phase_ppl.world.names import AGENTS, NOTHING, Literal
 from phase_ppl.world.picture import drawn
-from phase_ppl.world.scene import PHASE, Scene, check_inside, finite_array
+from phase_ppl.world.scene import PHASE, Scene, check_inside
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -197,6 +197,22 @@ class Truth:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, checked_strength(f"truth.{name}", value))
+
+    @property
+    def goals(self) -> dict[str, str]:
+        """Name of an agent -> its effective goal."""
+        return dict(zip(AGENTS, (self.goal_red, self.goal_green), strict=True))
+
+    @property
+    def strengths(self) -> tuple[float | None, ...]:
+        """(agent,) newtons, or None."""
+        return self.strength_red, self.strength_green
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plain form, as files have it."""
+        forces = dict(zip(AGENTS, self.strengths, strict=True))
+        told = {"relation": self.relation, "scenario": self.scenario}
+        return {"goals": self.goals, **told, "strengths": forces}
 
     @classmethod
     def of(cls, hypothesis: Hypothesis) -> Truth | Hypothesis:

@@ -1,4 +1,4 @@
-"""The cast of the world PHASE, in the order of its arrays, and the predicates of every world.
+"""The cast of the world PHASE, in the order of its arrays; predicates and goals of every world.
 
 Other worlds have casts of their own, see ``World.entities``.
 """
@@ -6,6 +6,7 @@ Other worlds have casts of their own, see ``World.entities``.
 from __future__ import annotations
 
 import enum
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 ENTITIES: Final = ("red agent", "green agent", "blue item", "pink item")
@@ -64,3 +65,38 @@ class Literal(NamedTuple):
 
 
 STOP = Literal(Predicate.STOP, 0, 0)
+
+
+# --- goals in words -------------------------------------------------------------------------------
+
+
+def goals_of(
+    agents: Sequence[str], items: Sequence[str], landmarks: Sequence[str], touchable: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the goals that follow from a cast, as of ``World.goals``."""
+    ways, touchable = ("to", "away from"), sorted(touchable)
+    to_landmarks = [
+        f"Get {entity} {way} {landmark}"
+        for entity in sorted((*agents, *items))
+        for way in ways
+        for landmark in landmarks
+    ]
+    other = [one for one in touchable if one not in agents or len(agents) > 1]
+    own = [f"get {way} {entity}" for way in reversed(ways) for entity in other]
+    third = [
+        f"Get {agent} {way} {entity}"
+        for agent in sorted(agents)
+        for way in ways
+        for entity in touchable
+        if len(agents) > 2 - (entity in items) and (entity in items or agent < entity)
+    ]
+    return (*to_landmarks, *own, *third)
+
+
+def plain_goal(goal: str) -> str:
+    """Return a goal as people say it in the words of ``World.goals``, in lower case."""
+    words = " ".join(word for word in goal.lower().split() if word != "the")
+    for said, meant in (("touch ", "get to "), ("avoid ", "get away from ")):
+        if words.startswith(said):
+            return meant + words.removeprefix(said)
+    return words if words.startswith("get ") else f"get {words}"

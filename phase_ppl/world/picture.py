@@ -10,6 +10,13 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    check_name,
+    instance_of,
+    shown,
+    whole_number,
+)
 from phase_ppl.world.geometry import agent_outline, is_agent
 
 Colour = tuple[int, int, int]
@@ -55,6 +62,35 @@ def floor_colour(colour: Colour) -> Colour:
     """Return the colour as a landmark has it, dull, so that entities stand out on it."""
     red, green, blue = (round(part + _PALER * (165 - part)) for part in colour)
     return red, green, blue
+
+
+def colours_of(
+    given: Any, agents: Sequence[str], items: Sequence[str], landmarks: Sequence[str]
+) -> dict[str, Colour]:
+    """Return the colour of everybody and everything by name: that given, or that of its name.
+
+    Raises:
+        InvalidSettingError: one that is no colour.
+        UnknownNameError: one of a name that there is not.
+    """
+    instance_of("colours", given, Mapping, "a mapping of names to (red, green, blue)")
+    found: dict[str, Colour] = {}
+    for name, colour in given.items():
+        check_name("name with a colour", name, (*agents, *items, *landmarks))
+        if not isinstance(colour, list | tuple) or len(colour) != 3:
+            raise InvalidSettingError(
+                f"the colour of {name!r} is {shown(colour)}, expected (red, green, blue)"
+            )
+        red, green, blue = (whole_number(f"the colour of {name!r}", v, 0, 255) for v in colour)
+        found[name] = red, green, blue
+    floors = {name: floor_colour(colour) for name, colour in COLOURS.items()}
+    for names, palette in ((agents, AGENT_COLOURS), (items, ITEM_COLOURS), (landmarks, floors)):
+        # names that begin with a colour, such as "red agent", come first and have it
+        said = {name: palette.get(name.split()[0].lower()) for name in names}
+        for name in sorted(names, key=lambda name: said[name] is None):
+            free = (colour for colour in palette.values() if colour not in found.values())
+            found.setdefault(name, said[name] or next(free, next(iter(palette.values()))))
+    return found
 
 
 def trail_colour(colour: Colour) -> Colour:

@@ -1,11 +1,9 @@
-"""Progress bars: what was done, and of simulations the time that is left."""
+"""Progress bars: what was done, and the time that is left."""
 
 from __future__ import annotations
 
 import sys
 import threading
-import time
-from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, Final, TypeVar
 
@@ -16,10 +14,7 @@ from phase_ppl.world import errors
 from phase_ppl.world.errors import InvalidSettingError
 
 WARMING_UP: Final = "warming up (compiles the first time)"
-clock = time.monotonic  # seconds of wall time
 Item = TypeVar("Item")
-
-_ROUNDS: Final = 2
 
 
 def is_shown(shown: bool | None) -> bool:
@@ -81,51 +76,26 @@ def counted(
 
 
 class Progress(Bar):
-    """A bar on stderr that counts simulations, of which a ``batch`` runs side by side.
+    """A bar on stderr that counts simulations; its rate is the mean since the first one ended."""
 
-    Simulations are uneven: those stopped early end first, others come in bursts as workers end
-    together. The time left therefore rests on whole rounds, the last two.
-    """
-
-    def __init__(
-        self, total: int, shown: bool | None = None, *, done: int = 0, batch: int = 1
-    ) -> None:
-        self._n = done
-        self._times = deque([(clock(), done)], maxlen=_ROUNDS * batch + 1)
-        self._batch = batch
+    def __init__(self, total: int, shown: bool | None = None, *, done: int = 0) -> None:
         self._began = False
         super().__init__(total, done, shown, "sim", WARMING_UP)
 
     def one_more(self, *_: object) -> None:
         """Count one simulation, stopped early or not."""
-        if not self._began:
+        self.update(1)
+        if not self._began and not self.disable:
             self._began = True
             self.set_description("simulating", refresh=False)
-        self._count(1)
+            # what came before was mostly compiling
+            self.start_t = self.last_print_t = self._time()
+            self.initial = self.n
 
     def reach(self, done: int) -> None:
         """Count up to ``done``: what had no prior mass needed no simulation."""
-        if done > self._n:
-            self._count(done - self._n)
+        self.update(max(done - self.n, 0))
 
     def expect(self, total: int) -> None:
         """Let there be ``total`` simulations: with a budget of seconds it shows on the way."""
         self.total = total
-
-    def seconds_left(self) -> float | None:
-        """Return how long the rest takes at the pace of the last two rounds; None: too early."""
-        rate = self._rate()
-        return None if rate is None else max(self.total - self._n, 0) / rate
-
-    def _count(self, n: int) -> None:
-        self._n += n
-        self._times.append((clock(), self._n))
-        self.steady_rate = self._rate()
-        self.update(n)
-
-    def _rate(self) -> float | None:
-        (begin, before), (end, now) = self._times[0], self._times[-1]
-        # not before a whole round, most of which may have been compiling
-        if now - before < self._batch or end <= begin:
-            return None
-        return (now - before) / (end - begin)

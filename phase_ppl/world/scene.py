@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, finite_array
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -31,16 +31,9 @@ from phase_ppl.world.errors import (
     whole_number,
 )
 from phase_ppl.world.geometry import deepest_overlap
-from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS, Predicate
-from phase_ppl.world.picture import (
-    AGENT_COLOURS,
-    COLOURS,
-    ITEM_COLOURS,
-    LANDMARK_COLOURS,
-    Colour,
-    drawn,
-    floor_colour,
-)
+from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS, Predicate, goals_of, plain_goal
+from phase_ppl.world.picture import LANDMARK_COLOURS, Colour, colours_of, drawn
+from phase_ppl.world.placing import MIN_RADIUS, TRIES, arrangements
 from phase_ppl.world.predicates import Predicate as OwnPredicate
 from phase_ppl.world.rooms import Rooms, in_words
 
@@ -49,12 +42,6 @@ TURNINGS: Final = ("both", "ccw", "cw")
 ARENA: Final = (6.0, 26.0, 2.0, 22.0)  # x_min, x_max, y_min, y_max of the original world, units
 LANDMARK_CENTRES: Final = np.array([[8.5, 19.5], [23.5, 19.5], [23.5, 4.5], [8.5, 4.5]])
 LANDMARK_HALF_WIDTH: Final = 2.5
-SIZES: Final = (0.8, 1.01, 1.2, 1.6)
-"""Sizes R of the original world's entities, units."""
-
-MIN_RADIUS: Final = 0.01
-"""Smallest size of an entity, units: masses and inertias of smaller ones are next to nothing."""
-
 OUTSIDE_TOLERANCE: Final = 0.25
 """How far beyond the border a body's origin may lie before it counts as outside, units."""
 
@@ -65,45 +52,8 @@ MOST_PREDICATES: Final = 8
 SIDES: Final = (4.0, 60.0)
 """Shortest and longest side of an arena, units."""
 
-NEARBY: Final = 2.0
-"""Units of free floor between bodies that are said to be near each other at the start."""
-
-_TRIES: Final = 300
 _READ_AS: Final = (" to ", " away from ")
 """What stands between the two names of a goal, and so in no name."""
-
-
-def finite_array(
-    name: str,
-    value: object,
-    shape: tuple[int | None, ...],
-    error: type[Exception] = InvalidEventError,
-) -> FloatArray:
-    """Return ``value`` as a read-only float array of ``shape`` (None: any length)."""
-    if np.ma.is_masked(value):
-        raise error(f"{name} is masked in places, expected numbers everywhere")
-    try:
-        given = np.asarray(value)
-    except ValueError:
-        raise error(f"{name} is ragged: its rows differ in length") from None
-    if given.dtype.kind not in "iuf":
-        values = np.array(value, dtype=object).ravel().tolist()
-        odd = next((v for v in values if not math.isfinite(number_or_nan(v))), value)
-        raise error(f"{name} holds {shown(odd)}, expected numbers")
-    array = np.array(given, dtype=np.float64)
-    if array.size == 0 and None in shape:
-        array = array.reshape([0 if n is None else n for n in shape])
-    fits = array.ndim == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        wanted = tuple("n" if n is None else n for n in shape)
-        raise error(f"{name} has shape {array.shape}, expected {wanted}")
-    if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise error(f"{name}{list(where)} is {array[where]}, expected a finite number")
-    array.setflags(write=False)
-    return array
 
 
 class Landmark(NamedTuple):
@@ -170,45 +120,33 @@ class World:
                 f"arena={arena}, expected x_min, x_max, y_min, y_max with sides of "
                 f"{SIDES[0]:g} to {SIDES[1]:g} units"
             )
-        try:
-            given = dict(self.colours or {})
-        except (TypeError, ValueError):
-            raise InvalidSettingError(
-                f"colours={shown(self.colours)}, expected a mapping of names to (red, green, blue)"
-            ) from None
-        places = self.landmarks
-        if not isinstance(places, Mapping):  # those of another world
-            if not isinstance(places, (list, tuple)) or not all(
-                isinstance(p, Landmark) for p in places
-            ):
-                raise InvalidSettingError(
-                    f"landmarks={shown(places)}, expected a mapping of names to (x, y) or "
-                    "(x, y, half the side)"
-                )
-            given = {one.name: one.colour for one in places} | given
+        places, colours = self.landmarks, self.colours or {}
+        if isinstance(places, (list, tuple)) and all(isinstance(p, Landmark) for p in places):
+            # those of another world
+            colours = {one.name: one.colour for one in places} | dict(colours)
             places = {one.name: one[1:4] for one in places}
+        instance_of(
+            "landmarks", places, Mapping, "a mapping of names to (x, y) or (x, y, half the side)"
+        )
         places = {name: self._place(name, place) for name, place in places.items()}
         names = _names("landmarks", list(places), 1, MOST_LANDMARKS)
         everybody = [name.lower() for name in (*self.agents, *self.items, *names)]
-        keys = [*self.keys, *("_".join(pair) for pair in itertools.permutations(self.keys, 2))]
-        for name in everybody:
-            if everybody.count(name) > 1:
-                raise InvalidSettingError(f"two of agents, items and landmarks are called {name!r}")
-        for key in keys:
-            if keys.count(key) > 1:
-                raise InvalidSettingError(
-                    f"agents={list(self.agents)}: {key!r} could mean two of them in questions; "
-                    "expected names without that"
-                )
-        colours = self._colours(given, names)
+        for name in _twice(everybody):
+            raise InvalidSettingError(f"two of agents, items and landmarks are called {name!r}")
+        for key in _twice([*self.keys, *map("_".join, itertools.permutations(self.keys, 2))]):
+            raise InvalidSettingError(
+                f"agents={list(self.agents)}: {key!r} could mean two of them in questions; "
+                "expected names without that"
+            )
+        colours = colours_of(colours, self.agents, self.items, names)
         set_field("colours", tuple((name, colours[name]) for name in self.entities))
         found = ((name, *places[name], colours[name]) for name in names)
         set_field("landmarks", tuple(map(Landmark._make, found)))
         touchable = self.entities if self.touchable is None else tuple(self.touchable)
         for name in touchable:
             self.entity(name)
-            if touchable.count(name) > 1:
-                raise InvalidSettingError(f"touchable has {name!r} twice, expected it once")
+        for name in _twice(touchable):
+            raise InvalidSettingError(f"touchable has {name!r} twice, expected it once")
         set_field("touchable", touchable)
         walls = finite_array("walls", self.walls, (None, 2, 2))
         set_field("walls", tuple(tuple(map(tuple, wall)) for wall in walls.tolist()))
@@ -222,15 +160,18 @@ class World:
         for one in self.predicates:
             instance_of("predicates", one, OwnPredicate, expected)
         _names("predicates", [one.name for one in self.predicates], 0, MOST_PREDICATES)
-        taken = {_plain(goal) for goal in self._goals_of_cast()}
+        taken = {
+            plain_goal(goal)
+            for goal in goals_of(self.agents, self.items, self.landmark_names, self.touchable or ())
+        }
         for one in self.predicates:
             if one.name.lower().startswith("not "):
                 raise InvalidSettingError(
                     f"predicate {one.name!r} begins with 'not', which its negation does"
                 )
-            if _plain(one.name) in taken:
+            if plain_goal(one.name) in taken:
                 raise InvalidSettingError(f"two goals are called {one.name!r}")
-            taken.add(_plain(one.name))
+            taken.add(plain_goal(one.name))
             one.check(self)
         return tuple(self.predicates)
 
@@ -254,32 +195,6 @@ class World:
                 f"landmark {name!r} has the half-width {text}, expected one in (0, {most:g}]"
             )
         return x, y, half_width
-
-    def _colours(self, given: Mapping[str, Any], landmarks: Sequence[str]) -> dict[str, Colour]:
-        """Return the colour of everybody and everything by name."""
-        everything = (*self.entities, *landmarks)
-        found: dict[str, Colour] = {}
-        for name, colour in given.items():
-            check_name("name with a colour", name, everything)
-            values = tuple(colour) if isinstance(colour, (tuple, list)) else ()
-            if len(values) != 3:
-                raise InvalidSettingError(
-                    f"the colour of {name!r} is {shown(colour)}, expected (red, green, blue)"
-                )
-            red, green, blue = (whole_number(f"the colour of {name!r}", v, 0, 255) for v in values)
-            found[name] = red, green, blue
-        floors = {name: floor_colour(colour) for name, colour in COLOURS.items()}
-        for names, palette in (
-            (self.agents, AGENT_COLOURS),
-            (self.items, ITEM_COLOURS),
-            (landmarks, floors),
-        ):
-            # names that begin with a colour, such as "red agent", come first and have it
-            said = {name: palette.get(name.split()[0].lower()) for name in names}
-            for name in sorted(names, key=lambda name: said[name] is None):
-                free = (colour for colour in palette.values() if colour not in found.values())
-                found.setdefault(name, said[name] or next(free, next(iter(palette.values()))))
-        return found
 
     @property
     def entities(self) -> tuple[str, ...]:
@@ -325,32 +240,14 @@ class World:
         another agent where there are three; at last each predicate and its negation.
         """
         own = ((one.name, f"not {one.name}") for one in self.predicates)
-        return (*self._goals_of_cast(), *itertools.chain(*own))
-
-    def _goals_of_cast(self) -> tuple[str, ...]:
-        """Return the goals that follow from the cast."""
-        ways, touchable = ("to", "away from"), sorted(self.touchable or ())
-        to_landmarks = [
-            f"Get {entity} {way} {landmark}"
-            for entity in sorted(self.entities)
-            for way in ways
-            for landmark in self.landmark_names
-        ]
-        other = [one for one in touchable if one not in self.agents or len(self.agents) > 1]
-        own = [f"get {way} {entity}" for way in reversed(ways) for entity in other]
-        third = [
-            f"Get {agent} {way} {entity}"
-            for agent in sorted(self.agents)
-            for way in ways
-            for entity in touchable
-            if len(self.agents) > 2 - (entity in self.items)
-            and (entity in self.items or agent < entity)
-        ]
-        return (*to_landmarks, *own, *third)
+        return (
+            *goals_of(self.agents, self.items, self.landmark_names, self.touchable or ()),
+            *itertools.chain(*own),
+        )
 
     @functools.cached_property
     def _places(self) -> dict[str, int]:
-        return {_plain(goal): index for index, goal in enumerate(self.goals)}
+        return {plain_goal(goal): index for index, goal in enumerate(self.goals)}
 
     def goal_index(self, goal: str | int) -> int:
         """Return the index of a goal, a string or an index, in ``goals``.
@@ -362,7 +259,7 @@ class World:
             UnknownNameError: there is no such goal; the message names close matches.
         """
         if isinstance(goal, str):
-            index = self._places.get(_plain(goal))
+            index = self._places.get(plain_goal(goal))
             if index is None:
                 raise unknown_name("goal", goal, self.goals)
             return index
@@ -445,102 +342,28 @@ class World:
             rooms: name of an agent or item -> the room it starts in: the name of a landmark or a
                 point (x, y) that is in it, or its number.
             near: name of an agent or item -> name of another, or of a landmark, in whose room it
-                starts, with up to :data:`NEARBY` units between them.
+                starts, with up to 2 units between them.
             size: name -> size R, or one for all, units; of those not named any.
 
         Raises:
             UnknownNameError: there is no such agent, item, landmark or room.
             InvalidSettingError: no place is found, or one is near itself.
         """
-        by_seed = not isinstance(seed, np.random.Generator)
-        rng = np.random.default_rng(whole_number("seed", seed, 0) if by_seed else seed)
-        n, n_agents = len(self.entities), len(self.agents)
-        x0, x1, y0, y1 = self.arena
+        if not isinstance(seed, np.random.Generator):
+            seed = np.random.default_rng(whole_number("seed", seed, 0))
         walls = finite_array("walls", self.walls if walls is None else walls, (None, 2, 2))
-        plan = Rooms.from_walls(walls, self.arena, self.quadrants)  # refuses impossible ones
-        most = min(x1 - x0, y1 - y0) / 4
-        sizes = [size for size in SIZES if size <= most]
-        closed_off = plan.closed_off(np.array([(one.x, one.y) for one in self.landmarks]))
-        within = {self.entity(name): self._room(room, plan) for name, room in (rooms or {}).items()}
-        beside = self._beside(near or {})
-        free = [one for one in range(n) if one not in {*within, *dict(beside)}]
-        fixed = dict(size) if isinstance(size, Mapping) else dict.fromkeys(self.entities, size)
-        given = {self.entity(name): one for name, one in fixed.items() if one is not None}
-        for one, value in given.items():
-            if not MIN_RADIUS <= number_or_nan(value) <= most:
-                raise InvalidSettingError(
-                    f"size of the {self.entities[one]} is {shown(value)}, expected one in "
-                    f"[{MIN_RADIUS:g}, {most:g}]"
-                )
-        why = InvalidSettingError(f"no place was found for everybody in {_TRIES} tries")
-        for _ in range(_TRIES):
-            start = np.column_stack(
-                [rng.uniform(x0, x1, n), rng.uniform(y0, y1, n), rng.uniform(-np.pi, np.pi, n)]
-            )
-            start[n_agents:, 2] = 0.0
-            radius = rng.choice(sizes, n)
-            for one, value in given.items():
-                radius[one] = value
-            share = (start[:, :2] - (x0, y0)) / (x1 - x0, y1 - y0)
-            for one, room in within.items():
-                left, right, low, high = plan.borders(room)
-                start[one, :2] = (left, low) + share[one] * (right - left, high - low)
-            for one, other in beside:
-                if other < n:
-                    centre, reach = start[other, :2], radius[other]
-                else:
-                    _, x, y, reach, *_ = self.landmarks[other - n]
-                    centre = np.array([x, y])
-                way = 2 * np.pi * share[one, 0]
-                apart = radius[one] + reach + NEARBY * share[one, 1]
-                start[one, :2] = centre + apart * np.array([np.cos(way), np.sin(way)])
-                if within.get(one, plan.room_of(centre)) != plan.room_of(start[one, :2]):
-                    break
-            else:
-                if np.isin(plan.room_of(start[free, :2]), closed_off).any():
-                    continue
-                try:
-                    scene = Scene(start, radius, walls, world=self)
-                except InvalidEventError:  # an item in a closed room, or somebody outside
-                    continue
-                except InvalidSettingError as error:  # a goal that bodies of such sizes cannot have
-                    why = error
-                    continue
-                if not deepest_overlap(scene)[1]:
-                    return scene
+        why = InvalidSettingError(f"no place was found for everybody in {TRIES} tries")
+        for start, radius in arrangements(self, seed, walls, rooms or {}, near or {}, size):
+            try:
+                scene = Scene(start, radius, walls, world=self)
+            except InvalidEventError:  # an item in a closed room, or somebody outside
+                continue
+            except InvalidSettingError as error:  # a goal that bodies of such sizes cannot have
+                why = error
+                continue
+            if not deepest_overlap(scene)[1]:
+                return scene
         raise why
-
-    def _room(self, given: object, rooms: Rooms) -> int:
-        """Return the number of a room, by it, or by a landmark or a point in it."""
-        if isinstance(given, str):
-            check_name("landmark", given, self.landmark_names)
-            _, x, y, *_ = self.landmarks[self.landmark_names.index(given)]
-        elif isinstance(given, (Sequence, np.ndarray)):
-            x, y = finite_array("room", given, (2,), InvalidSettingError).tolist()
-            x0, x1, y0, y1 = self.arena
-            if not (x0 <= x <= x1 and y0 <= y <= y1):
-                raise InvalidSettingError(f"room of ({x:g}, {y:g}), which lies outside the arena")
-        else:
-            return whole_number("room", given, 0, len(rooms) - 1)
-        return int(rooms.room_of(np.array([x, y])))
-
-    def _beside(self, near: Mapping[str, str]) -> list[tuple[int, int]]:
-        """Return (who, whom or what) in an order in which each comes after what it is near.
-
-        Entities, then landmarks.
-        """
-        places = (*self.entities, *self.landmark_names)
-        for name, other in near.items():
-            self.entity(name)
-            check_name("agent, item or landmark", other, places)
-        left, found = dict(near), []
-        while left:
-            ready = [name for name, other in left.items() if other not in left]
-            if not ready:
-                names = " and ".join(left)
-                raise InvalidSettingError(f"near={shown(near)}: {names} are near themselves")
-            found += [(self.entity(name), places.index(left.pop(name))) for name in ready]
-        return found
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plain form, which :meth:`from_dict` reads."""
@@ -580,6 +403,10 @@ class World:
         )
 
 
+def _twice(names: Sequence[str]) -> list[str]:
+    return [name for name in names if names.count(name) > 1]
+
+
 def _names(what: str, names: object, least: int, most: int) -> tuple[str, ...]:
     """Return names, checked. InvalidSettingError: too few, too many, or one that cannot be."""
     if not isinstance(names, (list, tuple)):
@@ -593,15 +420,6 @@ def _names(what: str, names: object, least: int, most: int) -> tuple[str, ...]:
                 f"{what} has the name {shown(name)}, expected words without 'to' and 'away from'"
             )
     return tuple(names)
-
-
-def _plain(goal: str) -> str:
-    """Return a goal as people say it in the words of ``World.goals``, in lower case."""
-    words = " ".join(word for word in goal.lower().split() if word != "the")
-    for said, meant in (("touch ", "get to "), ("avoid ", "get away from ")):
-        if words.startswith(said):
-            return meant + words.removeprefix(said)
-    return words if words.startswith("get ") else f"get {words}"
 
 
 PHASE: Final = World(
@@ -665,30 +483,25 @@ class Scene:
         instance_of("world", self.world, World, "a phase_ppl.World")
         n, places = len(self.world.entities), self.world.landmarks
         set_field = functools.partial(object.__setattr__, self)
-        for name, value in (
-            ("walls", self.world.walls),
-            ("arena", self.world.arena),
-            ("landmark_centres", [(one.x, one.y) for one in places]),
-            ("landmark_half_width", one_or_all([one.half_width for one in places])),
-        ):
-            if getattr(self, name) is None:
-                set_field(name, value)
-        shapes: dict[str, tuple[int | None, ...]] = {
-            "start": (n, 3),
-            "radius": (n,),
-            "walls": (None, 2, 2),
-            "landmark_centres": (len(places), 2),
+        given: dict[str, tuple[Any, tuple[int | None, ...]]] = {
+            "start": (None, (n, 3)),
+            "radius": (None, (n,)),
+            "walls": (self.world.walls, (None, 2, 2)),
+            "landmark_centres": ([(one.x, one.y) for one in places], (len(places), 2)),
+            "arena": (self.world.arena, (4,)),
         }
-        for name, shape in shapes.items():
-            set_field(name, finite_array(f"scene.{name}", getattr(self, name), shape))
-        arena = finite_array("scene.arena", self.arena, (4,))
-        set_field("arena", tuple(arena.tolist()))
+        for name, (of_world, shape) in given.items():
+            value = getattr(self, name)
+            value = of_world if value is None else value
+            set_field(name, finite_array(f"scene.{name}", value, shape))
+        x0, x1, y0, y1 = arena = tuple(np.asarray(self.arena).tolist())
+        set_field("arena", arena)
         check_name("turning", self.turning, TURNINGS)
         if not isinstance(self.resets_velocity, bool):
             raise InvalidEventError(
                 f"scene.resets_velocity is {shown(self.resets_velocity)}, expected true or false"
             )
-        width, height = arena[1] - arena[0], arena[3] - arena[2]
+        width, height = x1 - x0, y1 - y0
         if width <= 0 or height <= 0 or (self.world == PHASE and abs(width - height) > 1e-6):
             kind = "a square" if self.world == PHASE else "a rectangle"
             raise InvalidEventError(f"scene.arena {self.arena} is not {kind} x0, x1, y0, y1")
@@ -699,9 +512,12 @@ class Scene:
             )
         check_inside(self.start[None], self, "scene.start")
         self._check_rooms()
-        each = self.world != PHASE and np.ndim(self.landmark_half_width) == 1
+        half_width = self.landmark_half_width
+        if half_width is None:
+            half_width = one_or_all([one.half_width for one in places])
+        each = self.world != PHASE and np.ndim(half_width) == 1
         half_width = finite_array(
-            "scene.landmark_half_width", self.landmark_half_width, (len(places),) if each else ()
+            "scene.landmark_half_width", half_width, (len(places),) if each else ()
         )
         for one in half_width.flat:
             if not 0 < one <= most:

@@ -271,8 +271,8 @@ WRONG: list[tuple[Any, str]] = [
     (_with(time=np.arange(4) / 4), "time goes on by 0.25 s, expected 1/12 s"),
     (_with(time=["a", "b", "c", "d"]), "time holds 'a', expected numbers"),
     (_with(judgments=((), "{")), "judgments: is not JSON: line 1"),
-    (_with(predictions=((), "[]")), "predictions: holds [], expected a JSON object"),
-    (_with(entity=["red agent", "red agent", "x", "y"]), "has a label twice"),
+    (_with(predictions=((), "[]")), "predictions: is no JSON object: Expected `object`"),
+    (_with(entity=["red agent", "red agent", "x", "y"]), "unknown field of coordinate entity 'x'"),
     (_with(entity=[*ENTITIES[:3], "pink ball"]),
      "coordinate entity 'pink ball'; did you mean 'pink item'"),
 ]  # fmt: skip

@@ -115,16 +115,24 @@ def test_a_video_becomes_an_event_by_the_names_in_it(tmp_path: Path) -> None:
 
 
 CHANGES: list[tuple[tuple[str | int, ...], Any, str]] = [
-    (("truth", "strength_id", "red agent"), 4, "truth.strength_id is 4"),
+    (("truth", "strength_id", "red agent"), 4, "truth.strength_id[...]: Expected 'int' <= 3"),
     (("observed", "n_frames"), 6, "observed.n_frames is 6"),
     (("observed", "entities"), [], "observed.entities has no red agent and no green"),
-    (("observed", "entities", 0), {"name": "red agent"}, "the red agent, has no radius"),
-    (("observed", "entities", 0, "name"), "blue item", "names 'blue item' twice"),
+    (
+        ("observed", "entities", 0),
+        {"name": "red agent"},
+        "observed.entities[0]: Object missing required field 'radius'",
+    ),
+    (("observed", "entities", 0, "name"), "blue item", "observed.entities has a name twice"),
     (("observed", "entities", 0, "name"), "red item", "'red item'; did you mean"),
-    (("observed", "entities", 1, "radius"), "big", "observed.entities holds 'big'"),
+    (
+        ("observed", "entities", 1, "radius"),
+        "big",
+        "observed.entities[1].radius: Expected 'float', got 'str'",
+    ),
     (("observed", "landmarks", 2, "centre"), [0, 0], "scene.landmark_centres"),
-    (("observed", "entities", 0), 3, "observed.entities[0] is no JSON object"),
-    (("observed",), None, "observed is None, expected an object"),
+    (("observed", "entities", 0), 3, "observed.entities[0]: Expected 'object', got 'int'"),
+    (("observed",), None, "observed: Expected 'object', got 'null'"),
 ]
 
 

@@ -37,37 +37,25 @@ def test_without_a_console_there_is_no_bar(monkeypatch: pytest.MonkeyPatch) -> N
                 bar.one_more()
 
 
-def test_uneven_simulations_give_a_steady_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rate_is_of_what_was_simulated_here_without_the_compiling(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now = 0.0
-    monkeypatch.setattr(progress, "clock", lambda: now)
-    # rounds of four: two stopped at once, the others in one burst after ten seconds
-    with Progress(40, shown=False, batch=4) as bar:
-        estimates = []
+    monkeypatch.setattr(progress.Bar, "_time", lambda *_: now, raising=False)
+    monkeypatch.setattr(progress.sys, "stderr", io.StringIO())
+    with Progress(30, shown=True, done=20) as bar:
+        bar._time = lambda: now
         now = 30.0  # compiling
-        for done in range(1, 10):
+        for _ in range(5):
             bar.one_more()
-            bar.one_more()
-            estimates.append(bar.seconds_left())
-            now += 10.0
-            bar.one_more()
-            bar.one_more()
-            estimates.append(bar.seconds_left())
-            if done > 2:  # what comes before still has the compiling in it
-                left = 10.0 * (10 - done)
-                before, after = estimates[-2:]
-                assert after == pytest.approx(left, rel=0.35)
-                assert before == pytest.approx(left + 10, rel=0.5)
-    assert estimates[0] is None
-    # what was done before is counted, but not its time
-    with Progress(30, shown=False, done=20, batch=2) as bar:
-        for _ in range(4):
             now += 3.0
-            bar.one_more()
-        assert bar.seconds_left() == pytest.approx(18.0)
+        bar.refresh()
+        told = progress.sys.stderr.getvalue().split("\r")[-1]  # type: ignore[attr-defined]
+        assert "25/30" in told
+        assert "3.75s/sim" in told
         bar.expect(40)
-        assert bar.seconds_left() == pytest.approx(48.0)
         bar.reach(40)
-        assert bar.seconds_left() == 0
+        assert bar.n == 40
 
 
 def test_whether_there_is_a_bar_is_yes_or_no() -> None:

@@ -1,12 +1,9 @@
 """Pickles of plain data, read so that none of a file's code runs and no small file becomes large.
 
-Python's unpickler calls whatever a file names. Here the opcodes are looked through before anything
-is loaded: those of plain data pass, as many as :data:`MAX_OPCODES`. Then ``pickle.Unpickler`` loads
-them with a ``find_class`` that knows the few names by which NumPy's arrays are described, and hands
-out stand-ins for them: the functions that a file asks for are never called. The stand-ins put
-arrays together from their parts, of numbers of fixed size only, since an array of objects would
-hold a pickle of its own. Last, what came out is measured as if it were written out
-(:data:`MAX_SIZE`, :data:`MAX_NESTING`).
+Python's unpickler calls whatever a file names. Here it has the opcodes of plain data only, as many
+as :data:`MAX_OPCODES`, and knows the few names by which NumPy's arrays are described: in their
+place it gets functions that put arrays of plain numbers together, since an array of objects would
+hold a pickle of its own. Last, what came out is measured as if it were written out.
 """
 
 from __future__ import annotations
@@ -15,11 +12,11 @@ import io
 import math
 import os
 import pickle
-import pickletools
 import re
+import struct
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,21 +31,13 @@ MAX_NESTING: Final = 64  # how deep lists, tuples and dicts may lie in each othe
 MAX_SIZE: Final = 20_000_000
 """Values, numbers in arrays and characters in all, where what is shared counts every time."""
 
-MAX_CONVERTED: Final = 256 * 2**20
-"""Characters that become bytes: a text that is shared may do so again and again."""
-
-MAX_DIMENSIONS: Final = 8
-MAX_LENGTH: Final = 2**31
-"""Longest dimension of an array."""
+MAX_COPIED: Final = 256 * 2**20
+"""Bytes that are copied into arrays: what is shared may be so again and again."""
 
 _LONGEST_KEY: Final = 9  # longest tuple that is the key of a dict
-_PROTOCOL: Final = 5
-_DTYPE: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1)")
+_NUMBERS: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1)")
 _NO_NUMBERS: Final = "holds an array of something else than plain numbers"
-_DAMAGED: Final = "is damaged: its pickle makes no sense"
-_NO_ARRAY: Final = "is damaged: it describes an array as NumPy never does"
-_TOO_DEEP: Final = f"is nested more than {MAX_NESTING} deep, or in itself"
-_NO_KEY: Final = "has a dict whose keys are no texts or whole numbers"
+_NDARRAY: Final = object()  # stands for the class of arrays
 
 
 def read_pickle(path: str | os.PathLike[str]) -> Any:
@@ -59,401 +48,206 @@ def read_pickle(path: str | os.PathLike[str]) -> Any:
 
 
 def unpickled(content: bytes) -> Any:
-    """Return what a pickle describes; arrays are read-only. Errors as for :func:`read_pickle`."""
+    """Return what a pickle describes. Errors as for :func:`read_pickle`."""
     if len(content) > MAX_BYTES:
         raise too_large(MAX_BYTES)
     if not content:
         raise InvalidEventError("is empty")
-    _check_opcodes(content)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # for unknown escapes in texts of Python 2
-            loaded = _Unpickler(content).load()
+            loaded = _Reader(content).load()
     except (InvalidEventError, MemoryError):
         raise
+    except EOFError:
+        raise InvalidEventError("is damaged: the pickle ends too early") from None
     except Exception:  # pickle raises nearly every kind of error that there is
-        raise InvalidEventError(_DAMAGED) from None
-    return _Finished().of(loaded, 0).value
+        raise InvalidEventError("is damaged: its pickle makes no sense") from None
+    if _size(loaded, {}) > MAX_SIZE:
+        raise InvalidEventError(f"is larger than the {MAX_SIZE} values that are read, written out")
+    return loaded
 
 
-# --- before it is loaded ---------------------------------------------------------------------
+def _size(value: Any, known: dict[int, int], depth: int = 0) -> int:
+    """Return how many values there are, written out."""
+    if isinstance(value, str | bytes | bytearray):
+        return 1 + len(value)
+    if isinstance(value, np.ndarray):
+        return 1 + value.size
+    if value is None or isinstance(value, bool | int | float):
+        return 1
+    if not isinstance(value, list | tuple | dict):
+        raise InvalidEventError("holds a function or a class in place of data")
+    if depth > MAX_NESTING:
+        raise InvalidEventError(f"is nested more than {MAX_NESTING} deep, or in itself")
+    if id(value) not in known:
+        parts = [*value, *value.values()] if isinstance(value, dict) else value
+        known[id(value)] = 1 + sum(_size(part, known, depth + 1) for part in parts)
+    return known[id(value)]
 
 
-class _Effect(NamedTuple):
-    """What an opcode does to the stack: values taken below and above a mark, and put there."""
-
-    name: str
-    marked: bool
-    below: int
-    puts: int
+_Base: Any = pickle._Unpickler  # type: ignore[attr-defined]  # the one whose opcodes can be chosen
 
 
-_MARKS: Final = (pickletools.markobject, pickletools.stackslice)
-_EFFECTS: Final = {
-    op.code.encode("latin-1"): _Effect(
-        op.name,
-        pickletools.markobject in op.stack_before,
-        len([kind for kind in op.stack_before if kind not in _MARKS]),
-        len(op.stack_after),
-    )
-    for op in pickletools.opcodes
-}
-_READERS: Final[Mapping[bytes, Callable[[io.BytesIO], Any] | None]] = {
-    **{op.code.encode("latin-1"): op.arg.reader if op.arg else None for op in pickletools.opcodes},
-    # their readers know ASCII only, and undo escapes
-    b"S": lambda stream: _line(stream),
-    b"c": lambda stream: (_line(stream), _line(stream)),
-}
-
-_REFUSED: Final = {
-    **dict.fromkeys(("INST", "OBJ", "NEWOBJ", "NEWOBJ_EX"), "an object of a class"),
-    **dict.fromkeys(("PERSID", "BINPERSID"), "a reference to something outside the file"),
-    **dict.fromkeys(("EXT1", "EXT2", "EXT4"), "a number that stands for a class"),
-    **dict.fromkeys(("EMPTY_SET", "ADDITEMS", "FROZENSET"), "a set"),
-    **dict.fromkeys(("NEXT_BUFFER", "READONLY_BUFFER"), "a buffer outside the file"),
-}
-"""Opcodes that plain data do not need. EXT1 to EXT4 would get past ``find_class``."""
-
-_INTEGERS: Final = ("INT", "BININT", "LONG", "LONG1", "LONG4")
-_TUPLES: Final = ("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3")
-_CONTAINERS: Final = (
-    *("EMPTY_LIST", "LIST", "APPEND", "APPENDS"),
-    *("EMPTY_DICT", "DICT", "SETITEM", "SETITEMS"),
-)
-_KEYS_AT: Final = {"DICT": slice(0, None, 2), "SETITEMS": slice(1, None, 2), "SETITEM": slice(1, 2)}
-"""Opcode -> where the keys are among the values that it takes."""
-
-
-def _opcodes(content: bytes) -> Iterator[tuple[_Effect, Any]]:
-    """Yield each opcode with its argument, up to the end of the pickle and of the file."""
-    stream = io.BytesIO(content)
-    for _ in range(MAX_OPCODES):
-        place, code = stream.tell(), stream.read(1)
-        if code not in _EFFECTS:
-            what = f"unknown opcode {code!r}" if code else "the pickle ends too early"
-            raise InvalidEventError(f"is damaged: {what}")
-        effect, reader = _EFFECTS[code], _READERS[code]
-        if effect.name in _REFUSED:
-            raise InvalidEventError(f"holds {_REFUSED[effect.name]}, refused")
-        try:
-            argument = None if reader is None else reader(stream)
-        except (ValueError, OverflowError):  # not enough bytes, or no number or text
-            raise InvalidEventError(
-                f"is damaged: the pickle ends too early, or what its {effect.name} at byte {place} "
-                "says cannot be"
-            ) from None
-        yield effect, argument
-        if code == b".":
-            break
-    else:
-        raise InvalidEventError(f"has more than {MAX_OPCODES} opcodes")
-    if stream.tell() != len(content):
-        raise InvalidEventError("goes on after the end of its pickle")
-
-
-def _line(stream: io.BytesIO) -> bytes:
-    line = stream.readline()
-    if not line.endswith(b"\n"):
-        raise ValueError
-    return line
-
-
-def _check_opcodes(content: bytes) -> None:
-    """Follow what the opcodes do to the stack, without the values.
-
-    Of each value it is known how deep tuples lie in it: 0 for what has no parts, 1 for a short
-    tuple of such, more for other tuples, for lists and for dicts. Keys of dicts are hashed while a
-    pickle is loaded, which takes for ever for tuples of tuples of the same tuple, and overflows the
-    stack of C for deep ones: keys must be of 0 or 1.
-    """
-    stack: list[int] = []
-    marks: list[int] = []  # how long the stack was
-    memo: dict[int, int] = {}
-    for (name, marked, below, puts), argument in _opcodes(content):
-        if name == "PROTO" and argument > _PROTOCOL:
-            raise InvalidEventError(
-                f"is a pickle of protocol {argument}, expected at most {_PROTOCOL}"
-            )
-        if name in _INTEGERS and not -(2**63) <= argument < 2**64:
-            raise InvalidEventError("holds a whole number of more than 64 bits")
-        start = len(stack)
-        if marked:
-            if not marks:
-                raise InvalidEventError(_DAMAGED)
-            start = marks.pop()
-        start -= below
-        if start < (marks[-1] if marks else 0):
-            raise InvalidEventError(_DAMAGED)
-        taken = stack[start:]
-        if below or marked:
-            del stack[start:]
-        if name in _KEYS_AT and any(depth > 1 for depth in taken[_KEYS_AT[name]]):
-            raise InvalidEventError(_NO_KEY)
-        made = 0
-        if name in _TUPLES:
-            made = max(taken, default=0) + 1 + (len(taken) > _LONGEST_KEY)
-        elif name in _CONTAINERS:
-            made = 2
-        elif name in ("DUP", "BUILD", "MEMOIZE"):  # BUILD with None leaves any value as it was
-            made = taken[0]
-        elif name.endswith("GET"):
-            if argument not in memo:
-                raise InvalidEventError(_DAMAGED)
-            made = memo[argument]
-        elif name == "MARK":
-            marks.append(len(stack))
-            continue
-        elif name.endswith("PUT"):
-            # room is made for all places up to the last one
-            if len(stack) == (marks[-1] if marks else 0) or not 0 <= argument <= MAX_OPCODES:
-                raise InvalidEventError(_DAMAGED)
-            memo[argument] = stack[-1]
-        if name == "MEMOIZE":
-            memo[len(memo)] = made
-        if made > MAX_NESTING:
-            raise InvalidEventError(_TOO_DEEP)
-        stack += [made] * puts
-    if stack or marks:
-        raise InvalidEventError(_DAMAGED)
-
-
-# --- what stands in for what it asks for -----------------------------------------------------
-
-_NDARRAY: Final = object()  # stands for the class of arrays
-
-
-class _Unpickler(pickle.Unpickler):
-    """Knows the names in :data:`_STAND_INS` and no others."""
+class _Reader(_Base):  # type: ignore[misc]
+    """Python's unpickler with the opcodes of plain data, and functions of its own for arrays."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__(io.BytesIO(content), fix_imports=False, encoding="latin-1")
-        self._converted = 0
+        self.dispatch = _Opcodes()
+        self._copied = 0
+        self._known: dict[tuple[str, str], Any] = {
+            ("numpy", "ndarray"): _NDARRAY,
+            ("numpy", "dtype"): self._dtype,
+            ("_codecs", "encode"): self._encode,
+            **dict.fromkeys((("__builtin__", "bytes"), ("builtins", "bytes")), lambda: b""),
+        }
+        for core in ("numpy.core", "numpy._core"):  # before and since NumPy 2
+            self._known[f"{core}.multiarray", "_reconstruct"] = self._reconstruct
+            self._known[f"{core}.multiarray", "scalar"] = self._scalar
+            self._known[f"{core}.numeric", "_frombuffer"] = self._from_buffer
 
     def find_class(self, module: str, name: str) -> Any:
-        found = _STAND_INS.get((module, name))
-        if found is None:
+        if (module, name) not in self._known:
             raise InvalidEventError(
                 f"asks for {shown(f'{module[:60]}.{name[:60]}')}, which is refused: only dicts, "
                 "lists, tuples, texts, numbers and arrays of numbers are read"
             )
-        return _Function(found, self) if callable(found) else found
+        return self._known[module, name]
 
-    def raw(self, content: object) -> bytes | bytearray:
-        """Return bytes; those that Python 2, or an old protocol, wrote as a text are counted."""
-        if isinstance(content, (bytes, bytearray)):
-            return content
+    # --- opcodes that do otherwise than Python's
+
+    def load_build(self) -> None:
+        """Set the content of an array, or the byte order of a data type."""
+        state, made = self.stack.pop(), self.stack[-1]
+        if isinstance(made, np.dtype):
+            # the rest is about fields and nested arrays
+            plain = isinstance(state, tuple) and len(state) in (8, 9)
+            if not plain or state[1] not in tuple("<>|=") or state[2:5] != (None, None, None):
+                raise InvalidEventError(_NO_NUMBERS)
+            made.__setstate__((3, state[1], None, None, None, -1, -1, 0))  # type: ignore[attr-defined]
+        elif isinstance(made, np.ndarray):
+            shape, dtype, fortran, content = state[-4:]
+            raw = self._raw(content)
+            self._count(len(raw))
+            _check_array(raw, dtype, shape)
+            made.__setstate__((1, shape, dtype, fortran in (1, True), raw))  # type: ignore[arg-type]
+        else:
+            raise InvalidEventError("sets the state of what is no array")
+
+    def load_bytearray8(self) -> None:
+        (n,) = struct.unpack("<Q", self.read(8))
+        self.append(bytearray(self.read(n)))  # room is made for no more than there is
+
+    def load_setitem(self) -> None:
+        value, key = self.stack.pop(), self.stack.pop()
+        self._set([key], [value])
+
+    def load_setitems(self) -> None:
+        items = self.pop_mark()
+        self._set(items[::2], items[1::2])
+
+    def load_dict(self) -> None:
+        items = self.pop_mark()
+        self.append({})
+        self._set(items[::2], items[1::2])
+
+    def _set(self, keys: list[Any], values: list[Any]) -> None:
+        """Put items into the dict on top of the stack; no key may take long to hash."""
+        for key, value in zip(keys, values, strict=True):
+            parts = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
+            if any(
+                type(part) is not str and (type(part) is not int or abs(part) >= 2**64)
+                for part in parts
+            ):
+                raise InvalidEventError("has a dict whose keys are no texts or whole numbers")
+            self.stack[-1][key] = value
+
+    # --- what arrays are made of, called with whatever a file says
+
+    def _raw(self, content: Any) -> bytes:
+        """Return bytes, which Python 2, or an old protocol, wrote as a text."""
+        if isinstance(content, bytes | bytearray):
+            return bytes(content)
         if not isinstance(content, str):
             raise InvalidEventError(_NO_NUMBERS)
-        self._converted += len(content)
-        if self._converted > MAX_CONVERTED:
-            raise InvalidEventError("becomes too large: it shares long texts")
-        try:
-            return content.encode("latin-1")
-        except UnicodeEncodeError:
-            raise InvalidEventError(_NO_ARRAY) from None
+        self._count(len(content))
+        return content.encode("latin-1")
 
+    def _count(self, n: int) -> None:
+        self._copied += n
+        if self._copied > MAX_COPIED:
+            raise InvalidEventError("becomes too large: it shares long texts or arrays")
 
-class _Function:
-    """Stands for a function; called with the arguments that the file gives it."""
+    def _encode(self, text: str, codec: str) -> bytes:
+        if codec not in ("latin1", "latin-1"):
+            raise ValueError(codec)
+        return self._raw(text)
 
-    __slots__ = ("_call", "_reader")
-
-    def __init__(self, call: Callable[..., Any], reader: _Unpickler):
-        self._call, self._reader = call, reader
-
-    def __call__(self, *arguments: Any) -> Any:
-        try:
-            return self._call(self._reader, *arguments)
-        except TypeError:  # too few of them, or too many
-            raise InvalidEventError(_NO_ARRAY) from None
-
-    def __setstate__(self, state: object) -> None:
-        raise InvalidEventError("sets the state of what is no array")
-
-
-class _Dtype:
-    """A data type of numbers of fixed size, whose byte order may still be set."""
-
-    __slots__ = ("dtype",)
-
-    def __init__(self, spelling: str) -> None:
-        self.dtype = np.dtype(spelling)
-
-    def __setstate__(self, state: object) -> None:
-        """Take (version, byte order, ...); the rest is about fields and nested arrays."""
-        if not (
-            isinstance(state, tuple)
-            and len(state) in (8, 9)
-            and state[1] in ("<", ">", "|", "=")
-            and state[2:5] == (None, None, None)
-        ):
+    def _dtype(self, spelling: str, *_: Any) -> np.dtype[Any]:
+        if not isinstance(spelling, str) or not _NUMBERS.fullmatch(spelling):
             raise InvalidEventError(_NO_NUMBERS)
-        if state[1] in "<>":
-            self.dtype = self.dtype.newbyteorder(state[1])
+        return np.dtype(spelling, copy=True)  # whose byte order may still be set
+
+    def _reconstruct(self, kind: Any, shape: Any, letter: Any) -> NDArray[Any]:
+        if kind is not _NDARRAY:
+            raise ValueError(kind)
+        return np.empty(0)
+
+    def _scalar(self, dtype: Any, content: Any) -> Any:
+        return self._from_buffer(content, dtype, (), "C").item()
+
+    def _from_buffer(
+        self, content: Any, dtype: Any, shape: Any, order: str, axes: Any = None
+    ) -> NDArray[Any]:
+        """Return an array in the order "C", "F" or "K", for which that of the axes is given."""
+        raw = self._raw(content)
+        _check_array(raw, dtype, shape)
+        flat = np.frombuffer(raw, dtype) if raw else np.empty(0, dtype)
+        array = flat.reshape(shape, order="F" if order == "F" else "C")
+        return array if axes is None else array.transpose(axes)
 
 
-class _Array:
-    """An array, read-only, whose content may still be set: None before it is known."""
-
-    __slots__ = ("_reader", "array")
-
-    def __init__(self, reader: _Unpickler, array: NDArray[Any] | None = None) -> None:
-        self._reader, self.array = reader, array
-
-    def __setstate__(self, state: object) -> None:
-        """Take (version, shape, data type, whether in Fortran order, bytes); version optional."""
-        if not isinstance(state, tuple) or len(state) not in (4, 5):
-            raise InvalidEventError(_NO_ARRAY)
-        shape, dtype, fortran, content = state[-4:]
-        order = "F" if fortran in (1, True) else "C"
-        self.array = _array(self._reader, content, dtype, shape, order)
-
-
-def _array(
-    reader: _Unpickler, content: object, dtype: object, shape: object, order: str
-) -> NDArray[Any]:
-    """Return ``content`` as an array, without copying it unless it is a text of Python 2."""
-    if not isinstance(dtype, _Dtype):
+def _check_array(raw: bytes, dtype: Any, shape: Any) -> None:
+    if not isinstance(dtype, np.dtype):
         raise InvalidEventError(_NO_NUMBERS)
-    if type(shape) is int:
-        shape = (shape,)
-    if not (
-        isinstance(shape, tuple)
-        and len(shape) <= MAX_DIMENSIONS
-        and all(type(n) is int and 0 <= n <= MAX_LENGTH for n in shape)
-    ):
+    if not isinstance(shape, tuple) or not all(type(n) is int and 0 <= n < 2**31 for n in shape):
         raise InvalidEventError("holds an array of an impossible shape")
-    raw = reader.raw(content)
-    wanted = math.prod(shape) * dtype.dtype.itemsize
-    if len(raw) != wanted:
-        raise InvalidEventError(
-            f"holds an array of shape {shape} in {len(raw)} bytes, expected {wanted}"
-        )
-    flat = np.frombuffer(raw, dtype.dtype) if raw else np.empty(0, dtype.dtype)
-    array = flat.reshape(shape, order="F" if order == "F" else "C")
-    array.setflags(write=False)
-    return array
+    if math.prod(shape) * dtype.itemsize != len(raw):
+        raise InvalidEventError(f"holds an array of shape {shape} in {len(raw)} bytes")
 
 
-def _reconstruct(reader: _Unpickler, kind: object, shape: object, letter: object) -> _Array:
-    if kind is not _NDARRAY:
-        raise InvalidEventError(_NO_ARRAY)
-    return _Array(reader)
+_PLAIN: Final = (
+    *("PROTO", "FRAME", "MARK", "STOP", "POP", "POP_MARK", "DUP", "MEMOIZE"),
+    *("GET", "BINGET", "LONG_BINGET", "PUT", "BINPUT", "LONG_BINPUT"),
+    *("NONE", "NEWTRUE", "NEWFALSE", "FLOAT", "BINFLOAT"),
+    *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4"),
+    *("STRING", "BINSTRING", "SHORT_BINSTRING"),
+    *("UNICODE", "SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8"),
+    *("SHORT_BINBYTES", "BINBYTES", "BINBYTES8", "BYTEARRAY8"),
+    *("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"),
+    *("EMPTY_LIST", "LIST", "APPEND", "APPENDS"),
+    *("EMPTY_DICT", "DICT", "SETITEM", "SETITEMS"),
+    *("GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD"),
+)
 
 
-def _from_buffer(
-    reader: _Unpickler, content: object, dtype: object, shape: object, order: Any, axes: Any = None
-) -> _Array:
-    """Return an array in the order "C", "F" or "K", for which that of the axes is given."""
-    if order not in ("C", "F", "K") or (order == "K") != (axes is not None):
-        raise InvalidEventError(_NO_ARRAY)
-    array = _array(reader, content, dtype, shape, order)
-    if axes is None:
-        return _Array(reader, array)
-    if (
-        not isinstance(axes, (tuple, list))
-        or any(type(axis) is not int for axis in axes)
-        or sorted(axes) != list(range(array.ndim))
-    ):
-        raise InvalidEventError(_NO_ARRAY)
-    return _Array(reader, array.transpose(axes))
-
-
-def _scalar(reader: _Unpickler, dtype: object, content: object) -> Any:
-    return _array(reader, content, dtype, (), "C").item()
-
-
-def _dtype(reader: _Unpickler, spelling: object = None, *_: object) -> _Dtype:
-    match = _DTYPE.fullmatch(spelling) if isinstance(spelling, str) else None
-    if match is None:
-        raise InvalidEventError(_NO_NUMBERS)
-    return _Dtype(match.group(0))
-
-
-def _encode(reader: _Unpickler, text: object, codec: object) -> bytes | bytearray:
-    """Return a text as bytes: the way of old protocols to write bytes."""
-    if not isinstance(text, str) or codec not in ("latin1", "latin-1"):
-        raise InvalidEventError(_NO_ARRAY)
-    return reader.raw(text)
-
-
-_STAND_INS: Final[Mapping[tuple[str, str], Callable[..., Any] | object]] = {
-    ("numpy", "ndarray"): _NDARRAY,
-    ("numpy", "dtype"): _dtype,
-    ("_codecs", "encode"): _encode,
-    **dict.fromkeys((("__builtin__", "bytes"), ("builtins", "bytes")), lambda reader: b""),
-    **{
-        (f"numpy.{core}.{module}", name): function
-        for core in ("core", "_core")  # before and since NumPy 2
-        for module, name, function in (
-            ("multiarray", "_reconstruct", _reconstruct),
-            ("multiarray", "scalar", _scalar),
-            ("numeric", "_frombuffer", _from_buffer),
-        )
-    },
-}
-"""(module, name) that a pickle may ask for -> what it gets instead."""
-
-
-# --- after it was loaded ---------------------------------------------------------------------
-
-
-class _Part(NamedTuple):
-    """A finished value, how large it is written out, and how deeply nested."""
-
-    value: Any
-    size: int
-    height: int
-
-
-class _Finished:
-    """Replaces what stood for arrays by arrays, and measures what was made."""
+class _Opcodes(dict[int, Callable[[_Reader], None]]):
+    """The functions of the opcodes that may occur, by code; counts how often they are asked for."""
 
     def __init__(self) -> None:
-        self._known: dict[int, _Part] = {}
-        self._open: set[int] = set()
+        super().__init__()
+        for name in _PLAIN:
+            code = getattr(pickle, name)[0]
+            self[code] = getattr(_Reader, f"load_{name.lower()}", _Base.dispatch[code])
+        self._left = MAX_OPCODES
 
-    def of(self, value: Any, depth: int) -> _Part:
-        """Return ``value``, which lies ``depth`` deep, without stand-ins."""
-        if value is None or isinstance(value, (bool, int, float)):
-            return _Part(value, 1, 0)
-        if isinstance(value, (str, bytes, bytearray)):
-            plain = value if isinstance(value, str) else bytes(value)
-            return _Part(plain, 1 + len(value), 0)
-        if isinstance(value, _Array):
-            if value.array is None:
-                raise InvalidEventError("is damaged: it holds an array without content")
-            return _Part(value.array, 1 + value.array.size, 0)
-        if type(value) not in (list, tuple, dict):
-            raise InvalidEventError("holds a function or a class in place of data")
-        part = self._known.get(id(value))
-        if part is None:
-            part = self._known[id(value)] = self._container(value, depth)
-        if depth + part.height > MAX_NESTING:
-            raise InvalidEventError(_TOO_DEEP)
-        return part
-
-    def _container(self, value: Any, depth: int) -> _Part:
-        if depth > MAX_NESTING or id(value) in self._open:
-            raise InvalidEventError(_TOO_DEEP)
-        self._open.add(id(value))
-        parts, size = [], 1
-        if type(value) is dict:
-            for key in value:
-                parts_of_key = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
-                if any(type(part) not in (str, int) for part in parts_of_key):
-                    raise InvalidEventError(_NO_KEY)
-                size += sum(1 + len(p) if isinstance(p, str) else 1 for p in parts_of_key)
-        for item in value.values() if type(value) is dict else value:
-            part = self.of(item, depth + 1)
-            parts.append(part)
-            size += part.size
-            if size > MAX_SIZE:
-                raise InvalidEventError(
-                    f"is larger than the {MAX_SIZE} values that are read, written out"
-                )
-        self._open.remove(id(value))
-        values = (part.value for part in parts)
-        height = 1 + max((part.height for part in parts), default=0)
-        made = dict(zip(value, values, strict=True)) if type(value) is dict else type(value)(values)
-        return _Part(made, size, height)
+    def __getitem__(self, code: int) -> Callable[[_Reader], None]:
+        self._left -= 1
+        if self._left < 0:
+            raise InvalidEventError(f"has more than {MAX_OPCODES} opcodes")
+        if code not in self:
+            raise InvalidEventError(
+                f"is damaged, or holds an object of a class, refused: opcode {bytes([code])!r}"
+            )
+        return super().__getitem__(code)

@@ -47,26 +47,28 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.data.authors.pickles import read_pickle
-from phase_ppl.data.documents import event_id, require
+from phase_ppl.data.documents import converted, event_id
 from phase_ppl.data.events_json import Entries, check_start, strength_level
 from phase_ppl.data.generation.making import REFLECTIONS
 from phase_ppl.data.generation.situation import LAYOUTS
 from phase_ppl.data.motion import full_turn, observed_turning
 from phase_ppl.physics.constants import SUBSTEPS
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.arrays import FloatArray, finite_array
+from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
 from phase_ppl.world.hypothesis import RELATIONS, STRENGTH_LEVELS
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, Literal, Predicate
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, Predicate
+from phase_ppl.world.names import Literal as GoalLiteral
 from phase_ppl.world.rooms import RAY_DIRECTIONS
-from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase, finite_array
+from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_is_phase
 
 Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
@@ -155,11 +157,11 @@ def goal_string(goal: Goal, holder: int) -> str:
     positive = sign > 0
     on_landmark = entity < len(AGENTS) and target < len(LANDMARKS)
     if kind == "LMO" and on_landmark:
-        literal = Literal(Predicate.ON, BLUE_ITEM + entity, target, positive)
+        literal = GoalLiteral(Predicate.ON, BLUE_ITEM + entity, target, positive)
     elif kind == "LMA" and on_landmark:
-        literal = Literal(Predicate.ON, entity, target, positive)
+        literal = GoalLiteral(Predicate.ON, entity, target, positive)
     elif kind == "TE" and {entity, target} == {0, 1}:  # chaser and chased, whoever holds it
-        literal = Literal(Predicate.TOUCH, holder, 1 - holder, positive)
+        literal = GoalLiteral(Predicate.TOUCH, holder, 1 - holder, positive)
     else:
         raise InvalidEventError(f"goal {list(goal)} is none of the paper's {len(GOALS)} goals")
     return GOALS[literal_goal(literal)]
@@ -195,9 +197,9 @@ def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
     if truth is not None:
         goals = "_".join(
             str(list(goal_numbers(goal, holder)))
-            for holder, goal in enumerate((truth.goal_red, truth.goal_green))
+            for holder, goal in enumerate(truth.goals.values())
         )
-        red, green = map(strength_level, (truth.strength_red, truth.strength_green))
+        red, green = map(strength_level, truth.strengths)
         parameters = f"_G{goals}_ST{red}_{green}"
         of_red = of_green = 0.0
         if truth.scenario == "opposing":  # whoever wants that something is not so hinders
@@ -213,6 +215,21 @@ def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
 CHANNELS: Final = ("x", "y", "vx", "vy", "angle")
 
 
+class _Video(msgspec.Struct):
+    trajectories: Any
+    wall_segs: Any
+    landmark_centers: Any
+    entity_color_code: dict[Any, int]
+    name: str = ""
+    entity_sizes: Any = None
+    sizes: Any = None
+    social_goals: Literal["friendly", "neutral", "adversarial"] | None = None
+
+
+class _Named(msgspec.Struct):
+    name: str
+
+
 def read(path: str | os.PathLike[str]) -> Entries:
     """Return the videos of the pickle ``path``, in memory, each still to be checked.
 
@@ -220,21 +237,16 @@ def read(path: str | os.PathLike[str]) -> Entries:
     """
     content = read_pickle(path)
     if isinstance(content, dict):
-        require(content, "entity_color_code", dict)
+        converted(content, _Video)
         said = parse_name(Path(path).name)
-        return [(event_id({"id": said.id}), functools.partial(_event, content, said, raw=True))]
-    if not isinstance(content, list):
-        raise InvalidEventError(f"holds {_kind(content)}, expected a list of videos or one record")
-    ids, names = [], []
-    for index, video in enumerate(content):
-        where = f"videos[{index}]"
-        if not isinstance(video, dict):
-            raise InvalidEventError(f"{where} is {_kind(video)}, expected a dict")
-        names.append(event_id({"id": require(video, "name", str, where)}, where))
+        return [(event_id(said.id), functools.partial(_event, content, said, raw=True))]
+    names = [event_id(one.name) for one in converted(content, list[_Named], "videos")]
+    ids = []
+    for name in names:
         try:
-            ids.append(parse_name(names[-1]).id)
+            ids.append(parse_name(name).id)
         except InvalidEventError:  # reported when the video is read
-            ids.append(names[-1])
+            ids.append(name)
     given = Counter(ids)
     unique = [id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)]
     return [
@@ -248,61 +260,57 @@ def _processed(video: Mapping[str, Any], id: str) -> Event:
     return _event(video, said._replace(id=id), raw=False)
 
 
-def _event(video: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
-    bodies = bodies_by_colour(require(video, "entity_color_code", dict))
-    sizes = finite_array("entity_sizes", _get(video, "sizes" if raw else "entity_sizes"), (4,))
-    radius = sizes[list(bodies)]
-    tracks = _tracks(_get(video, "trajectories"), bodies)
+def _event(given: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
+    video = converted(given, _Video)
+    bodies = list(bodies_by_colour(video.entity_color_code))
+    sizes = video.sizes if raw else video.entity_sizes
+    radius = finite_array("sizes", sizes, (len(ENTITIES),))[bodies]
+    if not isinstance(video.trajectories, list | tuple | np.ndarray):
+        raise InvalidEventError("trajectories is no list of tracks")
+    if len(video.trajectories) != len(ENTITIES):
+        raise InvalidEventError(
+            f"trajectories has {len(video.trajectories)} tracks, expected {len(ENTITIES)}"
+        )
+    shape = (None, len(CHANNELS))
+    tracks = [
+        finite_array(f"trajectories[{body}]", video.trajectories[body], shape) for body in bodies
+    ]
     wrapped = said.place is not None and said.place.is_diagonal
     if raw:
-        tracks = [
-            _averaged(track, body, wrapped) for body, track in zip(bodies, tracks, strict=True)
-        ]
-    trajectory = _cut(tracks, bodies)
-    landmarks = _get(video, "landmark_centers")
+        tracks = [_averaged(track, wrapped) for track in tracks]
+    length = len(tracks[0])
+    lengths = list(map(len, tracks))
+    if length != lengths[1] or length > min(lengths):
+        raise InvalidEventError(
+            f"trajectories have {lengths} rows, expected equally many of both agents and no fewer "
+            "of items"
+        )
+    columns = [0, 1, CHANNELS.index("angle")]
+    rows = np.stack([track[:length, columns] for track in tracks], axis=1)
+    trajectory = np.array(Observation(rows).trajectory)  # refuses what is too short
     scene = Scene(  # refuses impossible sizes, before they are used
-        start=trajectory[0],
-        radius=radius,
-        walls=finite_array("wall_segs", _get(video, "wall_segs"), (None, 2, 2)),
-        landmark_centres=finite_array("landmark_centers", landmarks, (len(LANDMARKS), 2)),
+        trajectory[0], radius, video.wall_segs, landmark_centres=video.landmark_centers
     )
     if wrapped and not raw:
         for agent in range(len(AGENTS)):
             trajectory[:, agent, 2] = repaired(trajectory[:, agent, 2], float(radius[agent]))
     turning = observed_turning(trajectory, radius)
+    relation = video.social_goals
     return Event(
         scene=dataclasses.replace(scene, start=trajectory[0], turning=turning),
         observation=Observation(trajectory),
         id=said.id,
         truth=said.truth,
-        judgments=_judgments(video.get("social_goals")),
+        judgments=None if relation is None else {"majority": relation},
     )
 
 
-def _get(video: Mapping[str, Any], name: str) -> Any:
-    if name not in video:
-        raise InvalidEventError(f"has no {name}")
-    return video[name]
-
-
-def _tracks(given: object, bodies: tuple[int, ...]) -> list[FloatArray]:
-    """Return the rows of each entity, (time, channel)."""
-    tracks = list(given) if isinstance(given, np.ndarray) and given.ndim else given
-    if not isinstance(tracks, (list, tuple)):
-        raise InvalidEventError(f"trajectories is {_kind(tracks)}, expected a list of tracks")
-    if len(tracks) != len(ENTITIES):
-        raise InvalidEventError(f"trajectories has {len(tracks)} tracks, expected {len(ENTITIES)}")
-    shape = (None, len(CHANNELS))
-    return [finite_array(f"trajectories[{body}]", tracks[body], shape) for body in bodies]
-
-
-def _averaged(track: FloatArray, body: int, wrapped: bool) -> FloatArray:
+def _averaged(track: FloatArray, wrapped: bool) -> FloatArray:
     """Return a row per frame of a track with a row per substep."""
     first = len(track) % SUBSTEPS
     if first > 1 or len(track) < SUBSTEPS:
         raise InvalidEventError(
-            f"trajectories[{body}] has {len(track)} rows, expected a multiple of {SUBSTEPS}, or "
-            "one more"
+            f"a track has {len(track)} rows, expected a multiple of {SUBSTEPS}, or one more"
         )
     rows = np.array(track)
     with np.errstate(over="ignore", invalid="ignore"):  # means beyond all numbers are refused later
@@ -312,51 +320,14 @@ def _averaged(track: FloatArray, body: int, wrapped: bool) -> FloatArray:
     return np.concatenate([rows[:1], means])
 
 
-def _cut(tracks: list[FloatArray], bodies: tuple[int, ...]) -> FloatArray:
-    """Return the trajectory, (time, entity, coord), as long as the agents' tracks."""
-    length = len(tracks[0])
-    if any(len(track) != length for track in tracks[: len(AGENTS)]) or any(
-        len(track) < length for track in tracks
-    ):
-        listed = ", ".join(
-            f"{len(track)} of body {body}" for body, track in zip(bodies, tracks, strict=True)
-        )
-        raise InvalidEventError(
-            f"trajectories have {listed} rows, expected equally many of both agents and no fewer "
-            "of items"
-        )
-    columns = [0, 1, CHANNELS.index("angle")]
-    rows = np.stack([track[:length, columns] for track in tracks], axis=1)
-    return np.array(Observation(rows).trajectory)  # refuses what is too short
-
-
-def _judgments(relation: object) -> dict[str, Any] | None:
-    if relation is None:
-        return None
-    if not isinstance(relation, str) or relation not in RELATIONS:
-        raise unknown_name("relation in social_goals", _kind(relation), RELATIONS)
-    return {"majority": relation}
-
-
-def _kind(value: object) -> str:
-    """Return what a message says of ``value``: arrays and containers may be long."""
-    if value is None or isinstance(value, (str, bytes, int, float)):
-        return shown(value)
-    return type(value).__name__
-
-
 # --- which body has which colour -------------------------------------------------------------
-
-_BODIES_OF_KEYS: Final[Mapping[frozenset[int], Mapping[int, int]]] = {
-    frozenset((0, 1, 3, 4)): {0: 0, 1: 1, 3: 2, 4: 3},
-    frozenset((0, 1, 2)): {0: 0, 1: 2, 2: 3},
-    frozenset((0, 1, 2, 3)): {0: 0, 1: 1, 2: 2, 3: 3},
-}
-"""Per set of keys of ``entity_color_code`` the body that each key means; the last is that of
-records without shuffling."""
 
 COLOUR_CODE: Final = {0: 0, 1: 1, 3: 2, 4: 3}
 """The code of bodies that are in the order of the colours."""
+
+_KEYS: Final = ((0, 1, 3, 4), (0, None, 1, 2), (0, 1, 2, 3))
+"""Which keys ``entity_color_code`` has for the bodies; the last are those of records without
+shuffling."""
 
 
 def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
@@ -366,21 +337,13 @@ def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
     to colours (0 red, 1 green, 2 blue, 3 pink), but counts items from 3 on; where the colours of
     the agents were not shuffled it has lost agent 1, whose number an item took.
     """
-    bodies = _BODIES_OF_KEYS.get(frozenset(code))
-    if bodies is None or any(type(colour) is not int for colour in code.values()):
-        raise _unknown_code(code)
-    colours = {body: code[key] for key, body in bodies.items()}
-    if 1 not in colours:
-        colours[1] = 1 - colours[0]  # the colour that is left
-    order = [colours[body] for body in range(len(ENTITIES))]
-    n = len(AGENTS)
-    if sorted(order[:n]) != [0, 1] or sorted(order[n:]) != [2, 3]:
-        raise _unknown_code(code)
-    return tuple(order.index(colour) for colour in range(len(ENTITIES)))
-
-
-def _unknown_code(code: Mapping[Any, Any]) -> InvalidEventError:
-    return InvalidEventError(
+    for keys in _KEYS:
+        if {*keys} - {None} == {*code}:
+            # a lost one has the colour that is left
+            colours = [1 - code[0] if key is None else code[key] for key in keys]
+            if sorted(colours[:2]) == [0, 1] and sorted(colours[2:]) == [2, 3]:
+                return tuple(map(colours.index, range(len(ENTITIES))))
+    raise InvalidEventError(
         f"entity_color_code is {shown(dict(code))}, expected a code such as {COLOUR_CODE}"
     )
 
@@ -521,10 +484,10 @@ def video(event: Event) -> dict[str, Any]:
             raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
     velocity = _velocity(trajectory, place.copy, scene)
     rows = np.concatenate([trajectory[..., :2], velocity, trajectory[..., 2:]], axis=-1)
-    goals = [] if truth is None else [truth.goal_red, truth.goal_green]
+    goals = [] if truth is None else truth.goals.values()
     majority = (event.judgments or {}).get("majority")
     return {
-        "name": file_name(event_id({"id": event.id}), place, truth, len(rows)),
+        "name": file_name(event_id(event.id), place, truth, len(rows)),
         "trajectories": [np.array(rows[:, entity]) for entity in range(rows.shape[1])],
         "entity_sizes": scene.radius.tolist(),
         "entity_color_code": dict(COLOUR_CODE),

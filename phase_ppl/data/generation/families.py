@@ -11,11 +11,9 @@ Families with variants take the variant's name as second argument.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import itertools
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -27,11 +25,9 @@ from phase_ppl.data.generation.situation import (
     SPOTS,
     CannotDraw,
     Draw,
-    Option,
     Situation,
     tables_of,
 )
-from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidSettingError,
     check_name,
@@ -58,8 +54,6 @@ class Drawn(NamedTuple):
     scene: Scene
     roles: Hypothesis
     layout: int  # number of the layout
-    # that its family made, in order; places and angles are not among them
-    choices: tuple[tuple[Any, bool], ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,7 +126,7 @@ class Family:
         what, depth = deepest_overlap(scene)
         if depth > _OVERLAP and not draw.tables.spots:  # of which some are that near the border
             draw.refuse(f"{what} overlap")
-        return Drawn(scene, roles, draw.layout, tuple(draw.choices))
+        return Drawn(scene, roles, draw.layout)
 
 
 def pairs_showing(what: str, wanted: Hypothesis) -> list[tuple[int, int]]:
@@ -460,86 +454,3 @@ def chasing_of_any(draw: Draw) -> Situation:
     """One agent chases another; further agents run errands."""
     chaser, chased, *_ = draw.agents()
     return draw.situation({chaser: f"get to {chased}"}, {(chased, chaser): "hinder"})
-
-
-# --- the same situation elsewhere -----------------------------------------------------------------
-# In a layout of the same kind, or with sizes and strengths moved: a family is asked to draw once
-# more, and gets the choices of the earlier draw, in the other layout or with every size and
-# strength one id further. Where it was not offered such a choice, its rules do not hold, and there
-# is none.
-
-_STEPS: Final = {"up": 1, "down": -1}
-"""How far ids of sizes and strengths are moved; ids are not turned over at the ends."""
-
-
-def most_changes(world: World) -> int:
-    """Return how many changes any situation of a world has at most."""
-    alike = tables_of(world).alike
-    return max(map(len, alike)) - 1 + len(_STEPS) if alike else 0
-
-
-class Change(NamedTuple):
-    """A situation that is another one but for what is said."""
-
-    name: str  # a short one, such as "layout-17" or "ids-up"
-    told: dict[str, int]  # how it differs, as plain data
-    situation: Drawn
-
-
-def changed(family: Family, first: Drawn) -> list[Change]:
-    """Return all situations that are a situation in another layout, or with ids moved by one.
-
-    Goals, relations and all places and angles at the start are those of the first.
-    """
-    kinds = [kind for kind in tables_of(first.scene.world).alike if first.layout in kind]
-    layouts = {*family.layouts} - {first.layout}
-    changes = {f"layout-{n}": (n, 0) for kind in kinds for n in kind if n in layouts}
-    changes |= {f"ids-{way}": (first.layout, by) for way, by in _STEPS.items()}
-    found = []
-    for name, (layout, by) in changes.items():
-        with contextlib.suppress(CannotDraw):
-            other = family.drawn_with(_Redraw(first, layout, by))
-            if _is_same(first, other, by):
-                told = {"ids_moved_by": by} if by else {"layout_before": first.layout}
-                found.append(Change(name, told, other))
-    return found
-
-
-def _is_same(first: Drawn, other: Drawn, by: int) -> bool:
-    """Whether all is the same, but sizes and strengths so many ids further.
-
-    What a family fixes is not moved, and what it draws elsewhere than from a Draw is drawn anew.
-    """
-
-    def moved(values: Sequence[float], levels: Sequence[float]) -> list[float | None]:
-        further = dict(zip(levels[max(0, -by) :], levels[max(0, by) :], strict=False))
-        return [further.get(value, None if by else value) for value in values]
-
-    forces = moved(first.roles.strengths, tables_of(first.scene.world).strengths)
-    return (
-        (first.roles.stated, first.roles.towards) == (other.roles.stated, other.roles.towards)
-        and forces == list(other.roles.strengths)
-        and np.array_equal(first.scene.start, other.scene.start)
-        and moved(first.scene.radius.tolist(), SIZES) == other.scene.radius.tolist()
-    )
-
-
-class _Redraw(Draw):
-    """A draw that makes the choices of an earlier one, but for a change."""
-
-    def __init__(self, earlier: Drawn, layout: int, by: int) -> None:
-        super().__init__(earlier.scene.world, np.random.default_rng(0), layout)
-        self._left, self._start, self._by = deque(earlier.choices), earlier.scene.start, by
-
-    def _value(self, options: Sequence[Option], is_id: bool) -> Option:
-        if not self._left or self._left[0][1] != is_id:
-            self.refuse()
-        value, _ = self._left.popleft()
-        value = value + self._by if is_id else value
-        return value if value in options else self.refuse()
-
-    def _arrangements(self, places: Sequence[Any]) -> Iterator[FloatArray]:
-        for spots, (x, y, _) in zip(places, self._start.tolist(), strict=True):
-            if (x, y) not in spots:
-                return
-        yield self._start

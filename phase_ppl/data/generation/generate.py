@@ -38,9 +38,7 @@ from phase_ppl.world.errors import (
     OutputError,
     PhasePPLError,
     SimulationError,
-    shown,
 )
-from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_bytes, write_json
 from phase_ppl.world.identity import differences, versions_so_far
 from phase_ppl.world.progress import Bar
@@ -66,25 +64,22 @@ def read_part(folder: Path, slot: Slot) -> Part:
     source = part_file(folder, slot)
     part = read_json(source)
     try:
-        if part.pop("sha256", None) != _digest(part):
-            raise InvalidEventError("its content is not what sha256 says")
-        if part["name"] != slot.name:
-            raise InvalidEventError(f"it holds {shown(part['name'])}")
+        if part.pop("sha256") != _digest(part) or part["name"] != slot.name:
+            raise InvalidEventError("its content is not what sha256 says, or of another slot")
         part["events"] = [event_from_record(record) for record in part["events"]]
         for draw in part["rejected"]:
             if "event" in draw:
                 draw["event"] = event_from_record(draw["event"])
         return part
     except (KeyError, TypeError, PhasePPLError) as error:
-        raise InvalidEventError(f"{source}: is damaged ({error}); resume makes it anew") from None
+        raise InvalidEventError(
+            f"{source}: is damaged ({error}); without it resume makes it anew"
+        ) from None
 
 
 def _digest(part: Part) -> str:
     text = json.dumps(part, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-# --- the data set ------------------------------------------------------------------------------
 
 
 def assemble(
@@ -98,40 +93,34 @@ def assemble(
     A block of slots is in memory at a time. A set of one block has its events in one file, and its
     entries in the manifest. It was ``made_by`` these versions, the last ones last.
     """
-    # of simulations, and of those of re-planned copies
-    tally: dict[bool, dict[str, dict[str, Any]]] = {
-        replanned: {cell: {"kept": 0, "rejected": Counter()} for cell in plan["cells"]}
-        for replanned in (False, True)
-    }
+    kept = Counter(dict.fromkeys(plan["cells"], 0))
+    refused = {cell: Counter[str]() for cell in plan["cells"]}
     given_up: list[str] = []
     sizes: list[int] = []
     single = len(slots) <= BLOCK
-    entries: list[dict[str, Any]] = []
     for start in range(0, len(slots), BLOCK):
-        events: list[Event] = []
-        entries = []
-        rejected: list[dict[str, Any]] = []
-        for slot in slots[start : start + BLOCK]:
-            part = read_part(out, slot)
-            events += part["events"]
-            entries += part["entries"]
-            tally[False][slot.cell]["kept"] += bool(part["events"])
-            for entry in part["entries"]:
-                tally[True][slot.cell]["kept"] += bool(entry.get("replanned"))
-            given_up += [] if part["events"] else [slot.name]
-            for draw in part["rejected"]:
-                tally[draw["replanned"]][slot.cell]["rejected"][draw["reason"]] += 1
-                if "event" in draw:
-                    rejected.append({"id": draw.pop("id"), "cell": slot.cell, **draw})
+        parts = [read_part(out, slot) for slot in slots[start : start + BLOCK]]
+        given_up += [part["name"] for part in parts if not part["events"]]
+        for part in parts:
+            kept[part["cell"]] += bool(part["events"])
+            refused[part["cell"]].update(draw["reason"] for draw in part["rejected"])
+        events = [event for part in parts for event in part["events"]]
+        entries = [entry for part in parts for entry in part["entries"]]
         for event, entry in zip(events, entries, strict=True):
             entry["checksum"] = checksum(event)
+        draws = [
+            {"id": draw["id"], "cell": part["cell"], **draw}
+            for part in parts
+            for draw in part["rejected"]
+            if "event" in draw
+        ]
         place = out if single else writable_folder(out / BLOCKS / f"{len(sizes):05d}")
         if events:
             write_bytes(place / EVENTS, (".nc",), events_bytes(events))
-        if rejected:
-            refused = [draw.pop("event") for draw in rejected]
-            write_bytes(place / f"{REJECTED}.nc", (".nc",), events_bytes(refused))
-            write_json(place / f"{REJECTED}.json", {"rejected": rejected})
+        if draws:
+            content = events_bytes([draw.pop("event") for draw in draws])
+            write_bytes(place / f"{REJECTED}.nc", (".nc",), content)
+            write_json(place / f"{REJECTED}.json", {"rejected": draws})
         if not single:
             write_json(place / ENTRIES, {"entries": entries})
         sizes.append(len(events))
@@ -144,45 +133,21 @@ def assemble(
             "plan": dict(plan),
             "versions": made_by[-1],
             "earlier_versions": made_by[:-1],
-            "kept": {cell: n["kept"] for cell, n in tally[False].items()},
-            "rejected": {cell: n["rejected"] for cell, n in tally[False].items()},
-            "replans": tally[True] if plan["replans"] else {},
+            "kept": kept,
+            "rejected": refused,
             "given_up": given_up,
             **({"entries": entries} if single else {"blocks": sizes}),
         },
     )
 
 
-# --- what is missing -----------------------------------------------------------------------------
-
-
-def _missing(folder: Path, slots: Sequence[Slot]) -> tuple[list[Slot], list[str]]:
-    """Return the slots that have no part, or a damaged one; and the names of the latter."""
-    missing, damaged = [], []
-    for slot in slots:
-        if part_file(folder, slot).is_file():
-            with contextlib.suppress(InvalidEventError):
-                read_part(folder, slot)
-                continue
-            damaged.append(slot.name)
-        missing.append(slot)
-    return missing, damaged
-
-
 def _make_missing(
-    folder: Path,
-    plan: Plan,
-    missing: Sequence[Slot],
-    total: int,
-    keep_rejected: bool,
-    n_workers: int | None,
-    executor: Executor | None,
-    progress: bool | None,
+    folder: Path, plan: Plan, missing: Sequence[Slot], total: int, keep_rejected: bool, **how: Any
 ) -> None:
     """Make the parts of slots, of so many in all."""
-    left = len(missing)
+    left, progress = len(missing), how.pop("progress")
     failures: list[str] = []
-    made = results(make, plan, missing, n_workers, "the plan", executor)
+    made = results(make, plan, missing, what="the plan", **how)
     try:
         bar = Bar(total, total - left, progress, "event", "events")
         with contextlib.closing(made), bar:
@@ -230,7 +195,6 @@ def generate(
     cells: Mapping[str, int] | None = None,
     splits: Mapping[str, float] | None = None,
     copies: int = 0,
-    replans: int = 0,
     planner: str | PlannerConfig = "fast",
     seed: int = 0,
     turning: Any = "both",
@@ -268,16 +232,13 @@ def generate(
             world, or with ``roles``, random scenes (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
         copies: further copies of each event with other reflections and colours, in its split.
-        replans: further copies of each event at most, in its split: the same situation simulated
-            in a layout of the same kind, or with all sizes and strengths one id further, where its
-            family allows that and the result shows what it should.
         planner: "fast", "paper" or a ``PlannerConfig``.
         seed: of everything random.
         turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
         frames: length, in PHASE before the cut after the last motion; default 101.
         max_tries: draws after which an event is given up; default 200.
         reflect, recolour: whether events are reflected, and colours exchanged, at random; by
-            default those of PHASE. Like copies and replans they are of PHASE only.
+            default those of PHASE. Like copies they are of PHASE only.
         keep_rejected: whether rejected draws are kept, with the reason.
         resume: go on with what ``out`` holds.
         other_versions: also where that was made by other versions of this package, or of what it
@@ -298,7 +259,6 @@ def generate(
             made is kept.
         GenerationInterrupted: Ctrl-C; what was finished is kept.
     """
-    given = {"splits": splits, "frames": frames, "max_tries": max_tries}
     world = named(world)
     tables = tables_of(world)
     if cells is None:
@@ -308,12 +268,12 @@ def generate(
                 f"n, the number of events, is needed in the world {world.name!r}"
             )
         cells = cells or {cell_of(world): 1}
+    given = {"splits": splits, "frames": frames, "max_tries": max_tries}
     plan = Plan(
         world=world,
         roles=roles,
         cells=cells if n is None else scaled(cells, n),
         copies=copies,
-        replans=replans,
         planner=planner,
         seed=seed,
         turning=turning,
@@ -334,28 +294,20 @@ def generate(
             apart = differences(stored, record)
             if apart:
                 raise OutputError(f"{folder} holds a data set of another plan: {'; '.join(apart)}")
-        writable_folder(folder / PARTS)
-        finished = (folder / MANIFEST).is_file()
-        missing, damaged = _missing(folder, () if finished else slots)
-        if missing:
-            made_by = versions_so_far(made_by, folder, other_versions)
-            write_json(folder / PLAN, {**record, "versions": made_by})
-        clock = time.perf_counter()
-        _make_missing(folder, plan, missing, len(slots), keep_rejected, at_once, executor, progress)
-        seconds = time.perf_counter() - clock
-        if not finished:
+        parts = writable_folder(folder / PARTS)
+        if not (folder / MANIFEST).is_file():
+            missing = [slot for slot in slots if not part_file(folder, slot).is_file()]
+            if missing:
+                made_by = versions_so_far(made_by, folder, other_versions)
+                write_json(folder / PLAN, {**record, "versions": made_by})
+            clock = time.perf_counter()
+            how = {"workers": at_once, "executor": executor, "progress": progress}
+            _make_missing(folder, plan, missing, len(slots), keep_rejected, **how)
+            cost = {"seconds": time.perf_counter() - clock, "workers": at_once}
             assemble(folder, plan.to_dict(), made_by, slots)
-            cost = {
-                "seconds": seconds,
-                "workers": at_once,
-                "made_now": len(missing),
-                "made_anew": damaged,
-            }
-            write_json(folder / COST, cost)
-        for slot in slots:
-            part_file(folder, slot).unlink(missing_ok=True)
-        for half in (folder / PARTS).glob(".part-*"):  # of a process that was killed
-            half.unlink(missing_ok=True)
+            write_json(folder / COST, {**cost, "made_now": len(missing)})
+        for file in (*(part_file(folder, slot) for slot in slots), *parts.glob(".part-*")):
+            file.unlink(missing_ok=True)  # also halves of a process that was killed
         with contextlib.suppress(OSError):  # what else is there is not ours
-            (folder / PARTS).rmdir()
+            parts.rmdir()
         return GeneratedEvents(folder)

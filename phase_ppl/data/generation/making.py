@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.data.events_json import event_record
-from phase_ppl.data.generation.families import Change, Drawn, changed, pairs_showing
+from phase_ppl.data.generation.families import Drawn, pairs_showing
 from phase_ppl.data.generation.plan import MOST_TRIES, UNCHANGED, Look, Plan, Slot, is_as_before
 from phase_ppl.data.generation.situation import tables_of
 from phase_ppl.data.motion import last_motion
@@ -179,44 +179,36 @@ def measures(recording: Recording) -> dict[str, Any]:
     * ``reached`` [agent], elsewhere: whether it has a goal of its own that became true.
     """
     track, scene, wanted = recording.trajectory, recording.scene, recording.hypothesis
-    world = scene.world
-    n_agents, n = len(world.agents), len(world.entities)
-    literals = [
-        goal_literal(goal, agent, world) for agent, goal in enumerate(wanted.effective_goals)
-    ]
+    world, agents = scene.world, range(len(scene.world.agents))
+    literals = list(map(goal_literal, wanted.effective_goals, agents, itertools.repeat(world)))
     truth = np.array([[is_true(one, frame, scene) for one in literals] for frame in track])
     steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
-    in_vain = recording.pushes[1:] & (steps[:, :n_agents] < STILL)
+    in_vain = recording.pushes[1:] & (steps[:, : len(agents)] < STILL)
 
-    def touching(one: int, other: int) -> Iterator[bool]:
-        return (touches(one, other, frame, scene.radius, n_agents) for frame in track)
+    def touching(one: int, other: int) -> list[bool]:
+        return [touches(one, other, frame, scene.radius, len(agents)) for frame in track]
 
-    closest, met = {}, {}
-    for one, other in itertools.combinations(range(n_agents), 2):
-        name = _named(world, (one, other))
+    def closest(one: int, other: int) -> float:
         apart = np.linalg.norm(track[:, one, :2] - track[:, other, :2], axis=1)
-        closest[name] = float((apart / scene.radius[[one, other]].sum()).min())
-        met[name] = sum(touching(one, other))
+        return float((apart / scene.radius[[one, other]].sum()).min())
+
+    pairs = {_named(world, pair): pair for pair in itertools.combinations(agents, 2)}
+    items = list(enumerate(world.items, len(agents)))
+    runs = [[len(list(run)) for vain, run in itertools.groupby(one) if vain] for one in in_vain.T]
     found: dict[str, Any] = {
         "frames": len(track),
         "at_start": truth[0].tolist(),
         "ever": truth.any(axis=0).tolist(),
         "at_end": truth[-1].tolist(),
-        "closest": closest,
-        "met": met,
-        "touched": [
-            [world.entities[item] for item in range(n_agents, n) if any(touching(agent, item))]
-            for agent in range(n_agents)
-        ],
+        "closest": {name: closest(*pair) for name, pair in pairs.items()},
+        "met": {name: sum(touching(*pair)) for name, pair in pairs.items()},
+        "touched": [[name for item, name in items if any(touching(a, item))] for a in agents],
         "moved": steps.sum(axis=0).tolist(),
-        "stuck": [
-            max((len(list(run)) for vain, run in itertools.groupby(of_agent) if vain), default=0)
-            for of_agent in in_vain.T.tolist()
-        ],
+        "stuck": [max(lengths, default=0) for lengths in runs],
     }
-    if not is_as_before(wanted.world):
+    if not is_as_before(world):
         return {**found, "reached": _reached(wanted, found)}
-    (found["closest"],), (found["met"],) = closest.values(), met.values()
+    (found["closest"],), (found["met"],) = found["closest"].values(), found["met"].values()
     return {**found, "held": recording.holds.mean(axis=0).tolist()}
 
 
@@ -270,7 +262,6 @@ def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | 
 
 # --- making ----------------------------------------------------------------------------------
 
-REPLAN_TRIES: Final = 3  # simulations of a changed situation after which it is given up
 _SLOTS: Final = 10**5
 
 Part = dict[str, Any]
@@ -278,8 +269,8 @@ Part = dict[str, Any]
 
 ``name`` and ``cell`` are the slot's. ``events``, the event and its copies, are none where every
 draw was rejected; ``entries`` say of each what the manifest says. ``rejected`` are the draws before
-the one that was kept, and failed attempts at re-planned copies (``replanned``): with ``id``,
-``reason``, ``measures``, and ``event`` unless there was nothing to simulate.
+the one that was kept: with ``id``, ``reason``, ``measures``, and ``event`` unless there was
+nothing to simulate.
 """
 
 
@@ -289,116 +280,68 @@ def make(plan: Plan, slot: Slot) -> Part:
     A situation is one of a family, which shows its scenario, or a random scene with roles, in which
     an agent reaches a goal of its own. Its event has copies where the plan wants them.
     """
-    making = _Making(plan, slot)
+    family, simulator = plan.families.get(slot.cell), JointSimulator(plan.planner)
+    before = is_as_before(plan.world)
+    part: Part = {"name": slot.name, "cell": slot.cell, "events": [], "entries": [], "rejected": []}
     for attempt in range(plan.max_tries):
-        making.attempt(attempt)
-        if making.part["events"]:
-            break
-    return making.part
-
-
-class _Making:
-    """The making of a slot's event and its copies."""
-
-    def __init__(self, plan: Plan, slot: Slot) -> None:
-        self.plan, self.slot = plan, slot
-        self.family = plan.families.get(slot.cell)
-        self.simulator = JointSimulator(plan.planner)
-        self.part: Part = {"name": slot.name, "cell": slot.cell}
-        self.part |= {"events": [], "entries": [], "rejected": []}
-
-    def attempt(self, attempt: int) -> None:
-        """Draw a situation; keep its recording, and copies of it, if it is good."""
-        plan, id = self.plan, f"{self.slot.name}-{attempt}"
-        seed = (plan.seed * _SLOTS + self.slot.number) * MOST_TRIES + attempt
-        before = is_as_before(plan.world)
-        rng = np.random.default_rng([plan.seed, 0, self.slot.number, attempt] if before else seed)
-        if self.family is not None:
-            drawn = self.family.draw(plan.world, rng)
+        told: dict[str, Any] = {"id": f"{slot.name}-{attempt}", "reason": "", "measures": {}}
+        seed = (plan.seed * _SLOTS + slot.number) * MOST_TRIES + attempt
+        rng = np.random.default_rng([plan.seed, 0, slot.number, attempt] if before else seed)
+        if family is not None:
+            drawn = family.draw(plan.world, rng)
         else:
             roles = _drawn_roles(plan, seed)
             if isinstance(roles, str):
-                self.reject(id, roles)
-                return
+                part["rejected"].append({**told, "reason": roles})
+                continue
             drawn = Drawn(plan.world.random_scene(seed), roles, 0)
         steps = np.random.default_rng(rng.integers(2**31)) if before else random_generator(seed)
-        recording = self.simulated(drawn, steps, id)
-        if recording is None:
-            return
-        found = {"attempt": attempt, "seed": seed, "replanned": None}
-        for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
-            self.keep(recording, plan.looks[index], found)
-        if plan.replans and self.family is not None:
-            self.replan(changed(self.family, drawn))
-
-    def replan(self, changes: Sequence[Change]) -> None:
-        """Keep recordings of changed situations that are good, as many as the plan wants."""
-        plan, kept = self.plan, 0
-        # numbers of their own: the event and its other copies are the same without them
-        rng = np.random.default_rng([plan.seed, 2, self.slot.number])
-        for place in rng.permutation(len(changes)):
-            if kept == plan.replans:
-                break
-            name, told, drawn = changes[place]
-            for again in range(REPLAN_TRIES):
-                steps = np.random.default_rng(rng.integers(2**31))
-                id = f"{self.slot.name}-{name}-{again}"
-                recording = self.simulated(drawn, steps, id, replanned=True)
-                if recording is not None:
-                    look = plan.looks[int(rng.choice(len(plan.looks), p=plan.shares))]
-                    self.keep(recording, look, {"attempt": again, "replanned": told})
-                    kept += 1
-                    break
-
-    def simulated(
-        self, drawn: Drawn, rng: np.random.Generator, id: str, replanned: bool = False
-    ) -> Recording | None:
-        """Return the recording of a situation if it is good."""
-        scene = dataclasses.replace(drawn.scene, turning=self.plan.turning)
-        recording = record(drawn._replace(scene=scene), self.simulator, self.plan.frames, rng)
+        drawn = drawn._replace(scene=dataclasses.replace(drawn.scene, turning=plan.turning))
+        recording = record(drawn, simulator, plan.frames, steps)
         found = measures(recording)
-        if self.family is not None:
-            reason = reason_against(self.family.scenario, recording.hypothesis, found)
+        if family is not None:
+            reason = reason_against(family.scenario, recording.hypothesis, found)
         else:
             reason = None if any(_reached(drawn.roles, found)) else "no goal is reached"
-        if reason is None:
-            return recording
-        event = event_record(event_of(recording, id))
-        self.reject(id, reason, replanned, measures=found, event=event)
-        return None
+        if reason is not None:
+            event = event_record(event_of(recording, told["id"]))
+            part["rejected"].append({**told, "reason": reason, "measures": found, "event": event})
+            continue
+        for index in rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=plan.shares):
+            look = plan.looks[index]
+            shown = _shown(recording, look)
+            id = f"{slot.name}.{len(part['events'])}" if part["events"] else slot.name
+            entry = {"id": id, "group": slot.name, "split": slot.split, "attempt": attempt}
+            if family is not None:
+                entry |= {"family": family.name, "variant": family.variant}
+            entry |= _told(shown, look) if before else {"world": plan.world.name, "seed": seed}
+            if not before:
+                entry["roles"] = shown.hypothesis.to_dict()
+            part["events"].append(event_record(event_of(shown, id)))
+            part["entries"].append({**entry, "measures": measures(shown)})
+        break
+    return part
 
-    def reject(self, id: str, reason: str, replanned: bool = False, **found: Any) -> None:
-        """Keep of a draw why it is not good."""
-        told = {"id": id, "reason": reason, "replanned": replanned, "measures": {}}
-        self.part["rejected"].append({**told, **found})
 
-    def keep(self, shown: Recording, look: Look, made: Mapping[str, Any]) -> None:
-        """Keep a recording in a look, and how it was made."""
-        slot, events = self.slot, self.part["events"]
-        if look.reflection != UNCHANGED:
-            shown = reflected(shown, look.reflection)
-        if tables_of(self.plan.world).has_looks:
-            shown = recoloured(shown, agents=look.agents, items=look.items)
-        id = f"{slot.name}.{len(events)}" if events else slot.name
-        events.append(event_record(event_of(shown, id)))
-        entry = {"id": id, "group": slot.name, "split": slot.split, "attempt": made["attempt"]}
-        if self.family is not None:
-            entry |= {"family": self.family.name, "variant": self.family.variant}
-        wanted = shown.hypothesis
-        if not is_as_before(wanted.world):
-            entry |= {"world": wanted.world.name, "seed": made["seed"], "roles": wanted.to_dict()}
-        else:
-            entry |= {
-                "layout": shown.layout,
-                "replanned": made["replanned"],
-                "reflection": look.reflection,
-                "agents_exchanged": look.agents,
-                "items_exchanged": look.items,
-                "hypothesis": wanted.to_dict(),
-                "scenario": wanted.scenario,
-                "relation": wanted.relation,
-            }
-        self.part["entries"].append({**entry, "measures": measures(shown)})
+def _shown(recording: Recording, look: Look) -> Recording:
+    if look.reflection != UNCHANGED:
+        recording = reflected(recording, look.reflection)
+    if tables_of(recording.scene.world).has_looks:
+        recording = recoloured(recording, agents=look.agents, items=look.items)
+    return recording
+
+
+def _told(shown: Recording, look: Look) -> dict[str, Any]:
+    """Return what the manifest says of an event of PHASE."""
+    return {
+        "layout": shown.layout,
+        "reflection": look.reflection,
+        "agents_exchanged": look.agents,
+        "items_exchanged": look.items,
+        "hypothesis": shown.hypothesis.to_dict(),
+        "scenario": shown.hypothesis.scenario,
+        "relation": shown.hypothesis.relation,
+    }
 
 
 def event_of(recording: Recording, id: str) -> Event:

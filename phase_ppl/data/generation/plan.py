@@ -10,7 +10,6 @@ import dataclasses
 import functools
 import itertools
 import json
-import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
@@ -18,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.data.generation.families import Family, family_of, most_changes
+from phase_ppl.data.generation.families import Family, family_of
 from phase_ppl.data.generation.situation import PHASE500, tables_of
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
@@ -27,11 +26,11 @@ from phase_ppl.world.errors import (
     check_memory,
     check_name,
     instance_of,
-    number_or_nan,
+    nonnegative_number,
     shown,
     whole_number,
 )
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
 
@@ -55,7 +54,7 @@ _FRAME_BYTES: Final = 600
 
 MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
 
-DrawRoles = Callable[[World, int], Roles | None]
+DrawRoles = Callable[[World, int], Hypothesis | None]
 """``(world, seed)`` -> who wants what, such as :func:`phase_ppl.roles.draw`; None: draw anew."""
 
 
@@ -93,7 +92,6 @@ class Plan:
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
     copies: int = 0
-    replans: int = 0
     reflect: bool = True
     recolour: bool = True
     turning: Turning = "both"  # the original events have only "ccw", before any reflection
@@ -117,25 +115,18 @@ class Plan:
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
         for name, share in self.splits.items():
-            if not 0 <= number_or_nan(share) < math.inf:
-                raise InvalidSettingError(f"split {name}={shown(share)}, expected a share >= 0")
+            nonnegative_number(f"split {name}", share)
         if not sum(self.splits.values()) > 0:
             raise InvalidSettingError("the splits have no shares")
         check_name("turning", self.turning, TURNINGS)
-        least = {"copies": 0, "replans": 0, "frames": 2, "seed": 0, "max_tries": 1}
+        least = {"copies": 0, "frames": 2, "seed": 0, "max_tries": 1}
         for name, minimum in least.items():
             whole_number(name, getattr(self, name), minimum)
         if not is_as_before(self.world):
             whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
         for family in self.families.values():  # what functions of others do is found out now
             family.draw(self.world, np.random.default_rng(self.seed))
-        most = most_changes(self.world)
-        if self.replans > most:
-            raise InvalidSettingError(
-                f"replans={self.replans}, but situations of {self.world.name!r} have at most "
-                f"{most} changes"
-            )
-        n, each = sum(self.cells.values()), 1 + self.copies + self.replans
+        n, each = sum(self.cells.values()), 1 + self.copies
         together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
         what = f"a plan of {n * each} events of {self.frames} frames"
         check_memory(what, n * _SLOT_BYTES + together)
@@ -173,7 +164,17 @@ class Plan:
 
     def slots(self) -> list[Slot]:
         """Return the events to be made; in each split about the same shares of every cell."""
-        return slots(self.cells, self.splits, self.seed)
+        rng = np.random.default_rng([self.seed, 1])
+        row = [cell for cell, n in self.cells.items() for _ in range(n)]
+        # neighbours are of a kind: dealing the splits out along the row stratifies them
+        names = list(self.splits)
+        counts = apportioned(len(row), self.splits)
+        place = np.concatenate(
+            [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
+        )
+        split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
+        order = rng.permutation(len(row))  # numbers say nothing about kinds
+        return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
 
     def warm_up(self) -> None:
         """Compile what its events are simulated with."""
@@ -194,21 +195,6 @@ class Plan:
                     for family in self.families.values()
                 }
         return dict(json.loads(json.dumps(record, default=dict)))
-
-
-def slots(cells: Mapping[str, int], splits: Mapping[str, float], seed: int) -> list[Slot]:
-    """Return the slots of a plan with these settings (:meth:`Plan.slots`)."""
-    rng = np.random.default_rng([seed, 1])
-    row = [cell for cell, n in cells.items() for _ in range(n)]
-    # neighbours are of a kind: dealing the splits out along the row stratifies them
-    names = list(splits)
-    counts = apportioned(len(row), splits)
-    place = np.concatenate(
-        [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
-    )
-    split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
-    order = rng.permutation(len(row))  # numbers say nothing about kinds
-    return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
 
 
 def _function_record(function: Callable[..., Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.geometry import is_agent, overlaps
 from phase_ppl.world.goals import goal_literal, possible_goals
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE, Roles, scenario
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE, Hypothesis, scenario
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.rooms import N_ROOMS, RAY_DIRECTIONS, ROOMS_OF_RAY, Rooms
 from phase_ppl.world.scene import ARENA, PHASE, Scene, World
@@ -27,9 +27,6 @@ LAYOUTS: Final[Mapping[int, tuple[float, float, float, float]]] = {
 }  # fmt: skip
 """Layout -> lengths of the walls up, left, down and right of the centre, units. Numbers as in
 the original files; those that are missing were never used."""
-
-LAYOUTS_OF_A_KIND: Final = ((4, 8, 17), (12, 13, 18), (14, 19), (15, 20))
-"""Layouts in which the same doors are narrow: a situation of one can be planned in another."""
 
 SIZES: Final = (0.8, 1.2, 1.6, 1.01)  # sizes R by the original ids, units
 
@@ -79,7 +76,6 @@ class Tables:
     """What the makers of a world fixed for its events, beside the world itself."""
 
     layouts: Mapping[int, FloatArray]  # number -> inner walls (n, 2, 2), units
-    alike: Sequence[Sequence[int]] = ()  # layouts in which a situation of one can be planned
     spots: Sequence[Sequence[tuple[float, float]]] = ()  # by room; none: everywhere
     strengths: Sequence[float] = ()  # newtons; none: all of ``STRENGTH_RANGE``
     cells: Mapping[str, int] = dataclasses.field(default_factory=dict)  # of a set by default
@@ -90,7 +86,6 @@ class Tables:
 _TABLES: Final = {
     PHASE: Tables(
         {number: walls_of(number) for number in LAYOUTS},
-        LAYOUTS_OF_A_KIND,
         SPOTS,
         STRENGTH_LEVELS,
         PHASE500,
@@ -114,7 +109,7 @@ class Situation(NamedTuple):
     """What is to be simulated."""
 
     scene: Scene
-    roles: Roles
+    roles: Hypothesis
 
 
 class CannotDraw(Exception):  # control flow within this package, never seen by users
@@ -136,8 +131,6 @@ class Draw:
         self.tables = tables_of(world)
         self.walls = self.tables.layouts[layout]
         self.rooms = Rooms.from_walls(self.walls, world.arena, world.quadrants)
-        # what was chosen, and whether that is the original id of a size or strength
-        self.choices: list[tuple[Any, bool]] = []
 
     def refuse(self, reason: str = "") -> NoReturn:
         """End this draw: another is made. If all are refused, the last reason is told."""
@@ -145,17 +138,8 @@ class Draw:
 
     def one_of(self, options: Iterable[Option]) -> Option:
         """Return one of some, all equally likely; the draw is refused where there is none."""
-        return self._choice(options)
-
-    def _choice(self, options: Iterable[Option], is_id: bool = False) -> Option:
         allowed = list(options)
-        value = self._value(allowed, is_id) if allowed else self.refuse()
-        self.choices.append((value, is_id))
-        return value
-
-    def _value(self, options: Sequence[Option], is_id: bool) -> Option:
-        """Return one of the options."""
-        return options[int(self.rng.integers(len(options)))]
+        return allowed[int(self.rng.integers(len(allowed)))] if allowed else self.refuse()
 
     def agents(self) -> list[str]:
         """Return the names of all agents in random order."""
@@ -215,16 +199,15 @@ class Draw:
     def size(self, *ways: tuple[int | str, int | str], but: Sequence[float] = ()) -> float:
         """Return a size other than ``but``, the smallest where not all ways of rooms are free."""
         free = all(self.is_free(*way) for way in ways)
-        allowed = (i for i, size in enumerate(SIZES) if size not in but and (free or not i))
-        return SIZES[self._choice(allowed, is_id=True)]
+        allowed = SIZES if free else SIZES[:1]
+        return self.one_of(size for size in allowed if size not in but)
 
     def strength(self, low: float = STRENGTH_RANGE[0], high: float = STRENGTH_RANGE[1]) -> float:
         """Return a force between two, newtons; in PHASE one of the four that there are."""
         levels = self.tables.strengths
         if not levels:
             return float(self.rng.uniform(low, high))
-        allowed = (i for i, level in enumerate(levels) if low <= level <= high)
-        return levels[self._choice(allowed, is_id=True)]
+        return self.one_of(level for level in levels if low <= level <= high)
 
     def errand(self, agent: str, *, of_item: bool = False) -> str:
         """Return a goal to get the agent itself, or an item, somewhere: a landmark or a room.
@@ -274,7 +257,7 @@ class Draw:
             others = [name for name in self.agents() if name not in busy]
             forces = {name: self.strength() for name in world.agents} | forces
         anything = {name: possible_goals(world.agent(name), world)[0] for name in others}
-        roles = Roles.of(world, own | anything, relation, forces)
+        roles = Hypothesis.of(world, own | anything, relation, forces)
         wanted = {world.agent(a): g for a, g in roles.goals.items() if a not in others}
         for name in others:
             agent = world.agent(name)
@@ -291,7 +274,7 @@ class Draw:
             scene = self._on_spots(places, sizes)
         else:
             scene = world.random_scene(self.rng, self.walls, rooms=places, near=near, size=sizes)
-        return Situation(scene, Roles.of(world, own, relation, forces))
+        return Situation(scene, Hypothesis.of(world, own, relation, forces))
 
     def _on_spots(self, rooms: Mapping[str, Any], sizes: Mapping[str, float]) -> Scene:
         """Return a scene with places and angles drawn, nothing overlapping."""
@@ -303,21 +286,17 @@ class Draw:
             (one,) if isinstance(one, (tuple, list)) else spots[self._room_of(one)] for one in given
         ]
         radius = np.array([sizes[name] if name in sizes else self.size() for name in names], float)
-        for start in self._arrangements(places):
-            if not overlaps(start, radius, self.walls, len(self.world.agents)):
-                return Scene(start, radius, self.walls, world=self.world)
-        self.refuse()
-
-    def _arrangements(self, places: Sequence[Any]) -> Iterator[FloatArray]:
-        """Yield (entity, coord) starts at such places, for as long as it is worth trying."""
+        n_agents = len(self.world.agents)
         for _ in range(_ARRANGEMENTS):
-            start = np.zeros((len(places), 3))
-            for entity, spots in enumerate(places):
-                spot = spots[int(self.rng.integers(len(spots)))]
-                moves = is_agent(entity, len(self.world.agents))
+            start = np.zeros((len(names), 3))
+            for entity, spots_of in enumerate(places):
+                spot = spots_of[int(self.rng.integers(len(spots_of)))]
+                moves = is_agent(entity, n_agents)
                 angle = self.rng.uniform(-2 * np.pi, 2 * np.pi) if moves else 0.0
                 start[entity] = *spot, round(angle, 2)
-            yield start
+            if not overlaps(start, radius, self.walls, n_agents):
+                return Scene(start, radius, self.walls, world=self.world)
+        self.refuse()
 
 
 def _by_name(given: Any, names: Sequence[str]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from phase_ppl.data.documents import parse_text
+from phase_ppl.data.documents import parse_document
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     AnswerError,
@@ -289,7 +289,7 @@ def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
     repairs: list[str] = []
     body = _without_fence(text, repairs)
     try:
-        document = parse_text(body)
+        document = parse_document(body)
     except InvalidEventError as error:
         raise AnswerError(f"the answer {error}; it begins {shown(body[:60])}") from None
     answers = _asked_for(document, repairs)

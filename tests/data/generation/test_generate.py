@@ -35,7 +35,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import goal_literal, is_true
-from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, STRENGTH_LEVELS
+from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO
 
 QUICK: dict[str, Any] = {
     "planner": PlannerConfig(particles=5, simulations=2, rollout_length=1),
@@ -158,58 +158,10 @@ def test_the_manifest_says_how_each_event_and_its_copies_were_made(tmp_path: Pat
         np.testing.assert_allclose(ways, np.broadcast_to(ways[0], (4, 4)))
 
 
-def test_re_planned_copies_are_what_they_say_and_change_nothing_else(
+def test_what_no_draw_makes_good_is_given_up_and_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # as good as chance, and the same for the same recording
-    monkeypatch.setattr(
-        making,
-        "reason_against",
-        lambda scenario, hypothesis, found: "odd" if int(1e6 * found["closest"]) % 2 else None,
-    )
-    cells = {"chasing": 2, "independent:LMA+LMA": 1}
-    plain = generate(tmp_path / "plain", cells=cells, seed=4, **QUICK)
-    made = generate(tmp_path / "set", cells=cells, seed=4, replans=2, keep_rejected=True, **QUICK)
-    first = [index for index, entry in enumerate(made.entries) if not entry["replanned"]]
-    assert [made.entries[index] for index in first] == plain.entries
-    assert sum(replan["kept"] for replan in made.manifest["replans"].values()) == len(made) - 3 > 0
-    assert made.manifest["rejected"] == plain.manifest["rejected"]
-    refused = [
-        draw for draw in made.rejected() if "-layout-" in draw[0].id or "-ids-" in draw[0].id
-    ]
-    told = sum(sum(n["rejected"].values()) for n in made.manifest["replans"].values())
-    assert len(refused) == told > 0
-    groups = {entry["group"]: entry for entry in plain.entries}
-    for entry, event in zip(made.entries, made, strict=True):
-        if not entry["replanned"]:
-            continue
-        origin = groups[entry["group"]]
-        assert entry["split"] == origin["split"]
-        assert entry["id"].rpartition(".")[0] == origin["id"]
-        if "layout_before" in entry["replanned"]:
-            assert entry["replanned"]["layout_before"] == origin["layout"] != entry["layout"]
-        else:
-            step = entry["replanned"]["ids_moved_by"]
-            forces = [sorted(STRENGTH_LEVELS.index(e["hypothesis"][f"strength_{name}"])
-                             for name in ("red", "green")) for e in (origin, entry)]  # fmt: skip
-            assert forces[1] == [force + step for force in forces[0]]
-        assert event.truth is not None
-        assert event.truth.scenario == origin["scenario"]
-        assert entry["measures"]["frames"] == event.observation.n_frames
-    assert ppl.statistics(made).attrs["units"] == 3
-
-
-def test_what_no_draw_or_change_makes_good_is_given_up_and_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reasons = itertools.chain([None], itertools.repeat("no copies"))
-    monkeypatch.setattr(making, "reason_against", lambda *_: next(reasons))
     cell = "independent:LMA+LMA"
-    made = generate(tmp_path / "one", cells={cell: 1}, seed=4, replans=4, **QUICK)
-    assert len(made) == 1
-    tried = made.manifest["replans"][cell]
-    assert tried["kept"] == 0
-    assert tried["rejected"]["no copies"] >= making.REPLAN_TRIES
     monkeypatch.setattr(
         making, "reason_against", lambda shown, *_: shown if shown == "independent" else None
     )
@@ -219,20 +171,21 @@ def test_what_no_draw_or_change_makes_good_is_given_up_and_said(
 
 
 @pytest.mark.usefixtures("all_go")
-def test_damaged_parts_are_made_anew(
+def test_a_damaged_part_is_named_and_made_anew_without_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: GeneratedEvents
 ) -> None:
-    calls = interrupted(tmp_path / "part", monkeypatch, before=5)
+    interrupted(tmp_path / "part", monkeypatch, before=5)
     cut, changed, other, fine = sorted((tmp_path / "part" / "parts").iterdir())
     cut.write_text(cut.read_text()[:300])
     changed.write_text(changed.read_text().replace('"attempt": 0', '"attempt": 1'))
     other.write_text(fine.read_text())
     (tmp_path / "part" / "parts" / ".part-0a1b2c3d.json").write_text("half")
     (tmp_path / "part" / "parts" / "notes.txt").write_text("of a user")
+    for file in (cut, changed, other):
+        with pytest.raises(InvalidEventError, match=rf"{file.name}: is "):
+            generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
+        file.unlink()
     resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
-    assert len(calls) == 5 + 4
-    assert resumed.cost["made_anew"] == [entry["id"] for entry in whole.entries[:3]]
-    assert whole.cost["made_anew"] == []
     left = [file.name for file in (tmp_path / "part" / "parts").iterdir()]
     assert left == ["notes.txt"]
     assert resumed.entries == whole.entries
@@ -330,9 +283,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"n": 0}, "n=0"),
     ({"frames": 1}, "frames=1"),
     ({"workers": 0}, "workers=0"),
-    ({"replans": 5}, "replans=5"),
     ({"copies": 99}, "copies=99"),
-    ({"replans": 5}, "replans=5"),
     ({"copies": 1, "reflect": False, "recolour": False}, "only 0 other"),
 ]
 
@@ -370,14 +321,13 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
         "phase_ppl.generate",
         functools.wraps(generate)(lambda **options: generate(**{**options, **QUICK, "frames": 3})),
     )
-    arguments = ["generate", "--cell", "chasing=2", "--replans", "1", "--keep-rejected"]
+    arguments = ["generate", "--cell", "chasing=2", "--keep-rejected"]
     arguments += ["--videos", "--quiet", "--workers", "1"]
     assert main([*arguments, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     made = ppl.load_events(out)
     assert "chasing                  2 of    3 draws   the third 1" in printed
-    assert "   1 of    1 simulations of re-planned copies" in printed
-    assert len(list((out / "videos").glob("*.mp4"))) == len(made) == 3
+    assert len(list((out / "videos").glob("*.mp4"))) == len(made) == 2
     (film,) = (out / "videos_rejected").iterdir()
     assert film.name == "chasing-00001-0-the-third.mp4"
     assert (out / "contact_sheet.png").stat().st_size > 1000

@@ -15,9 +15,7 @@ from phase_ppl.data.generation.families import (
     Drawn,
     Family,
     available_families,
-    changed,
     family_of,
-    most_changes,
     register_family,
 )
 from phase_ppl.data.generation.making import (
@@ -35,7 +33,6 @@ from phase_ppl.data.generation.making import (
 from phase_ppl.data.generation.plan import Plan
 from phase_ppl.data.generation.situation import (
     LAYOUTS,
-    LAYOUTS_OF_A_KIND,
     SIZES,
     Draw,
     Situation,
@@ -45,7 +42,7 @@ from phase_ppl.data.generation.situation import (
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNameError
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.goals import GOALS, goal_literal
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import BLUE_ITEM, Predicate
 from phase_ppl.world.rooms import Rooms
 from phase_ppl.world.scene import PHASE, Scene
@@ -328,83 +325,3 @@ def test_colours_change_with_all_that_is_said_about_them() -> None:
     assert goals(other) == ("get away from green agent", "get to red agent")
     assert other.hypothesis.alpha == (-1, 0)
     assert other.hypothesis.scenario == made.hypothesis.scenario == "opposing"
-
-
-# --- the same situation elsewhere -----------------------------------------------------------------
-
-SIZE_ID = {size: number for number, size in enumerate(SIZES)}
-STRENGTH_ID = {force: number for number, force in enumerate(STRENGTH_LEVELS)}
-
-
-def changes(cell: str, situation: Drawn) -> dict[str, Drawn]:
-    found = changed(family_of(cell), situation)
-    assert len(found) <= most_changes(PHASE)
-    return {change.name: change.situation for change in found}
-
-
-def ids(situation: Drawn) -> list[int]:
-    sizes = [SIZE_ID[size] for size in situation.scene.radius.tolist()]
-    return sizes + [STRENGTH_ID[force] for force in situation.roles.strengths]
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_a_changed_situation_differs_in_one_thing_and_there_is_one_for_every_layout_of_the_kind(
-    cell: str,
-) -> None:
-    seen = 0
-    for first in situations(cell):
-        kind = next((kind for kind in LAYOUTS_OF_A_KIND if first.layout in kind), ())
-        layouts = set()
-        for name, other in changes(cell, first).items():
-            assert np.array_equal(other.scene.start, first.scene.start)
-            assert other.roles.effective_goals == first.roles.effective_goals
-            assert other.roles.towards == first.roles.towards
-            assert other.scene.turning == first.scene.turning
-            assert np.array_equal(other.scene.walls, walls_of(other.layout))
-            assert not overlaps(other.scene.start, other.scene.radius, other.scene.walls)
-            if name.startswith("layout"):
-                layouts.add(other.layout)
-                assert ids(other) == ids(first)
-                assert name == f"layout-{other.layout}"
-            else:
-                step = {"ids-up": 1, "ids-down": -1}[name]
-                assert ids(other) == [number + step for number in ids(first)]
-                assert other.layout == first.layout
-        assert layouts == set(kind) - {first.layout}
-        seen += bool(layouts)
-    assert seen > 3
-
-
-def test_nothing_is_changed_where_the_rules_of_the_family_do_not_hold(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # all of them fix a size, or the strength of an agent
-    for cell in ("help_blocked", "help_lift", "help_move"):
-        for first in situations(cell):
-            assert not any("ids" in name for name in changes(cell, first))
-    moved = [
-        other
-        for first in situations("collab", 150)
-        for name, other in changes("collab", first).items()
-        if "ids" in name
-    ]
-    assert len(moved) > 5
-    for other in moved:
-        *agents, item, _ = rooms_of(other)
-        assert len(set(other.roles.strengths)) == 1
-        for radius, room in zip(other.scene.radius, agents, strict=False):
-            assert radius == SIZES[0] or tuple(sorted((room, item))) in FREE[other.layout]
-    first = situations("chasing", 1)[0]  # that no draw made
-    assert changed(family_of("chasing"), Drawn(first.scene, first.roles, 8)) == []
-    # nor where a place is in another room then, or a size is no draw's
-    families.available_families()
-    monkeypatch.setattr(families.FAMILIES, "entries", dict(families.FAMILIES.entries))
-    goal = "Get red agent to blue lm"
-    for name, rooms, sizes in (("elsewhere", {4: 2}, (0.8, 0.8)), ("odd", {}, (0.5, 1))):
-
-        @register_family(name, scenario="collaborative", layouts=[4, 8])
-        def drawn(draw: Draw, rooms: Any = rooms, sizes: Any = sizes) -> Situation:
-            places, size = (rooms.get(draw.layout, 1), 2, 3, 3), float(draw.rng.uniform(*sizes))
-            return draw.situation(goal, rooms=places, size=size, strength=300)
-
-        assert all(not changes(name, first) for first in situations(name))
