@@ -21,7 +21,7 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.arrays import true_answers
+from phase_ppl.evaluation.table import true_answers
 from phase_ppl.world.event import Event
 
 KINDS = ("goals", "relation", "all", "verdict")

@@ -19,7 +19,7 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.arrays import kinds_of, true_answers
+from phase_ppl.evaluation.table import kinds_of, true_answers
 from phase_ppl.world.hypothesis import Roles
 
 FRAMES = 90

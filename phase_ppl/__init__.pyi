@@ -64,7 +64,6 @@ from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predic
 from phase_ppl.evaluation.metrics import human_accuracy as human_accuracy
 from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
-from phase_ppl.evaluation.paper import Reproduction as Reproduction
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.prediction import pairs_of as pairs_of
 from phase_ppl.evaluation.prediction import questions_of as questions_of
@@ -76,6 +75,7 @@ from phase_ppl.evaluation.registry import available_models as available_models
 from phase_ppl.evaluation.registry import model_info as model_info
 from phase_ppl.evaluation.registry import register_model as register_model
 from phase_ppl.evaluation.report import report as report
+from phase_ppl.evaluation.reproduce import Reproduction as Reproduction
 from phase_ppl.evaluation.reproduce import reproduce as reproduce
 from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
 from phase_ppl.inference import kernels as kernels

@@ -142,12 +142,12 @@ def _check_several(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Find out what is wrong before the first model is asked."""
-    from phase_ppl.evaluation.answer_sets import reference_label
     from phase_ppl.evaluation.comparison import check_names, chosen_references
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.evaluation import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.prediction import reference_predictions
     from phase_ppl.evaluation.registry import ready
+    from phase_ppl.evaluation.table import reference_label
 
     check_names(list(models))
     chosen = events[: options.limit]

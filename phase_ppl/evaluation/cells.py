@@ -6,16 +6,18 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from phase_ppl.evaluation.answer_sets import PEOPLE
+import pandas as pd
+
 from phase_ppl.evaluation.bootstrap import LEVEL
 from phase_ppl.evaluation.metrics import PREFIX, Place, at
+from phase_ppl.evaluation.table import PEOPLE
 from phase_ppl.world.hypothesis import SCENARIOS
 
 NOTHING: Final = "-"  # what a table of a terminal has where there is no number
 WIDTH: Final = 100  # columns of a terminal
 LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
-KIND_WORDS: Final = {"goal": "goals", "relation": "relations"}
+KIND_WORDS: Final[dict[str, str]] = {"goal": "goals", "relation": "relations"}
 INTERVALS: Final = (
     f"intervals of {LEVEL:.0%}: of right answers Clopper-Pearson, of the rest from resampled events"
 )
@@ -45,17 +47,9 @@ def p_text(value: float | None) -> str:
     return "<0.001" if value < 0.001 else f"{value:.3f}"
 
 
-def aligned(table: Sequence[Sequence[str]], width: int | None = WIDTH) -> list[str]:
-    """Return the lines of a table: names on the left, numbers on the right of their columns.
-
-    The first row has the headings; columns beyond the width come below.
-    """
-    import pandas as pd
-
-    (corner, *headings), *rows = table
-    names = pd.Index([name for name, *_ in rows])
-    shown = pd.DataFrame([cells for _, *cells in rows], names, headings)
-    lines = shown.rename_axis(columns=corner).to_string(line_width=width).splitlines()
+def lines_of(table: pd.DataFrame, width: int | None = WIDTH) -> list[str]:
+    """Return the lines of a table of texts, names on the left; columns beyond the width below."""
+    lines = table.to_string(line_width=width).splitlines()
     return [line.rstrip(" \\") for line in lines if line.strip()]
 
 
@@ -63,15 +57,17 @@ class Table(NamedTuple):
     """A table of numbers as text, for a terminal or a page."""
 
     title: str
-    headings: Sequence[str]  # of the names first
-    rows: Sequence[tuple[Sequence[str], Sequence[str]]]  # a name, or those of a pair; cells
+    cells: pd.DataFrame  # the index has the names, one or both of a pair
     note: str = ""  # what stands below
 
     def lines(self) -> list[str]:
         """Return it for a terminal."""
-        most = _LABEL if all(len(names) == 1 for names, _ in self.rows) else _OF_PAIR
-        body = [[" - ".join(_short(n, most) for n in names), *row] for names, row in self.rows]
-        return ["", self.title, *aligned([self.headings, *body]), *wrapped(self.note)]
+        most = _LABEL if self.cells.index.nlevels == 1 else _OF_PAIR
+        names = self.cells.index.to_frame().map(lambda name: _short(name, most))
+        shown = self.cells.set_axis(names.agg(" - ".join, axis=1).tolist())
+        heading = " minus ".join(filter(None, self.cells.index.names))
+        shown = shown.rename_axis(columns=heading)
+        return ["", self.title, *lines_of(shown), *wrapped(self.note)]
 
 
 def on_screen(tables: Iterable[Table], most: int) -> list[str]:
@@ -123,16 +119,14 @@ def metric_tables(
     """
     for title, columns, rows in _tables(models, people):
         numbers = [heading for heading, place in columns.items() if place != _EVENTS]
-        cells = {
-            name: {heading: _cell(metrics, place) for heading, place in columns.items()}
-            for name, metrics in rows
-        }
-        kept = {n: row for n, row in cells.items() if any(row[h] != NOTHING for h in numbers)}
-        used = [h for h in columns if any(row[h] != NOTHING for row in kept.values())]
-        if kept:
-            yield Table(
-                title, ["", *used], [([n], [row[h] for h in used]) for n, row in kept.items()]
-            )
+        cells = pd.DataFrame(
+            {heading: [_cell(m, place) for _, m in rows] for heading, place in columns.items()},
+            [name for name, _ in rows],
+        )
+        known = cells != NOTHING
+        kept = known[numbers].any(axis=1)
+        if kept.any():
+            yield Table(title, cells.loc[kept, known[kept].any()])
 
 
 def _tables(

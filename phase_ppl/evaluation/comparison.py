@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
+import pandas as pd
+from scipy.special import ndtr
 
 from phase_ppl.data.documents import check_schema, of_kind, read_json
 from phase_ppl.data.load import load_events, save_events
-from phase_ppl.evaluation import differences
-from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
-from phase_ppl.evaluation.arrays import world_of
-from phase_ppl.evaluation.bootstrap import resampled
+from phase_ppl.evaluation.bootstrap import (
+    LEVEL,
+    difference,
+    interval,
+    resampled,
+    weighted_mean,
+    with_two,
+)
 from phase_ppl.evaluation.cells import (
     INTERVALS,
     KIND_WORDS,
@@ -27,10 +35,21 @@ from phase_ppl.evaluation.cells import (
     p_text,
     wrapped,
 )
-from phase_ppl.evaluation.differences import LEAST_EVENTS
 from phase_ppl.evaluation.evaluation import COMPARISON, EVENTS, SETTINGS, Evaluation, evaluation_of
-from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_measure
+from phase_ppl.evaluation.metrics import Scores, at, events_with, human_accuracy, mean_measure
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.table import (
+    PEOPLE,
+    Answers,
+    AnswerSet,
+    answer_sets,
+    kinds_of,
+    parts_of,
+    predicted,
+    reference_label,
+    world_of,
+)
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -42,12 +61,10 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import Printed, plain
-from phase_ppl.world.scene import PHASE, World
-
-if TYPE_CHECKING:
-    import pandas as pd
+from phase_ppl.world.scene import World
 
 Source: TypeAlias = Evaluation | str | os.PathLike[str]
 ALL: Final = "all"  # stands for all models whose answers the events carry
@@ -133,43 +150,39 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def differences(self) -> list[dict[str, Any]]:
-        """Paired differences, see :func:`~phase_ppl.evaluation.differences.differences`.
+        """Paired differences, see :func:`differences_of`.
 
         ``pandas.DataFrame(comparison.differences)`` is a table of them.
         """
-        return differences.differences(
+        return differences_of(
             self.events, self._predictions, against=self.settings["against"], **self._drawn
         )
 
     @functools.cached_property
     def equivalence(self) -> list[dict[str, Any]]:
-        """Models minus people, see :func:`~phase_ppl.evaluation.differences.equivalence`.
+        """Models minus people, see :func:`equivalence_of`.
 
         Empty where no judged event has truth.
         """
-        return differences.equivalence(
+        return equivalence_of(
             self.events, self._predictions, margin=self.settings["margin"], **self._drawn
         )
 
     @functools.cached_property
     def answers(self) -> list[AnswerSet]:
         """All answers, of people first, as figures and pages show them."""
-        return self._answers({})
+        references = [one.name for one in self.entries if one.kind != "model"]
+        return answer_sets(self.events, self._predictions, references)
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
         """The same with metrics."""
-        return self._answers({**self.metrics, PEOPLE: self.people})
-
-    def _answers(self, metrics: Mapping[str, Mapping[str, Any]]) -> list[AnswerSet]:
-        references = [one.name for one in self.entries if one.kind != "model"]
-        return answer_sets(self.events, self._predictions, references, metrics)
+        metrics = {**self.metrics, PEOPLE: self.people}
+        return [dataclasses.replace(one, metrics=metrics[one.name]) for one in self.answers]
 
     @property
     def table(self) -> pd.DataFrame:
         """A row per model; columns (measure, part), parts "value", "ci_low" and "ci_high"."""
-        import pandas as pd
-
         columns: dict[tuple[str, str], list[Any]] = {}
         for measure in _TABLE:
             found = [at(self.metrics[name], measure) for name in self.models]
@@ -506,9 +519,7 @@ def difference_tables(c: ModelComparison, most: int | None = None) -> list[Table
 
     Of more than ``most`` pairs those with the first model; the note below says how many are left.
     """
-    rows = [r for r in c.differences if r["scenario"] is None]
-    found = {(r["one"], r["other"], r["measure"]): r for r in rows}
-    headings = ["one minus other", KIND_WORDS["goal"], "p", KIND_WORDS["relation"], "p"]
+    found = {(r["one"], r["other"], r["measure"]): r for r in c.differences if not r["scenario"]}
     tables, left_out = [], 0
     for title, measure in _DIFFERENCES.items():
         measures = [f"{kind}_{measure}" for kind in KIND_WORDS]
@@ -516,15 +527,16 @@ def difference_tables(c: ModelComparison, most: int | None = None) -> list[Table
         if most is not None and len(pairs) > most and c.settings["against"] is None:
             shown = [pair for pair in pairs if c.models[0] in pair]
             pairs, left_out = shown, max(left_out, len(pairs) - len(shown))
-        body = []
-        for pair in pairs:
-            of_pair = [found.get((*pair, name)) for name in measures]
-            cells = [
-                (measure_text(r, signed=True), p_text(r["p_holm"] if r else None)) for r in of_pair
-            ]
-            body.append((pair, [text for both in cells for text in both]))
-        if body:
-            tables.append(Table(f"paired differences in {title}", headings, body))
+        if pairs:
+            columns = {}
+            for name, word in zip(measures, KIND_WORDS.values(), strict=True):
+                rows = [found.get((*pair, name)) for pair in pairs]
+                columns[word, ""] = [measure_text(r, signed=True) for r in rows]
+                columns[word, "p"] = [p_text(r["p_holm"] if r else None) for r in rows]
+            index = pd.MultiIndex.from_tuples(pairs, names=("one", "other"))
+            cells = pd.DataFrame(columns, index)
+            cells.columns = [part or word for word, part in columns]
+            tables.append(Table(f"paired differences in {title}", cells))
     if tables:
         note = "p: bootstrap, corrected by Holm over the pairs"
         if left_out:
@@ -542,15 +554,22 @@ def equivalence_tables(c: ModelComparison) -> list[Table]:
     if not rows:
         return []
     margin = c.settings["margin"]
-    headings = ["model minus people", "", "value", "90 %", "p equiv.", "p differ", "verdict"]
-    body = []
-    for row in rows:
-        word = KIND_WORDS[row["measure"].removesuffix("_accuracy")]
-        between = NOTHING if row["low"] is None else f"[{row['low']:+.2f}, {row['high']:+.2f}]"
-        tests = [p_text(row[p]) for p in ("p_equivalent_holm", "p_holm")]
-        cells = [word, f"{row['value']:+.2f}", between, *tests, row["verdict"]]
-        body.append(([row["model"]], cells))
-    parts = "scenario" if c.world == PHASE else "agent and pair"
+    cells = pd.DataFrame(
+        {
+            "": [KIND_WORDS[row["measure"].removesuffix("_accuracy")] for row in rows],
+            "value": [f"{row['value']:+.2f}" for row in rows],
+            "90 %": [
+                NOTHING if row["low"] is None else f"[{row['low']:+.2f}, {row['high']:+.2f}]"
+                for row in rows
+            ],
+            "p equiv.": [p_text(row["p_equivalent_holm"]) for row in rows],
+            "p differ": [p_text(row["p_holm"]) for row in rows],
+            "verdict": [row["verdict"] for row in rows],
+        },
+        pd.Index([row["model"] for row in rows], name="model minus people"),
+    )
+    groups = {group for kind in KIND_WORDS for group, _ in parts_of(c.world, kind)}
+    parts = " and ".join(sorted(group.removeprefix("by_") for group in groups))
     note = (
         f"Tested is a model's being right minus the share of people who are right, event by event. "
         f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
@@ -558,4 +577,152 @@ def equivalence_tables(c: ModelComparison) -> list[Table]:
         f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
         f"comparison.json has differences and equivalence by {parts} too."
     )
-    return [Table(f"equivalence with people, margin {margin:g}", headings, body, note)]
+    return [Table(f"equivalence with people, margin {margin:g}", cells, note)]
+
+
+# --- differences and equivalence, on resampled events ---------------------------------------------
+# Both are about other events like these, not about other people or other runs of the models.
+
+Row = dict[str, Any]
+LEAST_EVENTS: Final = 10  # events without which nothing is said of equivalence
+ALPHA: Final = 1 - LEVEL  # corrected p up to which a difference, or an equivalence, counts as shown
+
+_ROUNDING: Final = 1e-12
+"""Difference of shares that is rounding: what is the margin but for it is the margin."""
+
+
+def differences_of(
+    events: Sequence[Event],
+    models: Mapping[str, Mapping[str, Prediction]],
+    *,
+    against: str | None = None,
+    seed: int = 0,
+    resamples: int = 10_000,
+) -> list[Row]:
+    """Return how much higher one model scores than another, for every pair and measure.
+
+    With ``against`` the others are compared with that model alone. All pairs have the same
+    resamples of the events.
+
+    Returns:
+        Rows of ``one``, ``other``, ``measure`` (place in the metrics, such as "human.js"),
+        ``scenario`` (None: all), ``value`` (one minus other), ``ci_low``, ``ci_high`` (95 %),
+        ``p`` (two-sided, :func:`~phase_ppl.evaluation.bootstrap.difference`), ``p_holm`` and
+        ``n_events`` (that both predict). Holm's correction is over all pairs that are compared on
+        the measure; for the scenarios over all pairs and scenarios of the measure.
+    """
+    if against is None:
+        pairs = list(itertools.combinations(models, 2))
+    else:
+        pairs = [(name, against) for name in models if name != against]
+    paired = Scores(events, seed=seed, resamples=resamples)
+    rows: list[Row] = []
+    for one, other in pairs:
+        answers, found = paired.differences(models[one], models[other])
+        scenarios = answers.scenarios
+        for path, value in found.items():
+            scenario, n = None, len(scenarios)
+            if path[0] == "by_scenario":
+                scenario, path = path[1], path[2:]
+                n = int((scenarios == SCENARIOS.index(scenario)).sum())
+            if value is not None:
+                row = {"one": one, "other": other, "measure": ".".join(path), "scenario": scenario}
+                rows.append({**row, **value, "n_events": n})
+    return _corrected(rows, "p")
+
+
+def equivalence_of(
+    events: Sequence[Event],
+    models: Mapping[str, Mapping[str, Prediction]],
+    *,
+    margin: float,
+    seed: int = 0,
+    resamples: int = 10_000,
+) -> list[Row]:
+    """Return how much more often a model is right than people, and whether that is next to nothing.
+
+    Tested is the mean, over the events that the model and people answered, of the model's being
+    right (1 or 0; for goals the mean of both agents) minus the share of people who are right. Two
+    one-sided tests, that it is not below ``-margin``, and not above ``margin``, by resampling. As
+    events that agree show no spread, their p is at least that of normal tests with the spread of a
+    model that errs where people do not, about a share ``margin`` of the events, or the events' own
+    where it is larger (with a correction for continuity, 1 / 2n).
+
+    Returns:
+        Rows of ``model``, ``measure`` ("goal_accuracy", "relation_accuracy"), ``scenario`` (None:
+        all), ``value``, ``ci_low``, ``ci_high`` (95 %), ``low``, ``high`` (90 %), ``p`` (two-sided,
+        of no difference), ``p_equivalent`` (of the two one-sided tests), both with ``_holm``,
+        as in :func:`differences_of`; ``n_events``, and ``verdict``: "equivalent" where the
+        corrected ``p_equivalent`` is at most 0.05; "higher" or "lower" where the corrected ``p``
+        is; both joined where both are; else "undecided". Fewer than :data:`LEAST_EVENTS` events
+        are not tested for equivalence.
+    """
+    rows: list[Row] = []
+    for model, predictions in models.items():
+        answers = Answers.of(predicted(events, predictions), predictions)
+        weights = resampled(len(answers.events), seed, resamples)
+        for kind in kinds_of(answers.world):
+            true, given, people = (answers.array(kind, c) for c in ("truth", "answer", "people"))
+            more = (true * given).sum(axis=-1) - (people * true).sum(axis=-1)
+            for path, chosen in answers.parts(kind).items():
+                part = np.where(chosen, more, np.nan)
+                found = _tested(weighted_mean(weights, part), events_with(part), margin)
+                if found is not None:
+                    part_name = path[-1] if path else None
+                    row = {"model": model, "measure": f"{kind}_accuracy", "scenario": part_name}
+                    rows.append({**row, **found})
+    for name in ("p", "p_equivalent"):
+        rows = _corrected(rows, name)
+    return [{**row, "verdict": _verdict(row)} for row in rows]
+
+
+def _tested(values: FloatArray, n: int, margin: float) -> Row | None:
+    found: Row | None = difference(values, np.zeros_like(values), n, of_shares=True)
+    if found is None:
+        return None
+    drawn = values[1:][np.isfinite(values[1:])]
+    low = high = p = None
+    if n > 1 and drawn.size:
+        low, high = interval(with_two(values, n), 1 - 2 * ALPHA)
+    if n >= LEAST_EVENTS and drawn.size:
+        inside = margin - _ROUNDING
+        beyond = max((drawn <= -inside).sum(), (drawn >= inside).sum())
+        spread = max(float(drawn.var()), margin * (1 - margin) / n)
+        within = (margin - abs(found["value"]) - 0.5 / n) / math.sqrt(spread)
+        p = max(float((beyond + 1) / (drawn.size + 1)), float(ndtr(-within)))
+    return {**found, "low": low, "high": high, "p_equivalent": p, "n_events": n}
+
+
+def _verdict(row: Row) -> str:
+    words = []
+    if row["p_equivalent_holm"] is not None and row["p_equivalent_holm"] <= ALPHA:
+        words.append("equivalent")
+    if row["p_holm"] is not None and row["p_holm"] <= ALPHA:
+        words.append("higher" if row["value"] > 0 else "lower")
+    return ", ".join(words) or "undecided"
+
+
+def _corrected(rows: Sequence[Row], name: str) -> list[Row]:
+    """Return the rows with a corrected p beside each, by measure and whether of scenarios."""
+    found: dict[int, float] = {}
+    known = [place for place, row in enumerate(rows) if row[name] is not None]
+    of_all = [rows[place]["scenario"] is None for place in known]
+    table = pd.DataFrame({"place": known, "of_all": of_all})
+    table["measure"] = [rows[place]["measure"] for place in known]
+    for _, family in table.groupby(["measure", "of_all"]):
+        corrected = holm([rows[place][name] for place in family["place"]])
+        found |= dict(zip(family["place"], corrected, strict=True))
+    return [{**row, f"{name}_holm": found.get(place)} for place, row in enumerate(rows)]
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Return p-values of a family of tests, corrected by Holm's step-down procedure.
+
+    Rejecting where the corrected value is at most alpha errs anywhere in the family with a
+    probability of at most alpha (Holm 1979).
+    """
+    values = np.asarray(p, np.float64)
+    order = np.argsort(values, kind="stable")
+    steps = values[order] * np.arange(len(values), 0, -1)
+    corrected = np.minimum(np.maximum.accumulate(steps), 1)
+    return [float(one) for one in corrected[np.argsort(order)]]

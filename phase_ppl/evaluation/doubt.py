@@ -1,9 +1,9 @@
 """How well a model agrees with people, and whether it doubts where they do.
 
-The latter, what a referee asks of a fit to people's answers, is about relations, of the events that
-people judged and for which the model has probabilities. A *measure* is as in
-:mod:`phase_ppl.evaluation.metrics`. ``doubt`` of metrics.json is None where there is no such event,
-else:
+The latter, what a referee asks of a fit to people's answers, is about the relation in worlds of two
+agents, of the events that people judged and for which the model has probabilities. A *measure* is
+as in :mod:`phase_ppl.evaluation.metrics`. ``doubt`` of metrics.json is None where there is no such
+event, else:
 
 ==========================  ======================================================================
 ``relation_r``,             r of model and people, as under ``human``, with intervals over events;
@@ -33,12 +33,12 @@ else:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
-from phase_ppl.evaluation.arrays import Facts, Said
 from phase_ppl.evaluation.bootstrap import (
     Measure,
     correlation,
@@ -48,30 +48,30 @@ from phase_ppl.evaluation.bootstrap import (
     resampled,
     weighted_mean,
 )
-from phase_ppl.evaluation.prediction import labels_of
-from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.prediction import pairs_of
+from phase_ppl.evaluation.table import Answers, kinds_of, responses_of
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.hypothesis import RELATIONS
-from phase_ppl.world.scene import PHASE
 
 BINS: Final = 10
 _STREAM: Final = 0xD0B7
 
 
-def doubt(known: Facts, model: Said, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:
-    """Return what the module describes, of events as arrays; None in other worlds than PHASE."""
-    if known.world != PHASE or not any(known.judgments):
+def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:
+    """Return what the module describes; None where there is not one pair of agents."""
+    if len(pairs_of(answers.world)) != 1:
         return None
-    p, people = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
+    columns = ("probability", "people", "truth", "votes")
+    p, people, true, votes = (answers.array("relation", name)[:, 0] for name in columns)
     there = ~np.isnan(p[:, 0]) & ~np.isnan(people[:, 0])
     if not there.any():
         return None
-    p, people, truth = p[there], people[there], known.truth["relation"][there, 0]
-    judged = [one for one, is_there in zip(known.judgments, there, strict=True) if is_there and one]
-    counts = np.array([one.counts["relation"] for one in judged])
-    names = [name for name, is_there in zip(known.ids, there, strict=True) if is_there]
+    p, people, counts = p[there], people[there], votes[there].astype(np.int64)
+    truth = label_places(true)[there]
+    names = [event.id for event, is_there in zip(answers.events, there, strict=True) if is_there]
     rng = np.random.default_rng([seed, _STREAM])
-    drawn = people_drawn(judged, counts, rng, resamples) if known.by_participant else None
+    given = responses_of(answers.events)
+    drawn = None if given is None else people_drawn(given, names, counts, rng, resamples)
     weights = resampled(len(p), seed, resamples)
     gap = negative_entropy(people) - log_score(p, people)
     brier = (p**2).sum(axis=1) - 2 * (p * people).sum(axis=1) + 1
@@ -86,28 +86,28 @@ def doubt(known: Facts, model: Said, seed: int = 0, resamples: int = 1000) -> di
         moved = correlation(weights[1:], p, drawn, groups) + value - _mean(among_raters)
         return measure(np.concatenate([value, np.clip(moved, -1, 1)]), n)
 
+    misfit = pd.DataFrame({"event": names, "log_score_gap": gap})
+    misfit["people"], misfit["model"] = people.tolist(), p.tolist()
+    misfit = misfit.sort_values("log_score_gap", ascending=False, kind="stable")
     return {
         "relation_r": r(None),
-        "relation_r_given_truth": r(same_truth(truth, len(RELATIONS))),
+        "relation_r_given_truth": r(same_truth(truth)),
         "log_score_gap": measure(weighted_mean(weights, gap), len(p)),
         "brier": measure(weighted_mean(weights, brier), len(p)),
         "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
         "calibration": bins,
         "ceiling": ceiling(counts, truth, rng, resamples),
         "agreement": agreement(p, counts, rng, resamples),
-        "misfit": [
-            {
-                "event": names[i],
-                "log_score_gap": float(gap[i]),
-                "people": people[i].tolist(),
-                "model": p[i].tolist(),
-            }
-            for i in np.argsort(-gap, kind="stable")
-        ],
+        "misfit": misfit.to_dict("records"),
     }
 
 
-def same_truth(truth: IntArray, n_answers: int) -> IntArray:
+def label_places(marked: FloatArray) -> IntArray:
+    """Return (...) the index of the label that is marked by 1 in (..., label), -1 where none is."""
+    return np.where(np.isnan(marked).any(axis=-1), -1, np.nan_to_num(marked).argmax(axis=-1))
+
+
+def same_truth(truth: IntArray, n_answers: int = len(RELATIONS)) -> IntArray:
     """Return (..., answer) numbers of groups of the same true answer (...), -1 where it is unknown.
 
     Deviations from the means of these groups are what is left of probabilities, and of the shares
@@ -118,39 +118,31 @@ def same_truth(truth: IntArray, n_answers: int) -> IntArray:
 
 
 def people_drawn(
-    judged: Sequence[Any], counts: IntArray, rng: np.random.Generator, n: int
+    given: pd.DataFrame, events: Sequence[str], counts: IntArray, rng: np.random.Generator, n: int
 ) -> FloatArray:
-    """Return (resample, event, answer) shares of resampled people.
+    """Return (resample, event, answer) shares of resampled people, of their responses.
 
     They are resampled as wholes, so that whoever is generous is so everywhere; an event that loses
     all of its raters keeps its shares.
     """
-    rows = [
-        (event, who, RELATIONS.index(given["relation"]))
-        for event, one in enumerate(judged)
-        for who, given in one.responses.items()
-        if "relation" in given
-    ]
-    place = {who: i for i, who in enumerate(dict.fromkeys(who for _, who, _ in rows))}
-    times = rng.multinomial(len(place), np.full(len(place), 1 / len(place)), size=n)
+    chosen = given[given["label"].isin(RELATIONS) & given["event"].isin(events)]
+    who, everybody = pd.factorize(chosen["who"])
+    times = rng.multinomial(len(everybody), np.full(len(everybody), 1 / len(everybody)), size=n)
     found = np.zeros((n, *counts.shape))
-    for event, who, answer in rows:
-        found[:, event, answer] += times[:, place[who]]
+    places = pd.Index(events).get_indexer(chosen["event"])
+    labels = pd.Index(RELATIONS).get_indexer(chosen["label"])
+    for event, answer, person in zip(places, labels, who, strict=True):
+        found[:, event, answer] += times[:, person]
     found = np.where(found.sum(axis=-1, keepdims=True) > 0, found, counts)
     return np.asarray(found / found.sum(axis=-1, keepdims=True))
 
 
 def calibration(p: FloatArray, people: FloatArray) -> list[dict[str, Any]]:
     """Return the mean probability and the share of people in bins of probability."""
-    place = np.minimum((p * BINS).astype(np.int64), BINS - 1)
-    return [
-        {
-            "probability": float(p[place == i].mean()),
-            "share": float(people[place == i].mean()),
-            "n": int((place == i).sum()),
-        }
-        for i in np.unique(place)
-    ]
+    pairs = pd.DataFrame({"probability": p.ravel(), "share": people.ravel()})
+    groups = pairs.groupby(np.minimum((p.ravel() * BINS).astype(np.int64), BINS - 1))
+    means = groups.agg(lambda values: values.to_numpy().mean())
+    return means.assign(n=groups.size()).to_dict("records")
 
 
 def ceiling(
@@ -263,32 +255,45 @@ def _x_log_x(p: FloatArray) -> FloatArray:
 
 
 def split_half(
-    judged: Sequence[Judgments | None],
-    questions: Sequence[str],
+    votes: IntArray,
     weights: FloatArray,
-    by_participant: bool,
+    chosen: IntArray | None = None,
     seed: int = 0,
     splits: int = SPLITS,
 ) -> tuple[FloatArray, int]:
     """Return the mean over random splits of the correlation between two halves of the raters.
 
     There is no Spearman-Brown correction: it is the r of halves. With an odd number one half has
-    one rater more. An event counts in a split if both halves rated a question. Either the
-    participants of all events are split together, as the paper does (``by_participant``), or the
-    ratings of each question of each event on their own, which is all that counts allow.
+    one rater more. An event counts in a split if both halves rated a question.
+
+    Args:
+        votes: (event, question, label) how many people gave an answer.
+        weights: (row, event) of the events.
+        chosen: (who, event, question) index of somebody's answer, -1 where there is none: the
+            participants of all events are split together, as the paper does. Without, the ratings
+            of each question of each event are split on their own, which is all that counts allow.
 
     Returns:
         (row,) values, NaN where they cannot be computed, and the number of events that count.
     """
-    if not any(
-        question in one.counts for one in judged if one is not None for question in questions
-    ):
-        return np.full(len(weights), np.nan), 0
     rng = np.random.default_rng([seed, 1])
-    sums = np.zeros((6, splits, len(judged)))
-    for place, one, other in _halves(judged, questions, by_participant, rng, splits):
+    if chosen is not None:
+        first = np.arange(len(chosen)) < len(chosen) // 2
+        in_one = rng.permuted(np.tile(first, (splits, 1)), axis=1)
+    sums = np.zeros((6, splits, len(votes)))
+    for event, question in np.argwhere(votes.sum(axis=-1) > 0):
+        ratings = votes[event, question]
+        if chosen is not None:
+            one = in_one @ (chosen[:, event, question, None] == np.arange(len(ratings))).astype(int)
+        else:
+            given = np.flatnonzero(ratings)
+            one = np.zeros((splits, len(ratings)), np.int64)
+            one[:, given] = rng.multivariate_hypergeometric(
+                ratings[given], int(ratings.sum()) // 2, size=splits, method="marginals"
+            )
+        other = ratings - one
         both = (one.sum(axis=1) > 0) & (other.sum(axis=1) > 0)
-        sums[:, both, place] += _sums(one[both], other[both])
+        sums[:, both, event] += _sums(one[both], other[both])
     n, x, y, xx, yy, xy = (weights @ part.T for part in sums)
     r = r_of_sums(
         n,
@@ -301,41 +306,25 @@ def split_half(
     return mean, int(sums[0].any(axis=0).sum())
 
 
-def _halves(
-    judged: Sequence[Judgments | None],
-    questions: Sequence[str],
-    by_participant: bool,
-    rng: np.random.Generator,
-    splits: int,
-) -> Iterator[tuple[int, IntArray, IntArray]]:
-    """Yield the place of an event and the ratings (split, answer) of both halves of its raters.
-
-    Participants are halved for all events at once, ratings without replacement.
-    """
-    names = dict.fromkeys(who for one in judged if one is not None for who in one.responses)
-    places = {who: place for place, who in enumerate(names)}
-    if by_participant:
-        first = np.arange(len(names)) < len(names) // 2
-        in_one = rng.permuted(np.tile(first, (splits, 1)), axis=1)
-    for place, judgments in enumerate(judged):
-        for question in questions:
-            if judgments is None or question not in judgments.counts:
-                continue
-            ratings = judgments.counts[question]
-            if by_participant:
-                answers = np.zeros((len(names), len(ratings)), np.int64)
-                for who, row in judgments.responses.items():
-                    if question in row:
-                        answer = labels_of(question, judgments.world).index(row[question])
-                        answers[places[who], answer] = 1
-                one = in_one @ answers
-            else:
-                given = np.flatnonzero(ratings)
-                one = np.zeros((splits, len(ratings)), np.int64)
-                one[:, given] = rng.multivariate_hypergeometric(
-                    ratings[given], int(ratings.sum()) // 2, size=splits, method="marginals"
-                )
-            yield place, one, ratings - one
+def split_half_of(
+    answers: Answers, kind: str, weights: FloatArray, seed: int
+) -> tuple[FloatArray, int]:
+    """Return :func:`split_half` of people's answers to a kind of questions."""
+    votes = answers.array(kind, "votes").astype(np.int64)
+    given, chosen = responses_of(answers.events), None
+    if not votes.any():
+        return np.full(len(weights), np.nan), 0
+    if given is not None:
+        questions = pd.Index(kinds_of(answers.world)[kind])
+        who, everybody = pd.factorize(given["who"])
+        event = pd.Index([event.id for event in answers.events]).get_indexer(given["event"])
+        question = questions.get_indexer(given["question"])
+        labels = answers.world.goals if kind == "goal" else RELATIONS
+        chosen = np.full((len(everybody), len(answers.events), len(questions)), -1)
+        of_kind = question >= 0
+        places = pd.Index(labels).get_indexer(given["label"])
+        chosen[who[of_kind], event[of_kind], question[of_kind]] = places[of_kind]
+    return split_half(votes, weights, chosen, seed)
 
 
 def _sums(one: IntArray, other: IntArray) -> FloatArray:

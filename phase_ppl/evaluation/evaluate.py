@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from phase_ppl.data.hdf5 import SIGNATURE, with_event_id
-from phase_ppl.evaluation.arrays import world_of
 from phase_ppl.evaluation.evaluation import METRICS, POSTERIOR, Evaluation, ResultsFolder, cost_of
 from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction
@@ -30,6 +29,7 @@ from phase_ppl.evaluation.registry import (
     ready,
     seen_through,
 )
+from phase_ppl.evaluation.table import world_of
 from phase_ppl.simulator.contract import error_text
 from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
 from phase_ppl.world.errors import (
@@ -182,19 +182,32 @@ def evaluate(
         )
         outcomes = _outcomes(ready_model, left, settings, folder is not None, slots, executor)
         try:
+            # longer events take longer, so that the time left rests on frames
+            frames = {event.id: event.observation.n_frames for event in chosen}
+            ready_before = sum(frames[event_id] for event_id in done)
             with (
-                EventProgress(left, len(done), slots, progress) as bar,
+                Bar(sum(frames.values()), ready_before, progress, "frame", "predicting") as bar,
                 contextlib.closing(outcomes),
             ):
+
+                def say(text: str) -> None:
+                    if not bar.disable:
+                        bar.write(text, file=sys.stderr)
+
+                def count(event_id: str) -> None:
+                    finished = f"{len(done) + len(failures)} of {len(chosen)} events"
+                    bar.set_postfix_str(finished, refresh=False)
+                    bar.update(frames[event_id])
+
                 for note in notes:
-                    bar.say(note)
+                    say(note)
                 for event_id, outcome in outcomes:
                     if outcome.prediction is not None:
                         prediction = dataclasses.replace(outcome.prediction, event_id=event_id)
                         if folder is not None:
                             folder.add(prediction, functools.partial(_write, outcome, event_id))
                         done[event_id] = prediction
-                        bar.one_more(event_id, prediction.cost["seconds"])
+                        count(event_id)
                         continue
                     failure = f"model {ready_model.name!r}, event {event_id!r}: {outcome.failure}"
                     if outcome.of_settings and ready_model.registered and not done:
@@ -202,11 +215,11 @@ def evaluate(
                     failures[event_id] = outcome.failure
                     if folder is not None:
                         folder.write_failures(failures)
-                    bar.say(failure)
-                    bar.one_more(event_id, None)
+                    say(failure)
+                    count(event_id)
         except KeyboardInterrupt as stop:
             if folder is not None:  # one may have been kept just now
-                done.update(folder.readable()[0])
+                done.update(folder.predictions([]))
             raise EvaluationInterrupted(evaluation()) from stop
         except SimulationError as error:
             error.evaluation = evaluation()  # type: ignore[attr-defined]
@@ -326,46 +339,3 @@ def _contents(answer: Answer) -> dict[str, bytes]:
             write(path)
             found[name] = path.read_bytes()
     return found
-
-
-# --- how far it is --------------------------------------------------------------------------------
-
-
-class EventProgress(Bar):
-    """A bar on stderr that counts events, of which so many were done before.
-
-    Long events come first and take longer, so the time left rests on the seconds per frame.
-    """
-
-    def __init__(
-        self, events: Sequence[Event], done: int, workers: int | None, shown: bool | None = None
-    ) -> None:
-        self._left = {event.id: event.observation.n_frames for event in events}
-        self._workers = workers
-        self._frames = 0
-        self._seconds = 0.0
-        super().__init__(done + len(events), done, shown, "event", "predicting")
-
-    def one_more(self, event_id: str, seconds: float | None) -> None:
-        """Count an event that took so many seconds; None: it failed."""
-        frames = self._left.pop(event_id)
-        if seconds is not None:
-            self._frames += frames
-            self._seconds += seconds
-        left = self.seconds_left()
-        self.steady_rate = len(self._left) / left if left else None
-        self.update(1)
-
-    def seconds_left(self) -> float | None:
-        """Return how long the rest takes at the pace until now; None: too early to say."""
-        if not self._frames:
-            return None
-        each = self._seconds / self._frames
-        left = max(len(self._left), 1)
-        together = left if self._workers is None else min(self._workers, left)
-        return each * sum(self._left.values()) / together
-
-    def say(self, text: str) -> None:
-        """Write a line above the bar, where there is one."""
-        if not self.disable:
-            self.write(text, file=sys.stderr)

@@ -28,18 +28,14 @@ import re
 import secrets
 import shutil
 import textwrap
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
-
-import numpy as np
 
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.data.documents import check_schema, read_json
 from phase_ppl.data.load import load_events, save_events
-from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, reference_label
-from phase_ppl.evaluation.arrays import true_answers, world_of
 from phase_ppl.evaluation.cells import INTERVALS, LINES, WIDTH, metric_tables, on_screen, wrapped
 from phase_ppl.evaluation.metrics import (
     evaluate_predictions,
@@ -48,7 +44,13 @@ from phase_ppl.evaluation.metrics import (
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.table import (
+    PEOPLE,
+    Answers,
+    AnswerSet,
+    answer_sets,
+    reference_label,
+)
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -62,7 +64,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import refusing, writable_folder, write_json
 from phase_ppl.world.identity import differences, event_digest
 from phase_ppl.world.picture import Printed, plain
-from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -127,11 +128,9 @@ class Evaluation(Printed):
         (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
-        judged = any(event.judgments for event in self.events)
-        of_phase = world_of(self.events) == PHASE
         found = {
             **evaluate_predictions(self.events, self.predictions),
-            "people": human_accuracy(self.events) if judged or of_phase else None,
+            "people": human_accuracy(self.events),
             "reference_models": reference_models(self.events),
             "failures": self.failures,
             "settings": self.settings,
@@ -152,33 +151,12 @@ class Evaluation(Printed):
             (NA: there is no posterior); ``people``, the share of people who said so (NaN: nobody
             was asked), and ``n``, how many answered the question.
         """
-        import pandas as pd
-
-        rows = [row for event in self.events for row in self._rows(event)]
-        table = pd.DataFrame(rows, columns=list(_COLUMNS))
-        return table.astype({name: kind for name, kind in _COLUMNS.items() if kind})
-
-    def _rows(self, event: Event) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of an event."""
-        prediction = self.predictions.get(event.id)
-        if prediction is None:
-            return
-        truth, judgments = true_answers(event), Judgments.of(event)
-        for question, answer in prediction.answers.items():
-            labels = prediction.questions[question]
-            unknown = np.full(len(labels), np.nan)
-            counts = None if judgments is None else judgments.counts.get(question)
-            n = 0 if counts is None else int(counts.sum())
-            people = unknown if counts is None else counts / n
-            numbers = (given.get(question, unknown) for given in
-                       (prediction.probabilities, prediction.errors))  # fmt: skip
-            for label, p, error, share in zip(labels, *numbers, people, strict=True):
-                is_true = label == truth[question] if question in truth else None
-                verdict = prediction.sure.get(question), prediction.decided
-                yield (
-                    *(event.id, question, label, self.name, p, error),
-                    *(label == answer, is_true, *verdict, share, n),
-                )
+        events = [event for event in self.events if event.id in self.predictions]
+        rows = Answers.of(events, self.predictions).rows
+        n = rows.groupby(["event", "question"], sort=False)["votes"].transform("sum")
+        table = rows.assign(n=n, model=self.name)[rows["answer"].notna()]
+        kinds = {name: kind for name, kind in _COLUMNS.items() if kind}
+        return table[list(_COLUMNS)].reset_index(drop=True).astype(kinds)
 
     def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
         """Return the posterior of an event, read from the folder; None where none was kept.
@@ -198,25 +176,19 @@ class Evaluation(Printed):
     @functools.cached_property
     def answers(self) -> list[AnswerSet]:
         """All answers, of people first, as figures and pages show them."""
-        return self._answers_about(self.events, {})
+        references = self._of_references(reference_predictions(self.events))
+        return answer_sets(self.events, {self.name: self.predictions, **references}, references)
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
         """The same with their metrics: before the end, all are about the predicted events."""
-        events, metrics = self.events, self.metrics
-        people, references = metrics["people"] or {}, metrics["reference_models"]
+        found, metrics = self, self.metrics
         if not self.finished:
-            events = [event for event in events if event.id in self.predictions]
-            people, references = human_accuracy(events), reference_models(events)
-        others = {PEOPLE: people, **self._of_references(references)}
-        return self._answers_about(events, {**others, self.name: metrics})
-
-    def _answers_about(
-        self, events: Sequence[Event], metrics: Mapping[str, Mapping[str, Any]]
-    ) -> list[AnswerSet]:
-        references = self._of_references(reference_predictions(events))
-        models = {self.name: self.predictions, **references}
-        return answer_sets(events, models, references, metrics)
+            events = [event for event in self.events if event.id in self.predictions]
+            found = dataclasses.replace(self, events=events)
+        people, references = found.metrics["people"], found.metrics["reference_models"]
+        known = {PEOPLE: people, **self._of_references(references), self.name: metrics}
+        return [dataclasses.replace(one, metrics=known[one.name]) for one in found.answers]
 
     def _of_references(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return what is given of models whose answers the events carry by their names here."""
@@ -420,7 +392,8 @@ class ResultsFolder:
             return cls.create(path, settings, events), {}, []
         folder = cls.open(path)
         folder.check_same(settings)
-        done, notes = folder.readable()
+        notes: list[str] = []
+        done = folder.predictions(notes)
         before = folder.settings.get("versions") or {}
         other = differences(before, settings["versions"])
         if other and len(done) < len(events):
@@ -494,23 +467,23 @@ class ResultsFolder:
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
-    def predictions(self) -> dict[str, Prediction]:
-        """Return event id -> prediction of the finished events, in the order of the events."""
-        found = {event.id: self.prediction(event.id) for event in self.events}
-        return {name: given for name, given in found.items() if given is not None}
+    def predictions(self, damaged: list[str] | None = None) -> dict[str, Prediction]:
+        """Return event id -> prediction of the finished events, in the order of the events.
 
-    def readable(self) -> tuple[dict[str, Prediction], list[str]]:
-        """Return :meth:`predictions` without those that are damaged, and notes about these."""
-        done, notes = {}, []
+        What is wrong with those that are damaged goes into the list, where there is one.
+        """
+        done = {}
         for event in self.events:
             try:
                 prediction = self.prediction(event.id)
             except InvalidEventError as error:
-                notes.append(f"{error}; the event is predicted again")
+                if damaged is None:
+                    raise
+                damaged.append(f"{error}; the event is predicted again")
                 continue
             if prediction is not None:
                 done[event.id] = prediction
-        return done, notes
+        return done
 
     def prediction(self, event_id: str) -> Prediction | None:
         """Return the prediction of an event; None where it is not finished."""

@@ -15,31 +15,37 @@ separated by commas; case and spaces around an answer do not matter. About event
 than PHASE the questions are that world's (:func:`~phase_ppl.evaluation.prediction.questions_of`),
 as ``goal_purple`` and ``relation_red_purple``.
 
-The folder of the raters' files of a public study of PHASE is read too
-(:mod:`phase_ppl.evaluation.raters`).
+The raters of a public study of PHASE are read too, a folder with a text file of each. The
+repository Isik-lab/SocialGNN has them, those of the test videos in
+``PHASE/Human_Experiment_Files/responses_genset``. The first line of a file is about the person and
+is not read. 23 lines follow, one a film, each a JSON list of pairs of key and value, of which those
+of ``video_name`` and ``likert_response``, the relation, are read. Three films, whose names end in
+``_mm.mp4``, are checks of attention: right is the relation that the name's goals make. As in that
+study, the files are kept that are complete and have all three right.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
 
-from phase_ppl.data.documents import Faults, read_rows
+from phase_ppl.data.authors.videos import parse_name
+from phase_ppl.data.documents import Faults, in_front, read_rows, reading_bytes, require, too_large
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events
-from phase_ppl.evaluation.arrays import world_of
-from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
-from phase_ppl.evaluation.raters import is_raters, read_raters
 from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.table import world_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     UnknownNameError,
@@ -49,7 +55,7 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path
+from phase_ppl.world.files import as_path, existing_file
 from phase_ppl.world.scene import PHASE, World, check_is_phase
 
 _NOT_AVAILABLE: Final = ("NA", "N/A", "NaN", "nan", "None", "null", "NULL")
@@ -84,12 +90,13 @@ class Study:
     @functools.cached_property
     def judgments(self) -> Mapping[str, Judgments]:
         """Video -> judgments of the participants who answered a question about it."""
-        responses: dict[str, dict[str, dict[str, str]]] = {}
-        for row in self.table.to_dict("records"):
-            given = {q: row[q] for q in questions_of(self.world) if isinstance(row[q], str)}
-            responses.setdefault(row["video"], {})[row["participant"]] = given
+        answers = self.table.set_index("participant")[["video", *questions_of(self.world)]]
         found = {
-            video: Judgments.of_responses(rows, self.world) for video, rows in responses.items()
+            video: Judgments.of_responses(
+                {who: dict(row.dropna()) for who, row in rows.drop(columns="video").iterrows()},
+                self.world,
+            )
+            for video, rows in answers.groupby("video", sort=False)
         }
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
@@ -121,9 +128,7 @@ def load_judgments(
     """Read a study from a CSV file of the form that the module describes, or from raters' files.
 
     Args:
-        path: of the file; or the folder of raters' files of a public study of PHASE, or one of them
-            (:mod:`phase_ppl.evaluation.raters`), of which complete ones whose attention checks are
-            right are kept.
+        path: of the file; or the folder of raters' files of the public study, or one of them.
         events: those that may be judged, or their file or folder, of one world, whose questions
             are asked; a row about another video is an error, a rater's answer about one is left
             out. Default: any of PHASE.
@@ -139,10 +144,9 @@ def load_judgments(
     videos = None if judged is None else [event.id for event in judged]
     world = world_of(judged or ())
     source = as_path(path)
-    if is_raters(source):
+    if source.is_dir() or _begins_a_list(source):
         check_is_phase(world, "a rater's file")
-        rows, summary = read_raters(source, videos)
-        return _study(path, rows, world, summary)
+        return _study(path, *read_raters(source, videos))
 
     def check(cells: dict[str, str]) -> dict[str, Any]:
         row = _row(cells, world)
@@ -152,20 +156,20 @@ def load_judgments(
 
     check_header = functools.partial(_check_header, world, events is not None)
     rows = read_rows(path, check, check_header, once=("participant", "video"))
-    return _study(path, rows, world)
+    return _study(path, rows, "", world)
 
 
 def _study(
-    path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]], world: World, summary: str = ""
+    path: str | os.PathLike[str],
+    rows: Sequence[Mapping[str, Any]],
+    summary: str,
+    world: World = PHASE,
 ) -> Study:
     if not any(row.get(question) for row in rows for question in questions_of(world)):
         raise InvalidEventError(f"{path}: holds no judgments{' of these events' * bool(summary)}")
     # plain objects: pandas' own text would make NaN of None
-    table = pd.DataFrame(
-        [[row.get(name) for name in columns_of(world)] for row in rows],
-        columns=list(columns_of(world)),
-        dtype=object,
-    )
+    cells = [[row.get(name) for name in columns_of(world)] for row in rows]
+    table = pd.DataFrame(cells, columns=list(columns_of(world)), dtype=object)
     return Study(table.astype({"response_time": float}), world, summary)
 
 
@@ -251,7 +255,85 @@ def _seconds(cell: str) -> float:
     return value
 
 
+# --- raters' files --------------------------------------------------------------------------------
+
+FILMS: Final = 23  # that a complete file has answers to
+CHECKS: Final = 3  # of these
+_CHECK: Final = "_mm.mp4"
+_MAX_BYTES: Final = 2**20
+
+
+def _begins_a_list(path: Path) -> bool:
+    source = existing_file(path)
+    with in_front(f"{path}: "), reading_bytes("a file of judgments"), open(source, "rb") as file:
+        return file.read(64).lstrip(b"\xef\xbb\xbf \r\n").startswith(b"[")
+
+
+def read_raters(path: Path, videos: Collection[str] | None) -> tuple[list[dict[str, str]], str]:
+    """Return what raters say of these videos, or of all: rows of a study, and which are kept.
+
+    Raises:
+        InvalidEventError: no rater's file is there, none is kept, or a complete one has a line that
+            is none; the message names file and line.
+        UnknownNameError: a relation is unknown.
+    """
+    files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
+    if not files:
+        raise InvalidEventError(f"{path}: the folder holds no raters' files (.txt)")
+    kept: list[dict[str, str]] = []
+    left_out: Counter[str] = Counter()
+    for file in files:
+        answers, checks = _read_rater(file)
+        if (len(answers), len(checks)) != (FILMS - CHECKS, CHECKS):
+            left_out["incomplete"] += 1
+        elif not all(checks.values()):
+            left_out["with a wrong attention check"] += 1
+        else:
+            kept.append(answers)
+    reasons = [f"{n} {reason}" for reason, n in sorted(left_out.items())]
+    summary = ", ".join([f"{len(kept)} of {len(files)} raters' files kept", *reasons])
+    if not kept:
+        raise InvalidEventError(f"{path}: {summary}")
+    width = len(str(len(kept)))
+    rows = [
+        {"participant": f"rater-{number:0{width}}", "video": video, "relation": relation}
+        for number, answers in enumerate(kept, 1)
+        for video, relation in answers.items()
+        if videos is None or video in videos
+    ]
+    return rows, summary
+
+
+def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:
+    """Return video -> relation and check -> whether it is right; both are empty but of 24 lines."""
+    with in_front(f"{file}: "), reading_bytes("a rater's file"), open(file, "rb") as opened:
+        content = opened.read(_MAX_BYTES + 1)
+    if len(content) > _MAX_BYTES:
+        raise InvalidEventError(f"{file}: {too_large(_MAX_BYTES)}")
+    answers: dict[str, str] = {}
+    checks: dict[str, bool] = {}
+    lines = content.splitlines()
+    for number, line in enumerate(lines[1:] if len(lines) == 1 + FILMS else [], 2):
+        with in_front(f"{file}, line {number}: "):
+            try:
+                given = {str(key): value for key, value in json.loads(line)}
+            except (ValueError, TypeError, RecursionError):
+                raise InvalidEventError("is no JSON list of [key, value] pairs") from None
+            film = require(given, "video_name", str)
+            relation = checked_answer("relation", require(given, "likert_response", str), PHASE)
+            said = parse_name(film)
+            if film.endswith(_CHECK):
+                checks[film] = said.truth is not None and relation == said.truth.relation
+            else:
+                answers[said.id] = relation
+    return answers, checks
+
+
 # --- the events of an evaluation, and people's judgments of them ----------------------------------
+
+SETTINGS: Final = "settings.json"
+EVENTS: Final = "events.json"
+"""Files of an evaluation (:mod:`phase_ppl.evaluation.evaluation`)."""
 
 GENERATED: Final = (MANIFEST, PLAN)  # files by which the folder of a generated data set is known
 EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events

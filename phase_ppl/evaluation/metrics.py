@@ -36,7 +36,8 @@ per question.
                                in other worlds than PHASE
 ``human``                      see below
 ``doubt``                      whether the model doubts where people do:
-                               :mod:`phase_ppl.evaluation.doubt`; None in other worlds than PHASE
+                               :mod:`phase_ppl.evaluation.doubt`; None in worlds with more or fewer
+                               pairs of agents than one
 ``ties``                       question -> events in which several answers are the most probable;
                                None where there are no probabilities
 =============================  ===================================================================
@@ -71,9 +72,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from phase_ppl.evaluation import arrays
-from phase_ppl.evaluation.arrays import Facts, Said, at_truth, kinds_of, true_answers
 from phase_ppl.evaluation.bootstrap import (
     Measure,
     by_event,
@@ -87,25 +87,32 @@ from phase_ppl.evaluation.bootstrap import (
 from phase_ppl.evaluation.doubt import (
     doubt,
     jensen_shannon,
+    label_places,
     log_probabilities,
     log_score,
     negative_entropy,
     same_truth,
-    split_half,
+    split_half_of,
 )
-from phase_ppl.evaluation.prediction import (
-    GOAL_QUESTIONS,
-    Prediction,
-    questions_of,
-    reference_predictions,
-)
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions, scenario_of
 from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.table import (
+    Answers,
+    Place,
+    kinds_of,
+    part_of,
+    parts_of,
+    places_of_scenarios,
+    predicted,
+    responses_of,
+    true_answers,
+    world_of,
+)
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
-from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.hypothesis import SCENARIOS
 
-Place = tuple[str, ...]  # keys under which a measure is found in the metrics
+TOP: Final = 3
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> what the names of measures under ``human`` begin with."""
@@ -176,85 +183,129 @@ def paired_difference(
 class Scores:
     """Metrics of several models and their differences, on the same resamples of events.
 
-    What does not depend on the model, and what is asked of one for a pair, is kept for the next.
+    What is asked of a model for several pairs is kept for the next.
     """
 
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
         self._events, self._seed, self._resamples = events, seed, resamples
-        self._facts: dict[tuple[str, ...], tuple[Facts, FloatArray]] = {}
         self._among_people: dict[tuple[str, ...], dict[Place, Any]] = {}
         self._measures: dict[tuple[tuple[str, ...], bytes], dict[Place, Resampled]] = {}
 
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
         """Return what :func:`evaluate_predictions` does."""
-        known, weights = self._of_events(predictions)
-        model = arrays.said(known, predictions)
-        true_goals = np.where(known.truth["goal"] < 0, np.nan, 0.0)
-        judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
+        answers = Answers.of(predicted(self._events, predictions), predictions)
+        ids = tuple(event.id for event in answers.events)
+        weights = resampled(len(ids), self._seed, self._resamples)
+        scores = {kind: scored(answers, kind) for kind in PREFIX}
         result: dict[str, Any] = {
-            "n_events": len(known.ids),
-            "n": {"events": len(self._events), "truth": events_with(true_goals), **judged},
+            "n_events": len(ids),
+            "n": {
+                "events": len(self._events),
+                "truth": events_with(answers.array("goal", "truth")),
+                **{f"{k}_judgments": events_with(answers.array(k, "people")) for k in PREFIX},
+            },
         }
-        measures = model_measures(known, model, weights) | people_measures(known, model, weights)
+        measures = measures_of(answers, scores, weights)
+        for kind, prefix in PREFIX.items():
+            theirs = np.where(np.isnan(scores[kind]["js"]), np.nan, scores[kind]["people"])
+            measures["human", f"{prefix}log_score_people"] = mean_measure(weights, theirs)
         put(result, {path: one.measure() for path, one in measures.items()})
-        if known.ids not in self._among_people:
-            self._among_people[known.ids] = _among_people(known, weights, self._seed)
-        put(result, self._among_people[known.ids])
-        count_scenarios(result, known.scenario)
-        result["calibration"] = calibration(model)
-        result["verdict"] = verdict(model)
-        result["confusion"] = confusion(known.scenario, model.scenario)
-        result["doubt"] = doubt(known, model, self._seed, self._resamples)
-        result["ties"] = count_ties([predictions[name] for name in known.ids], known.world)
+        if ids not in self._among_people:
+            self._among_people[ids] = _among_people(answers, weights, self._seed)
+        put(result, self._among_people[ids])
+        count_scenarios(result, answers.scenarios)
+        result["calibration"] = {k: calibration(one) for k, one in scores.items()}
+        result["verdict"] = {k: verdict(one) for k, one in scores.items()}
+        made = places_of_scenarios(predictions[name].scenario for name in ids)
+        result["confusion"] = confusion(answers.scenarios, made)
+        result["doubt"] = doubt(answers, self._seed, self._resamples)
+        result["ties"] = count_ties(answers, "probability")
         return result
 
     def difference(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> dict[str, Any]:
         """Return what :func:`paired_difference` does."""
-        known, weights = self._of_events(one, other)
-        first, second = arrays.said(known, one), arrays.said(known, other)
-        of_one = self._of(known, weights, first.where_known(second))
-        of_other = self._of(known, weights, second.where_known(first))
-        result: dict[str, Any] = {"n_events": len(known.ids)}
-        differences = {
-            path: difference(one.values, of_other[path].values, one.n, one.scores is not None)
-            for path, one in of_one.items()
-        }
-        put(result, differences)
-        count_scenarios(result, known.scenario)
+        answers, found = self.differences(one, other)
+        result: dict[str, Any] = {"n_events": len(answers.events)}
+        put(result, found)
+        count_scenarios(result, answers.scenarios)
         return result
 
-    def _of_events(self, *models: Mapping[str, Prediction]) -> tuple[Facts, FloatArray]:
-        """Return facts and resamples of the events that all models predict."""
-        chosen = list(self._events)
-        for predictions in models:
-            chosen = arrays.predicted(chosen, predictions)
-        ids = tuple(event.id for event in chosen)
-        if ids not in self._facts:
-            weights = resampled(len(chosen), self._seed, self._resamples)
-            self._facts[ids] = arrays.facts(chosen), weights
-        return self._facts[ids]
+    def differences(
+        self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
+    ) -> tuple[Answers, dict[Place, Measure | None]]:
+        """Return what ``one`` says of the events that both predict, and all differences."""
+        events = predicted(predicted(self._events, one), other)
+        first, second = Answers.of(events, one), Answers.of(events, other)
+        of_one, of_other = self._of(first.where_known(second)), self._of(second.where_known(first))
+        return first, {
+            path: difference(mine.values, of_other[path].values, mine.n, mine.scores is not None)
+            for path, mine in of_one.items()
+        }
 
-    def _of(self, known: Facts, weights: FloatArray, said: Said) -> dict[Place, Resampled]:
-        key = known.ids, said.content()
+    def _of(self, answers: Answers) -> dict[Place, Resampled]:
+        key = tuple(event.id for event in answers.events), answers.content()
         if key not in self._measures:
-            self._measures[key] = model_measures(known, said, weights)
+            weights = resampled(len(answers.events), self._seed, self._resamples)
+            scores = {kind: scored(answers, kind) for kind in PREFIX}
+            self._measures[key] = measures_of(answers, scores, weights)
         return self._measures[key]
 
 
-def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Place, Any]:
+def _among_people(answers: Answers, weights: FloatArray, seed: int) -> dict[Place, Any]:
     """Return the measures of people's agreement with each other."""
-    by_participant = known.by_participant
-    found: dict[Place, Any] = {}
-    for kind, prefix in PREFIX.items():
-        questions = kinds_of(known.world)[kind]
-        halves = split_half(known.judgments, questions, weights, by_participant, seed)
-        found["human", f"{prefix}split_half_r"] = measure(*halves)
-    judged = any(one is not None for one in known.judgments)
-    by = "participants" if by_participant else "votes"
+    found: dict[Place, Any] = {
+        ("human", f"{prefix}split_half_r"): measure(*split_half_of(answers, kind, weights, seed))
+        for kind, prefix in PREFIX.items()
+    }
+    judged = any(event.judgments and Judgments.of(event) for event in answers.events)
+    by = "votes" if responses_of(answers.events) is None else "participants"
     found["human", "split_half_by"] = by if judged else None
     return found
+
+
+# --- scores of answers ----------------------------------------------------------------------------
+
+
+def scored(answers: Answers, kind: str) -> dict[str, FloatArray]:
+    """Return what each answer to a kind of questions scores, (event, question), NaN unknown.
+
+    ``right``, and ``in_top``, whether the true answer is among the three most probable ones, with a
+    probability above 0, are 1 or 0; ``sure`` is the probability of the answer given, which need not
+    be the most probable, ``truth`` the log probability of the true one; ``log_score`` and ``js``
+    are of model and people, ``people`` people's own log score; ``leads`` and ``decided`` are 1
+    where a posterior is sure of the answer, or of the event, 0 where not.
+    """
+    p, people, true, given = (
+        answers.array(kind, name) for name in ("probability", "people", "truth", "answer")
+    )
+    leads, decided = (
+        answers.array(kind, name)[..., :1].sum(axis=-1) for name in ("sure", "decided")
+    )
+    return {
+        "right": (true * given).sum(axis=-1),
+        "in_top": _in_top(p, true),
+        "sure": (p * given).sum(axis=-1),
+        "truth": (log_probabilities(p) * true).sum(axis=-1),
+        "log_score": log_score(p, people),
+        "js": jensen_shannon(p, people),
+        "people": negative_entropy(people),
+        "leads": leads,
+        "decided": decided,
+    }
+
+
+def _in_top(p: FloatArray, true: FloatArray) -> FloatArray:
+    """Return ``in_top`` of :func:`scored`, from probabilities and truth (..., label)."""
+    of_truth = (p * true).sum(axis=-1)
+    # of equals, the first in label order is the more probable
+    before = np.cumsum(true, axis=-1) == 0
+    more = p > of_truth[..., None]
+    equal = p == of_truth[..., None]
+    # of the answers that a sampler never met, the first in label order are no better than others
+    found = ((more | (equal & before)).sum(axis=-1) < TOP) & (of_truth > 0)
+    return np.where(np.isnan(of_truth), np.nan, found)
 
 
 # --- every measure of a model: its value, and its values on the resamples -------------------------
@@ -273,36 +324,35 @@ class Resampled(NamedTuple):
         return measure(self.values, self.n) if self.scores is None else proportion(self.scores)
 
 
-def model_measures(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Resampled]:
-    """Return all measures that are about the model."""
-    measures = accuracy_measures(model.right, known, weights)
-    measures["goal_top3_accuracy",] = mean_measure(weights, model.in_top, of_shares=True)
+def measures_of(
+    answers: Answers, scores: Mapping[str, Mapping[str, FloatArray]], weights: FloatArray
+) -> dict[Place, Resampled]:
+    """Return all measures that are about the model, from kind -> :func:`scored`."""
+    right = {kind: of_kind["right"] for kind, of_kind in scores.items()}
+    measures = accuracy_measures(answers, right, weights)
+    in_top = scores["goal"]["in_top"]
+    measures["goal_top3_accuracy",] = mean_measure(weights, in_top, of_shares=True)
     for kind, prefix in PREFIX.items():
-        probabilities, people = model.probabilities[kind], known.people[kind]
-        of_truth = at_truth(log_probabilities(probabilities), known.truth[kind])
-        for path, chosen in known.parts(kind).items():
-            part = np.where(chosen, of_truth, np.nan)
+        of_kind = scores[kind]
+        for path, chosen in answers.parts(kind).items():
+            part = np.where(chosen, of_kind["truth"], np.nan)
             measures[*path, f"{kind}_log_score_truth"] = mean_measure(weights, part)
-        measures["human", f"{kind}_r"] = _r(weights, probabilities, people)
-        agreed, apart = log_score(probabilities, people), jensen_shannon(probabilities, people)
-        measures["human", f"{prefix}log_score"] = mean_measure(weights, agreed)
-        measures["human", f"{prefix}js"] = mean_measure(weights, apart)
-    measures["human", "relation_r_given_truth"] = _r(
-        weights,
-        model.probabilities["relation"],
-        known.people["relation"],
-        same_truth(known.truth["relation"], len(RELATIONS)),
-    )
+        measures["human", f"{kind}_r"] = _r(answers, kind, weights)
+        for name in ("log_score", "js"):
+            measures["human", f"{prefix}{name}"] = mean_measure(weights, of_kind[name])
+    given_truth = _r(answers, "relation", weights, given_truth=True)
+    measures["human", "relation_r_given_truth"] = given_truth
     return measures
 
 
-def _r(
-    weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None
-) -> Resampled:
-    of_groups = None if groups is None else by_event(groups)
-    values = correlation(weights, by_event(x), by_event(y), of_groups)
-    known = x * y if groups is None else np.where(groups < 0, np.nan, x * y)
-    return Resampled(values, events_with(known))
+def _r(answers: Answers, kind: str, weights: FloatArray, *, given_truth: bool = False) -> Resampled:
+    """Return r of model and people."""
+    x, y = answers.array(kind, "probability"), answers.array(kind, "people")
+    if not given_truth:
+        return Resampled(correlation(weights, by_event(x), by_event(y)), events_with(x * y))
+    groups = same_truth(label_places(answers.array(kind, "truth")))
+    values = correlation(weights, by_event(x), by_event(y), by_event(groups))
+    return Resampled(values, events_with(np.where(groups < 0, np.nan, x * y)))
 
 
 def mean_measure(weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Resampled:
@@ -311,29 +361,20 @@ def mean_measure(weights: FloatArray, values: FloatArray, of_shares: bool = Fals
     return Resampled(weighted_mean(weights, values), events_with(values), scores)
 
 
-def people_measures(known: Facts, model: Said, weights: FloatArray) -> dict[Place, Resampled]:
-    """Return people's own log scores, on the events on which the model has one."""
-    measures: dict[Place, Resampled] = {}
-    for kind, prefix in PREFIX.items():
-        people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
-        path = ("human", f"{prefix}log_score_people")
-        measures[path] = mean_measure(weights, negative_entropy(people))
-    return measures
-
-
 def accuracy_measures(
-    right: Mapping[str, FloatArray], known: Facts, weights: FloatArray
+    answers: Answers, right: Mapping[str, FloatArray], weights: FloatArray
 ) -> dict[Place, Resampled]:
-    """Return the accuracies, overall and of each part (:meth:`~Facts.parts`).
+    """Return the accuracies, overall and of each part (:meth:`~Answers.parts`).
 
     From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
     """
-    measures: dict[Place, Resampled] = {}
-    for kind, values in right.items():
-        for path, chosen in known.parts(kind).items():
-            part = np.where(chosen, values, np.nan)
-            measures[*path, f"{kind}_accuracy"] = mean_measure(weights, part, of_shares=True)
-    return measures
+    return {
+        (*path, f"{kind}_accuracy"): mean_measure(
+            weights, np.where(chosen, values, np.nan), of_shares=True
+        )
+        for kind, values in right.items()
+        for path, chosen in answers.parts(kind).items()
+    }
 
 
 def events_with(values: FloatArray) -> int:
@@ -346,11 +387,11 @@ def confusion(true: IntArray, other: IntArray) -> dict[str, dict[str, int]] | No
 
     Pairs with an unknown scenario (-1) do not count; None where all are unknown.
     """
-    counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
     known = (true >= 0) & (other >= 0)
-    np.add.at(counts, (true[known], other[known]), 1)
     if not known.any():
         return None
+    counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
+    np.add.at(counts, (true[known], other[known]), 1)
     return {
         name: dict(zip(SCENARIOS, row, strict=True))
         for name, row in zip(SCENARIOS, counts.tolist(), strict=True)
@@ -361,29 +402,23 @@ SURE: Final = (0.0, 0.5, 0.8, 0.95)
 """Probabilities of an answer from which on it is counted whether it is true."""
 
 
-def calibration(model: Said) -> dict[str, dict[str, Any]]:
+def calibration(scores: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Return how often answers are true that the model is sure of (``calibration``, above)."""
-    found: dict[str, dict[str, Any]] = {}
-    for kind, right in model.right.items():
-        sure = model.sure[kind]
-        found[kind] = {}
-        for least in SURE:
-            chosen = (sure >= least) & ~np.isnan(right)
-            if chosen.any():
-                told = {"probability": float(sure[chosen].mean()), **_right_among(right, chosen)}
-                found[kind][f"{least:g}"] = told
+    right, sure, found = scores["right"], scores["sure"], {}
+    for least in SURE:
+        chosen = (sure >= least) & ~np.isnan(right)
+        if chosen.any():
+            told = {"probability": float(sure[chosen].mean()), **_right_among(right, chosen)}
+            found[f"{least:g}"] = told
     return found
 
 
-def verdict(model: Said) -> dict[str, dict[str, Any]]:
+def verdict(scores: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Return how often answers of posteriors are true, by what these say of them (``verdict``)."""
-    found: dict[str, dict[str, Any]] = {}
-    for kind, right in model.right.items():
-        decided = np.broadcast_to(model.decided, right.shape)
-        parts = {"decided": decided == 1, "undecided": decided == 0, "sure": model.leads[kind] == 1}
-        told = {name: _right_among(right, chosen) for name, chosen in parts.items()}
-        found[kind] = {name: one for name, one in told.items() if one["n"]}
-    return found
+    decided = scores["decided"]
+    parts = {"decided": decided == 1, "undecided": decided == 0, "sure": scores["leads"] == 1}
+    told = {name: _right_among(scores["right"], chosen) for name, chosen in parts.items()}
+    return {name: one for name, one in told.items() if one["n"]}
 
 
 def _right_among(right: FloatArray, chosen: BoolArray) -> dict[str, Any]:
@@ -392,14 +427,16 @@ def _right_among(right: FloatArray, chosen: BoolArray) -> dict[str, Any]:
     return {"n": int(np.isfinite(known).sum()), "accuracy": proportion(known)}
 
 
-def count_ties(
-    given: Sequence[Prediction | Judgments], world: World = PHASE
-) -> dict[str, int | None]:
+def count_ties(answers: Answers, column: str) -> dict[str, int | None]:
     """Return question -> events in which several answers lead; None where none is known."""
-    found = {}
-    for question in questions_of(world):
-        ties = [one.ties(question) for one in given]
-        found[question] = sum(n > 1 for n in ties) if any(ties) else None
+    found: dict[str, int | None] = {}
+    for kind, questions in kinds_of(answers.world).items():
+        values = answers.array(kind, column)
+        leading = np.isclose(values, values.max(axis=-1, keepdims=True), rtol=0, atol=1e-12)
+        ties = (leading.sum(axis=-1) > 1).sum(axis=0)
+        known = np.any(~np.isnan(values), axis=(0, -1))
+        told = zip(questions, ties.tolist(), known.tolist(), strict=True)
+        found |= {question: n if is_known else None for question, n, is_known in told}
     return found
 
 
@@ -428,8 +465,6 @@ def at(metrics: Mapping[str, Any], path: str | Place) -> Any:
 
 # --- what people got right ------------------------------------------------------------------------
 
-_RED, _GREEN = GOAL_QUESTIONS.values()
-
 
 def human_accuracy(
     events: Sequence[Event], *, seed: int = 0, resamples: int = 1000
@@ -455,35 +490,34 @@ def human_accuracy(
         InvalidSettingError: ``seed`` or ``resamples`` is out of range.
     """
     chosen = [e for e in events if e.truth is not None and Judgments.of(e) is not None]
-    known = arrays.facts(chosen)
+    answers = Answers.of(events, {}).about([event.id for event in chosen])
     weights = resampled(len(chosen), seed, resamples)
-    share = {kind: at_truth(people, known.truth[kind]) for kind, people in known.people.items()}
-    # argmax takes NaN for the largest, and what nobody answered is left out here
-    most = {kind: np.nan_to_num(people).argmax(axis=-1) for kind, people in known.people.items()}
-    majority = {
-        kind: np.where(np.isnan(right), np.nan, most[kind] == known.truth[kind])
-        for kind, right in share.items()
-    }
+    share: dict[str, FloatArray] = {}
+    majority: dict[str, FloatArray] = {}
+    for kind in PREFIX:
+        people, true = answers.array(kind, "people"), answers.array(kind, "truth")
+        share[kind] = (people * true).sum(axis=-1)
+        # argmax takes NaN for the largest, and what nobody answered is left out here
+        most = np.nan_to_num(people).argmax(axis=-1)
+        leads = most == label_places(true)
+        majority[kind] = np.where(np.isnan(share[kind]), np.nan, leads)
     result: dict[str, Any] = {"n_events": len(chosen)}
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
-        measures = accuracy_measures(right, known, weights)
+        measures = accuracy_measures(answers, right, weights)
         put(place, {path: one.measure() for path, one in measures.items()})
-        count_scenarios(place, known.scenario)
+        count_scenarios(place, answers.scenarios)
     result["majority"] = of_majority
-    result["ties"] = count_ties([one for one in known.judgments if one is not None], known.world)
+    result["ties"] = count_ties(answers, "people")
     result["by_participant"] = result["confusion"] = None
-    if known.by_participant:
+    given = responses_of(chosen)
+    if given is not None:
         result["by_participant"] = participant_accuracy(chosen)
-    if known.by_participant and known.world == PHASE:
-        pairs = [
-            (true, SCENARIOS.index(scenario(row[_RED], row[_GREEN])))
-            for true, one in zip(known.scenario, known.judgments, strict=True)
-            if one is not None
-            for row in one.responses.values()
-            if _RED in row and _GREEN in row
-        ]
-        result["confusion"] = confusion(*np.array(pairs, np.int64).reshape(-1, 2).T)
+        said = given.pivot(index=["event", "who"], columns="question", values="label")
+        rows = [(i, dict(row.dropna())) for (i, _), row in said.iterrows()]
+        true = dict(zip((event.id for event in chosen), answers.scenarios, strict=True))
+        pairs = [true[event] for event, _ in rows], [scenario_of(r, answers.world) for _, r in rows]
+        result["confusion"] = confusion(np.array(pairs[0]), places_of_scenarios(pairs[1]))
     return result
 
 
@@ -500,36 +534,30 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
         scenario -> both, of what participants said about its events, and ``n``, the participants
         who said anything. In other worlds than PHASE ``by_agent`` and ``by_pair``.
     """
-    import pandas as pd
-
-    world = arrays.world_of(events)
-    kinds = kinds_of(world)
-    parts = {kind: ["\0".join(path) for path in arrays.parts_of(world, kind)] for kind in kinds}
-
-    def part_of(event: Event, kind: str, place: int) -> str:
-        return parts[kind][SCENARIOS.index(event.truth.scenario) if world == PHASE else place]
-
+    world = world_of(events)
+    parts = [path for kind in PREFIX for path in parts_of(world, kind)]
     rows = [
         (who, kind, part_of(event, kind, i), float(row[question] == true_answers(event)[question]))
         for event in events
         if event.truth is not None and (judgments := Judgments.of(event)) is not None
         for who, row in judgments.responses.items()
-        for kind, questions in kinds.items()
+        for kind, questions in kinds_of(world).items()
         for i, question in enumerate(questions)
         if question in row
     ]
     table = pd.DataFrame(rows, columns=["who", "kind", "part", "right"])
     people = table["who"].unique()
     found: dict[Place, Any] = {("n_participants",): len(people)}
-    for part in dict.fromkeys(["", *(part for of_kind in parts.values() for part in of_kind)]):
-        of_part, path = (table[table["part"] == part], part.split("\0")) if part else (table, [])
-        if part:
+    paths: list[Place] = [(), *dict.fromkeys(parts)]
+    for path in paths:
+        of_part = table[table["part"] == path[-1]] if path else table
+        if path:
             found[*path, "n"] = of_part["who"].nunique()
-        for kind in kinds:
-            if part and part not in parts[kind]:
-                continue
-            each = of_part[of_part["kind"] == kind].groupby("who")["right"].mean().reindex(people)
-            found[*path, f"{kind}_accuracy"] = proportion(each.to_numpy(float)[:, None])
+        for kind in PREFIX:
+            if not path or path in parts_of(world, kind):
+                of_kind = of_part[of_part["kind"] == kind]
+                each = of_kind.groupby("who")["right"].mean().reindex(people)
+                found[*path, f"{kind}_accuracy"] = proportion(each.to_numpy(float)[:, None])
     result: dict[str, Any] = {}
     put(result, found)
     return result

@@ -69,6 +69,14 @@ GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
 """Agent of PHASE -> the question about its goal."""
 
 
+def scenario_of(answers: Mapping[str, str], world: World) -> str | None:
+    """Return the scenario of the two goals answered in PHASE; None where one is missing."""
+    if world != PHASE or not answers.keys() >= {*GOAL_QUESTIONS.values()}:
+        return None
+    red, green = (answers[question] for question in GOAL_QUESTIONS.values())
+    return scenario(red, green)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prediction(Printed):
     """Answers to the questions about one event. What is not given is absent, never guessed.
@@ -110,7 +118,7 @@ class Prediction(Printed):
             labels_of(question, self.world)
         for name, verdict in {**self.sure, **self._of_event}.items():
             instance_of(name, verdict, bool, "True or False")
-        probabilities, answers, errors = {}, {}, {}
+        probabilities, answers = {}, {}
         for question, labels in self.questions.items():
             if question in self.probabilities:
                 values = _distribution(question, self.probabilities[question], labels)
@@ -118,19 +126,19 @@ class Prediction(Printed):
                 answers[question] = labels[int(values.argmax())]
             if question in self.answers:
                 answers[question] = checked_answer(question, self.answers[question], self.world)
-        for question, given_errors in self.errors.items():
+        errors = {question: np.array(given, np.float64) for question, given in self.errors.items()}
+        for question, found in errors.items():
             if question not in probabilities:
                 raise InvalidEventError(f"{question} has errors, but no probabilities")
-            found = np.array(given_errors, np.float64)
             if found.shape != probabilities[question].shape or (found < 0).any():
                 raise InvalidEventError(
-                    f"{question} has errors {shown(given_errors)}, expected "
+                    f"{question} has errors {shown(self.errors[question])}, expected "
                     f"{len(probabilities[question])} numbers >= 0 or NaN"
                 )
-            errors[question] = found
-        object.__setattr__(self, "errors", errors)
-        object.__setattr__(self, "probabilities", probabilities)
-        object.__setattr__(self, "answers", answers)
+        for name, checked in (
+            ("errors", errors), ("probabilities", probabilities), ("answers", answers)
+        ):  # fmt: skip
+            object.__setattr__(self, name, checked)
 
     @classmethod
     def of(cls, given: object, event_id: str = "", world: World = PHASE) -> Prediction:
@@ -198,10 +206,7 @@ class Prediction(Printed):
     @property
     def scenario(self) -> str | None:
         """Scenario of the two goals answered in PHASE; None where one is missing."""
-        if self.world != PHASE:
-            return None
-        red, green = (self.answers.get(question) for question in GOAL_QUESTIONS.values())
-        return None if red is None or green is None else scenario(red, green)
+        return scenario_of(self.answers, self.world)
 
     def estimate(self, question: str, answer: str) -> Estimate:
         """Return the probability of an answer, with its error where that is known."""
@@ -216,13 +221,6 @@ class Prediction(Printed):
             return None
         order = np.argsort(-self.probabilities[question], kind="stable")[:n]
         return tuple(self.questions[question][index] for index in order)
-
-    def ties(self, question: str) -> int:
-        """Return how many answers share the highest probability: 1 where it is clear, 0 unknown."""
-        if question not in self.probabilities:
-            return 0
-        values = self.probabilities[question]
-        return int(np.isclose(values, values.max(), rtol=0, atol=1e-12).sum())
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
@@ -356,8 +354,8 @@ def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> Flo
 
 # --- of other models, as files of events carry them -----------------------------------------------
 
-_FIELDS: Final = ("goals", "relation", "goal_probs", "relation_probs")
-_OWN_FIELDS: Final = ("event", "probabilities", "errors", "answers", "cost", "sure", "decided")
+_FIELDS: Final = ("probabilities", "errors", "answers", "cost", "sure", "decided", "event")
+_SHORT: Final = ("goals", "relation", "goal_probs", "relation_probs")
 
 
 def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Prediction]]:
@@ -370,9 +368,8 @@ def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Predic
          "goal_probs": {"red agent": {"...": 0.9, "...": 0.1}, ...},
          "relation_probs": {"friendly": 0.6, "neutral": 0.3, "adversarial": 0.1}}
 
-    in PHASE, where every field may be missing or null, or to what :meth:`Prediction.to_dict`
-    writes, without ``event``. Goals are effective ones; of probabilities, answers of probability 0
-    may be left out.
+    where every field may be missing or null, or to what :meth:`Prediction.to_dict` writes, without
+    ``event``. Goals are effective ones; of probabilities, answers of probability 0 may be left out.
 
     Raises:
         InvalidEventError: a prediction has no such form, or probabilities that are none.
@@ -393,28 +390,27 @@ def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Predic
 def _prediction(event_id: str, record: object, world: World) -> Prediction:
     fields = of_kind("it", record, dict)
     given = {name: value for name, value in fields.items() if value is not None}
-    own = any(name in given for name in ("probabilities", "answers"))
-    allowed = _OWN_FIELDS if own or world != PHASE else _FIELDS
+    own = "probabilities" in given or "answers" in given
     for name in given:
-        check_name("field", name, allowed)
+        check_name("field", name, _FIELDS if own else (*_SHORT, *_FIELDS))
     if given.get("event", event_id) != event_id:
         raise InvalidEventError(f"is of the event {shown(given['event'])}")
     if not own:
-        answers = per_agent("goals", given.get("goals"))
-        shares = per_agent("goal_probs", given.get("goal_probs"))
+        answers, shares = (per_agent(f, given.pop(f, None), world) for f in ("goals", "goal_probs"))
         if "relation" in given:
-            answers["relation"] = given["relation"]
+            answers["relation"] = given.pop("relation")
         if "relation_probs" in given:
-            shares["relation"] = given["relation_probs"]
-        given = {"answers": answers, "probabilities": shares}
+            shares["relation"] = given.pop("relation_probs")
+        given |= {"answers": answers, "probabilities": shares}
     return Prediction.from_dict(
         {"answers": {}, "probabilities": {}, **given, "event": event_id}, world
     )
 
 
-def per_agent(field: str, record: object) -> dict[str, Any]:
+def per_agent(field: str, record: object, world: World) -> dict[str, Any]:
     """Return question -> value from agent -> value, without those that are null."""
     values = {} if record is None else of_kind(field, record, dict)
     for agent in values:
-        check_name(f"agent in {field}", agent, AGENTS)
-    return {GOAL_QUESTIONS[agent]: value for agent, value in values.items() if value is not None}
+        check_name(f"agent in {field}", agent, world.agents)
+    keys = dict(zip(world.agents, world.keys, strict=True))
+    return {f"goal_{keys[agent]}": v for agent, v in values.items() if v is not None}

@@ -10,7 +10,6 @@ import numpy as np
 
 from phase_ppl.data.documents import in_front, of_kind
 from phase_ppl.evaluation.prediction import (
-    GOAL_QUESTIONS,
     checked_answer,
     labels_of,
     per_agent,
@@ -19,13 +18,10 @@ from phase_ppl.evaluation.prediction import (
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.scene import PHASE, World
 
 MAX_RATINGS: Final = 10**9 - 1  # most ratings on one question of one event
-_COUNTS: Final = ("relation_counts", "goal_counts", "responses")
-_COUNTS_ELSEWHERE: Final = ("counts", "responses")  # of other worlds than PHASE
-
+_COUNTS: Final = ("counts", "relation_counts", "goal_counts")
 _WITHOUT_RATINGS: Final = ("n_raters", "majority")
 """What may be all that is known of people: the authors' pickles have the majority only."""
 
@@ -65,13 +61,6 @@ class Judgments:
         if question not in self.counts:
             return None
         return labels_of(question, self.world)[int(self.counts[question].argmax())]
-
-    def ties(self, question: str) -> int:
-        """Return how many answers share the most ratings: 1 where it is clear, 0 unknown."""
-        if question not in self.counts:
-            return 0
-        ratings = self.counts[question]
-        return int((ratings == ratings.max()).sum())
 
     @classmethod
     def of(cls, event: Event) -> Judgments | None:
@@ -114,11 +103,11 @@ class Judgments:
     def from_record(cls, record: Mapping[str, Any], world: World = PHASE) -> Judgments | None:
         """Read the judgments of an event file; None where nobody judged.
 
-        Fields: ``relation_counts`` {relation: ratings}, ``goal_counts`` {agent: {goal: ratings}},
-        ``n_raters``, and ``responses``, a list of objects with ``participant`` and answers to the
-        questions. All are optional, answers without ratings may be left out, fields of other names
-        (such as ``majority``) are not read. ``goal_counts`` are of effective goals. In another
-        world than PHASE ``counts`` {question: {answer: ratings}} stand for the first two.
+        Fields: ``counts`` {question: {answer: ratings}}, for which ``relation_counts`` {relation:
+        ratings} and ``goal_counts`` {agent: {goal: ratings}} may stand, ``n_raters``, and
+        ``responses``, a list of objects with ``participant`` and answers to the questions. All are
+        optional, answers without ratings may be left out, fields of other names (such as
+        ``majority``) are not read. Goals are effective goals.
 
         Raises:
             InvalidEventError: ratings that are negative or no whole number, more ratings than
@@ -126,12 +115,12 @@ class Judgments:
                 counts; or the record has fields, but none of those that hold ratings.
             UnknownNameError: no such agent, goal, relation or question.
         """
-        known = _COUNTS if world == PHASE else _COUNTS_ELSEWHERE
+        known = (*_COUNTS, "responses")
         if record and not any(name in record for name in (*known, *_WITHOUT_RATINGS)):
             raise InvalidEventError(
                 f"has {shown(sorted(map(str, record)))}, expected one of {', '.join(known)}"
             )
-        counts = _counts(record, world)
+        counts, n_raters = _counts(record, world), record.get("n_raters")
         listed = record.get("responses")
         if listed is not None:
             found = cls.of_responses(_responses(listed), world)
@@ -140,7 +129,8 @@ class Judgments:
                     raise InvalidEventError(f"the counts of {question} contradict the responses")
             counts = dict(found.counts)
         totals = [int(ratings.sum()) for ratings in counts.values()]
-        n_raters = _n_raters(record, totals)
+        if n_raters is not None:
+            _check_raters(n_raters, totals)
         if listed is not None:
             if n_raters not in (None, found.n_raters):
                 raise InvalidEventError(
@@ -153,36 +143,24 @@ class Judgments:
 
     def to_record(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
-        record: dict[str, Any] = {"n_raters": self.n_raters}
+        labels = questions_of(self.world)
         given = {
-            question: {
-                answer: n
-                for answer, n in zip(labels_of(question, self.world), ratings.tolist(), strict=True)
-                if n
-            }
+            question: {a: n for a, n in zip(labels[question], ratings.tolist(), strict=True) if n}
             for question, ratings in self.counts.items()
         }
-        if self.world != PHASE:
-            record["counts"] = given
-        else:
-            if "relation" in given:
-                record["relation_counts"] = dict.fromkeys(RELATIONS, 0) | given["relation"]
-            goals = {agent: given[q] for agent, q in GOAL_QUESTIONS.items() if q in given}
-            if goals:
-                record["goal_counts"] = goals
-        if self.responses:
-            record["responses"] = [
-                {"participant": who, **row} for who, row in self.responses.items()
-            ]
-        return record
+        rows = [{"participant": who, **row} for who, row in self.responses.items()]
+        return {
+            "n_raters": self.n_raters,
+            "counts": given,
+            **({"responses": rows} if rows else {}),
+        }
 
 
 def _counts(record: Mapping[str, Any], world: World) -> dict[str, IntArray]:
-    if world == PHASE:
-        given = per_agent("goal_counts", record.get("goal_counts"))
-        given["relation"] = record.get("relation_counts")
-    else:
-        given = of_kind("counts", record.get("counts") or {}, dict)
+    given = dict(of_kind("counts", record.get("counts") or {}, dict))
+    given |= per_agent("goal_counts", record.get("goal_counts"), world)
+    if record.get("relation_counts") is not None:
+        given["relation"] = record["relation_counts"]
     counts = {}
     for question, ratings in given.items():
         if ratings is not None:
@@ -198,16 +176,12 @@ def _counts(record: Mapping[str, Any], world: World) -> dict[str, IntArray]:
     return counts
 
 
-def _n_raters(record: Mapping[str, Any], totals: Sequence[int]) -> int | None:
-    if record.get("n_raters") is None:
-        return None
-    number = _people("n_raters", record["n_raters"])
-    for total in totals:
-        if total > number:
-            raise InvalidEventError(f"n_raters is {number}, but a question has {total} votes")
+def _check_raters(given: object, totals: Sequence[int]) -> None:
+    number = _people("n_raters", given)
+    if totals and max(totals) > number:
+        raise InvalidEventError(f"n_raters is {number}, but a question has {max(totals)} votes")
     if number > sum(totals):
         raise InvalidEventError(f"n_raters is {number}, but there are {sum(totals)} votes in all")
-    return number
 
 
 def _responses(listed: object) -> dict[str, dict[str, str]]:

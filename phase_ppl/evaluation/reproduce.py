@@ -15,17 +15,19 @@ What is finished is not done again: the same call with ``resume`` goes on with w
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from phase_ppl.data.documents import read_json
 from phase_ppl.data.generated import MANIFEST
-from phase_ppl.evaluation.answer_sets import PEOPLE, label_of
 from phase_ppl.evaluation.bootstrap import Measure, proportion
+from phase_ppl.evaluation.cells import Table, lines_of, measure_text
 from phase_ppl.evaluation.comparison import ModelComparison, compare_models
 from phase_ppl.evaluation.evaluate import evaluate
 from phase_ppl.evaluation.evaluation import Evaluation
@@ -34,22 +36,8 @@ from phase_ppl.evaluation.figures import likeness as likeness_figure
 from phase_ppl.evaluation.figures import tags as tags_figure
 from phase_ppl.evaluation.judgments import all_events, judged
 from phase_ppl.evaluation.metrics import at, human_accuracy
-from phase_ppl.evaluation.paper import (
-    EVENTS,
-    LABELLED,
-    PREDICATE,
-    PRINTED,
-    RATED,
-    SIMPLE,
-    SOCIALGNN,
-    STEERED,
-    VLM,
-    Cell,
-    Printed,
-    Reproduction,
-    verdict,
-)
 from phase_ppl.evaluation.registry import model_info, not_installed
+from phase_ppl.evaluation.table import PEOPLE, label_of
 from phase_ppl.inference.settings import simulations
 from phase_ppl.world.errors import (
     AnswerError,
@@ -67,6 +55,199 @@ from phase_ppl.world.scene import check_is_phase
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawn
+
+# --- what the paper prints -----------------------------------------------------------------------
+# Its other numbers are in figures only, and cannot be read off exactly.
+
+SIMPLE: Final = "SIMPLE"
+SOCIALGNN: Final = "SocialGNN"
+PREDICATE: Final = "predicate inverse planning"
+VLM: Final = "Gemini"
+LABELLED: Final = "labels"
+RATED: Final = "likeness"
+STEERED: Final = "videos that people steer"
+EVENTS: Final = "PHASE"
+"""Of whom, or of what, a number is, beside people."""
+
+
+class Printed(NamedTuple):
+    """A number of the paper."""
+
+    place: str  # where it is printed
+    what: str  # it says
+    whose: str  # people's, a model's, or of what else
+    path: str  # of the same number in our metrics, parts joined by dots
+    value: float
+    low: float | None = None  # its interval, where one is printed
+    high: float | None = None
+    below: bool = False  # whether the value is printed as a bound only, "< 0.6"
+
+    @property
+    def digits(self) -> int:
+        """Decimals to show: none of a count."""
+        if self.value > 1 and self.value == int(self.value):
+            return 0
+        return 2 if round(self.value, 2) == self.value else 3
+
+
+_HUMAN: Final = "Results, Human results"
+_ACCURACY: Final = "Results, Comparing model and human accuracy"
+_GRADED: Final = "Results, Explaining human graded judgments"
+_SETS: Final = "A Paradigm for Physically Grounded Social Perception"
+_A2: Final = "Appendix A.2, Comparing PHASE and human-generated videos"
+
+_GOALS, _RELATIONS = (f"by_scenario.competing.{kind}_accuracy" for kind in ("goal", "relation"))
+_APART: Final = "by_scenario.independent.goal_accuracy"
+_ALIKE: Final = "scenario types without a significant difference from people"
+
+PRINTED: Final = (
+    Printed(_HUMAN, "goals right", PEOPLE, "goal_accuracy", 0.78),
+    Printed(_HUMAN, "relations right", PEOPLE, "relation_accuracy", 0.89),
+    Printed(_HUMAN, "r of halves, goals", PEOPLE, "human.goal_split_half_r", 0.92, 0.91, 0.94),
+    Printed(_HUMAN, "r of halves, relations", PEOPLE, "human.split_half_r", 0.96, 0.95, 0.97),
+    Printed(_ACCURACY, "goals right, competing", PEOPLE, _GOALS, 0.76, 0.74, 0.78),
+    Printed(_ACCURACY, "goals right, competing", SIMPLE, _GOALS, 0.59, 0.41, 0.77),
+    Printed(_ACCURACY, "relations right, competing", SIMPLE, _RELATIONS, 0.91, 0.72, 1.0),
+    Printed(_ACCURACY, "relations right, competing", SOCIALGNN, _RELATIONS, 0.0),
+    Printed(_ACCURACY, "goals right, independent", PREDICATE, _APART, 0.35, 0.22, 0.48),
+    Printed(_ACCURACY, f"{_ALIKE}, goals", SIMPLE, "like_people.goal", 3),
+    Printed(_ACCURACY, f"{_ALIKE}, relations", SIMPLE, "like_people.relation", 4),
+    Printed(_GRADED, "r with people, goals", SIMPLE, "human.goal_r", 0.82, 0.78, 0.85),
+    Printed(_GRADED, "r with people, relations", SIMPLE, "human.relation_r", 0.78, 0.71, 0.82),
+    *(
+        Printed(_GRADED, f"r with people, {kind}s", whose, f"human.{kind}_r", 0.6, below=True)
+        for whose in (SOCIALGNN, PREDICATE, VLM)
+        for kind in ("goal", "relation")
+    ),
+    Printed(_SETS, "share of friendly events", EVENTS, "friendly", 200 / 500),
+    Printed(_SETS, "share of neutral events", EVENTS, "neutral", 108 / 500),
+    Printed(_SETS, "share of adversarial events", EVENTS, "adversarial", 192 / 500),
+    Printed(_SETS, "fewest events of a goal category", EVENTS, "of_category.fewest", 47),
+    Printed(_SETS, "most events of a goal category", EVENTS, "of_category.most", 129),
+    Printed(_SETS, "labels used, of 23", LABELLED, "used", 23),
+    Printed(_SETS, "labels that are a category", LABELLED, "categories", 18),
+    *(
+        Printed(_A2, f"mode of responses right, {kind}s", whose, f"majority.{kind}_accuracy", value)
+        for whose, goals, relations in ((STEERED, 0.965, 0.92), (PEOPLE, 0.97, 0.99))
+        for kind, value in (("goal", goals), ("relation", relations))
+    ),
+    Printed(_A2, "mean likeness, videos that people steer", RATED, "played", 4.06),
+    Printed(_A2, "sd of likeness, videos that people steer", RATED, "played_sd", 0.36),
+    Printed(_A2, "mean likeness, PHASE", RATED, "generated", 3.98),
+    Printed(_A2, "sd of likeness, PHASE", RATED, "generated_sd", 0.42),
+)
+
+NOT_DRAWN: Final = (
+    "Fig. intro and Fig. of the model show photographs and sketches, Fig. interface the authors' "
+    "pages"
+)
+"""What of the paper's figures is no result."""
+
+
+# --- held against ours ----------------------------------------------------------------------------
+
+NO_REPRODUCTION: Final = (
+    "This is no reproduction: the events were generated by this package, not by the paper's "
+    "authors, and the agents in them are those that its models reason with."
+)
+
+VERDICTS: Final = ("inside", "outside", "not computable")
+
+LOOSE: Final = 0.4  # width of an interval of ours from which on to be inside of it says little
+
+
+class Cell(NamedTuple):
+    """A number of the paper beside one of ours."""
+
+    printed: Printed  # the paper's
+    label: str  # of the model of ours, or what it is of
+    ours: Measure | None  # with its interval; None: not computable
+    verdict: str  # "inside", "outside" or "not computable"
+    missing: str = ""  # what data it would take
+    videos: int | None = None  # of one type of scenario, on which ours rests
+
+    @property
+    def loose(self) -> bool:
+        """Whether it is inside only because our interval is wide, or reaches below a bound."""
+        if self.verdict != "inside" or self.ours is None:
+            return False
+        value, low, high = (self.ours[name] for name in ("value", "ci_low", "ci_high"))
+        p = self.printed
+        if value is not None and p.below:
+            return value >= p.value
+        if value is None or low is None or high is None or high - low < LOOSE:
+            return False
+        return not (p.value if p.low is None else p.low) <= value <= (p.high or p.value)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            **self.printed._asdict(), "label": self.label, "ours": self.ours,
+            "verdict": self.verdict, "loose": self.loose, "missing": self.missing,
+            "videos": self.videos,
+        }  # fmt: skip
+
+
+class Reproduction(NamedTuple):
+    """What came out.
+
+    Attributes:
+        cells: the paper's numbers beside ours.
+        comparison: of all models.
+        real: whether the events are real videos.
+        notes: what is to be known about it.
+        drawn: title, words and a function that draws a figure which the comparison does not have.
+        folder: that it is kept in.
+    """
+
+    cells: Sequence[Cell]
+    comparison: ModelComparison
+    real: bool
+    notes: Sequence[str]
+    drawn: Sequence[tuple[str, str, Callable[[], Drawn]]]
+    folder: Path
+
+    def table(self, cells: Sequence[Cell]) -> pd.DataFrame:
+        """Return what is printed of some of the cells, a row each."""
+        found = {}
+        for cell in cells:
+            p = cell.printed
+            printed = {"value": p.value, "ci_low": p.low, "ci_high": p.high}
+            ours = measure_text(cell.ours, digits=p.digits)
+            found[f"{cell.label}: {p.what}"] = {
+                "paper": ("< " if p.below else "") + measure_text(printed, digits=p.digits),
+                "ours": ours + (f" of {cell.videos}" if cell.videos else ""),
+                "verdict": cell.verdict + ", loosely" * cell.loose,
+                "needs": cell.missing,
+            }
+        return pd.DataFrame.from_dict(found, orient="index")
+
+    def __str__(self) -> str:
+        head = [] if self.real else [NO_REPRODUCTION]
+        notes = (f"note: {note}" for note in self.notes)
+        table = self.table(self.cells).drop(columns="needs")
+        return "\n".join([*head, *notes, "", *lines_of(table, width=None)])
+
+
+def verdict(printed: Printed, ours: Measure) -> str:
+    """Return "inside" if what is printed and what was found can be the same, else "outside".
+
+    They can if either value lies within the other's interval, or both are the same to the digits
+    that are printed; a bound holds if our interval does not lie above it.
+    """
+    value, low, high = ours["value"], ours["ci_low"], ours["ci_high"]
+    assert value is not None, "a measure has a value"
+    if printed.below:
+        return "inside" if (value if low is None else low) < printed.value else "outside"
+    inside = abs(value - printed.value) < 0.005
+    if low is not None and high is not None:
+        inside |= low <= printed.value <= high
+    if printed.low is not None and printed.high is not None:
+        inside |= printed.low <= value <= printed.high
+    return "inside" if inside else "outside"
+
+
+# --- models that are asked ------------------------------------------------------------------------
 
 PROFILES: Final = ("quick", "paper", "full")
 ASKED, RESULT, PAGE = "asked.json", "reproduction.json", "reproduction.html"
@@ -244,10 +425,36 @@ def reproduce(
         result = Reproduction(cells, comparison, real, notes, drawn, folder)
         record = {**given, "real": real, "notes": notes, "cells": [one.to_dict() for one in cells]}
         write_json(folder / RESULT, record)
-        from phase_ppl.evaluation.report import reproduction_page, write_page
+        from phase_ppl.evaluation.report import write_page
 
         write_page(reproduction_page(result, progress=progress), folder / PAGE)
         return result
+
+
+def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
+    """Return the page of a reproduction."""
+    counts = [f"{sum(one.verdict == kind for one in made.cells)} {kind}" for kind in VERDICTS]
+    words = (
+        f"{', '.join(counts)}. Inside: the paper's value lies in the 95 % interval of ours, or "
+        "ours in the paper's, or both are the same to the digits printed; of a bound, our interval "
+        f"does not lie above it. Loosely: only because our interval is wide ({LOOSE} or more), as "
+        "few videos make it, or reaches below a bound that our value does not hold."
+    )
+    cells = [
+        Table(place, made.table([*of_place]))
+        for place, of_place in itertools.groupby(made.cells, lambda one: one.printed.place)
+    ]
+    from phase_ppl.evaluation.report import compared_page
+
+    return compared_page(
+        made.comparison,
+        [words, *(f"{note[:1].upper()}{note[1:]}." for note in made.notes), f"{NOT_DRAWN}."],
+        {"Numbers that the paper prints": cells},
+        progress,
+        made.drawn,
+        title="The paper, cell by cell" if made.real else "No reproduction: a try",
+        warning="" if made.real else NO_REPRODUCTION,
+    )
 
 
 def _same_as_before(file: Path, given: Mapping[str, Any], resume: bool) -> None:

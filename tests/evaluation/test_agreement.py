@@ -15,7 +15,6 @@ from phase_ppl.evaluation.bootstrap import correlation, resampled
 from phase_ppl.evaluation.doubt import jensen_shannon, same_truth, split_half
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (
@@ -169,19 +168,11 @@ def test_differences_of_agreement_are_paired() -> None:
 # --- people with each other --------------------------------------------------------------------
 
 
-def split(judged: list[Judgments | None], *, by_participant: bool, splits: int = 4000) -> float:
-    values, _ = split_half(
-        judged,
-        ["relation"],
-        np.ones((1, len(judged))),
-        by_participant=by_participant,
-        splits=splits,
-    )
-    return float(values[0])
-
-
-def votes(*counts: int) -> Judgments:
-    return Judgments({"relation": np.array(counts)}, sum(counts))
+def split(votes: list[list[int]], chosen: Any = None, splits: int = 4000) -> float:
+    """Return r of halves of votes (video, relation), or of people (who, video) with choices."""
+    people = None if chosen is None else np.array(chosen)[..., None]
+    counts = np.array(votes, int).reshape(len(votes), 1, 3)
+    return float(split_half(counts, np.ones((1, len(votes))), people, splits=splits)[0][0])
 
 
 def test_split_half_is_the_mean_over_all_ways_to_split_the_votes() -> None:
@@ -194,29 +185,25 @@ def test_split_half_is_the_mean_over_all_ways_to_split_the_votes() -> None:
             for rater, answer in enumerate(ballot):
                 halves[0 if rater in first else 1, video, answer] += 0.5
         found.append(pearsonr(halves[0].ravel(), halves[1].ravel()).statistic)
-    judged = [votes(3, 1, 0), votes(1, 1, 2)]
-    assert split(judged, by_participant=False) == pytest.approx(np.mean(found), abs=0.02)
+    assert split([[3, 1, 0], [1, 1, 2]]) == pytest.approx(np.mean(found), abs=0.02)
 
 
 def test_split_half_by_participants_keeps_the_answers_of_one_together() -> None:
     """Two always see friends, two always foes: halves by people, 4 of 6 splits agree exactly."""
-    said = {"a": "friendly", "b": "friendly", "c": "adversarial", "d": "adversarial"}
-    video = Judgments.of_responses({who: {"relation": answer} for who, answer in said.items()})
-    other = Judgments.of_responses({who: {"relation": "neutral"} for who in said})
+    video, other, chosen = [2, 0, 2], [0, 4, 0], [[0, 1], [0, 1], [2, 1], [2, 1]]
     even = pearsonr([0.5, 0, 0.5, 0, 1, 0], [0.5, 0, 0.5, 0, 1, 0]).statistic
     odd = pearsonr([1, 0, 0, 0, 1, 0], [0, 0, 1, 0, 1, 0]).statistic
     expected = (4 * even + 2 * odd) / 6
-    assert split([video, other], by_participant=True) == pytest.approx(expected, abs=0.03)
+    assert split([video, other], chosen) == pytest.approx(expected, abs=0.03)
     # votes of eight such videos, split on their own, even out; those of people do not
-    assert split([video] * 8, by_participant=True) == pytest.approx(
-        (4 * 1 + 2 * -0.5) / 6, abs=0.03
-    )
+    eight = [[row[0]] * 8 for row in chosen]
+    assert split([video] * 8, eight) == pytest.approx((4 * 1 + 2 * -0.5) / 6, abs=0.03)
 
 
 def test_unanimous_people_agree_and_single_raters_have_no_halves() -> None:
-    assert split([votes(6, 0, 0), votes(0, 6, 0)], by_participant=False) == pytest.approx(1)
-    assert np.isnan(split([votes(1, 0, 0), None], by_participant=False))
-    assert np.isnan(split([], by_participant=False))
+    assert split([[6, 0, 0], [0, 6, 0]]) == pytest.approx(1)
+    assert np.isnan(split([[1, 0, 0], [0, 0, 0]]))
+    assert np.isnan(split([]))
 
 
 def test_metrics_say_how_the_raters_were_split() -> None:

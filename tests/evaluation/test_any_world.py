@@ -12,9 +12,9 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
-from phase_ppl.evaluation.arrays import kinds_of, parts_of
 from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.ratings import Judgments
+from phase_ppl.evaluation.table import kinds_of, parts_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,

@@ -14,7 +14,6 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import evaluate as module
-from phase_ppl.evaluation.evaluate import EventProgress
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.registry import Predict
 from phase_ppl.world.errors import (
@@ -452,22 +451,10 @@ def test_a_prediction_and_an_observation_fit_a_screen() -> None:
 def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture[str]) -> None:
     evaluate(model=FailsAt(4, raises), progress=True)
     shown = capsys.readouterr().err
-    assert "4/4" in shown
+    assert "4 of 4 events" in shown
     assert "model 'FailsAt', event 'b': ValueError: not today" in shown
     evaluate(model=FailsAt(4, raises))
     assert not capsys.readouterr().err
-
-
-def test_the_time_left_rests_on_seconds_per_frame_and_workers() -> None:
-    events = [still("long", 100), still("short", 40), still("other", 60)]
-    with EventProgress(events, 0, workers=2, shown=False) as bar:
-        assert bar.seconds_left() is None
-        bar.one_more("long", 50.0)
-        assert bar.seconds_left() == pytest.approx((40 + 60) * 0.5 / 2)
-        bar.one_more("other", None)  # failed: says nothing of the pace
-        assert bar.seconds_left() == pytest.approx(40 * 0.5)
-        bar.one_more("short", 20.0)
-        assert bar.seconds_left() == 0
 
 
 # --- interrupted, kept and gone on with -----------------------------------------------------------

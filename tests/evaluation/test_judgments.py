@@ -63,7 +63,7 @@ def test_study_holds_what_the_file_says_and_shares_of_those_who_answered(tmp_pat
     assert red[GOALS.index(BLUE_TO_RED)] == 1
     assert judgments.share("goal_green", BLUE_TO_RED) == 1
     assert judgments.share("goal_green", BLUE_TO_GREEN) == 0
-    assert (judgments.majority("relation"), judgments.ties("relation")) == ("friendly", 1)
+    assert judgments.majority("relation") == "friendly"
 
 
 def test_relations_alone_are_a_study(tmp_path: Path) -> None:
@@ -72,7 +72,6 @@ def test_relations_alone_are_a_study(tmp_path: Path) -> None:
     assert list(judgments.counts) == ["relation"]
     assert judgments.distribution("goal_red") is None
     assert judgments.majority("goal_red") is None
-    assert judgments.ties("goal_red") == 0
 
 
 CHANGES: list[Callable[[str], str]] = [

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import html.parser
 import itertools
 import re
-import subprocess
 from pathlib import Path
 
-import jinja2
 import pytest
 
 import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.evaluation.evaluation import POSTERIOR, ResultsFolder
-from phase_ppl.evaluation.report import MAX_ROWS, page, page_of, rows_of, write_page
+from phase_ppl.evaluation.report import MAX_ROWS, page_of, rows_of, write_page
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.files import write_json
 from phase_ppl.world.goals import GOALS
 from tests.analysis.readings import reading
-from tests.browser import browser_path, needs_browser
 from tests.conftest import nothing_painted
 
 from .small import (
@@ -104,21 +102,19 @@ def event(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None:
     page = Page(evaluation.read_text("utf-8"))
     for words in ("Evaluation of SIMPLE", "3 of 3 events", "Summary", "Figures", "Failures",
-                  "Settings", "Goals right, by true scenario", "With one particle"):  # fmt: skip
+                  "Settings", "Goals right, by true scenario", "With one particle",
+                  "competing \N{MIDDLE DOT} right in all they answered: nobody",
+                  "collaborative \N{MIDDLE DOT} right in all they answered: SIMPLE"):  # fmt: skip
         assert words in page.text
-    videos = [d for d in page.all("details") if "data-name" in d]
-    assert [d["data-name"] for d in videos] == ["one", HOSTILE, "three"]
-    assert [d["data-outcome"] for d in videos] == ["wrong", "right", "unknown"]
-    assert [d["data-scenario"] for d in videos] == ["competing", "collaborative", ""]
-    # what the model gives to the true answers: 0.9 x 0.4 x 0.25, and 0.9 x 0.6 x 0.5
-    assert [d.get("data-belief") for d in videos] == ["0.090000", "0.270000", None]
+    titles = re.findall("<summary><h3>(.*?)</h3>", evaluation.read_text("utf-8"))
+    assert [html.unescape(title) for title in titles] == ["one", HOSTILE, "three"]
     assert page.text.count("Best hypothesis, simulated") == 1
     assert page.all("video") == []
 
 
 def test_the_report_of_a_run_has_all_its_parts(run: Path) -> None:
     page = Page(run.read_text("utf-8"))
-    for words in ("What happens", "Posterior", "Can it be trusted?", "Settings", "Cost",
+    for words in ("What happens", "Posterior", "Settings", "Cost",
                   "Get blue item to red lm", "With one particle"):  # fmt: skip
         assert words in page.text
     assert len(page.all("video")) == 1
@@ -128,8 +124,8 @@ def test_the_report_of_a_run_has_all_its_parts(run: Path) -> None:
 def test_the_report_of_a_stepwise_run_says_what_decided(tmp_path: Path) -> None:
     StepwisePosterior(reading()).save(tmp_path / POSTERIOR)
     page = Page(ppl.report(tmp_path).read_text("utf-8"))
-    for words in ("What decided", "Goal of the red agent", "Strengths", "Settings and cost",
-                  "Can it be trusted?", "sets of searches"):  # fmt: skip
+    for words in ("What decided", "Get blue item to red lm", "strength", "Settings and cost",
+                  "planner_seeds"):  # fmt: skip
         assert words in page.text
     assert len(page.all("img")) == 3, "a film strip, the posterior, and what decided"
 
@@ -142,7 +138,7 @@ def test_a_page_is_whole_fetches_nothing_and_takes_no_html_from_files(
     page = Page(text)
     assert "<script>alert" not in text
     assert HOSTILE in page.text
-    assert len(page.all("script")) == 1
+    assert page.all("script") == []
     assert page.all("b") == page.all("i") == []
     sources = [a[k] for _, a in page.elements for k in ("src", "href", "srcset") if k in a]
     assert sources
@@ -150,7 +146,7 @@ def test_a_page_is_whole_fetches_nothing_and_takes_no_html_from_files(
     assert not re.search(r"url\(|@import|https?://", text)
     policy = str(page.all("meta")[1]["content"])
     assert policy.startswith("default-src 'none'")
-    assert "unsafe-inline" not in policy.split("script-src")[1]
+    assert "script-src" not in policy
     # pictures and tables say what they are
     assert page.all("html")[0]["lang"] == "en"
     assert len(page.all("h1")) == len(page.all("main")) == len(page.all("title")) == 1
@@ -169,7 +165,7 @@ def test_an_unfinished_evaluation_compares_what_is_finished_with_films_on_demand
     target = tmp_path / "films.html"
     page = Page(ppl.report(folder.path, target, videos=True).read_text("utf-8"))
     assert "1 of 3 events predicted; not finished" in page.text
-    assert page.text.count("no prediction") == 3  # a choice of the menu, and two events
+    assert page.text.count("no prediction") == 2
     assert str(page.all("video")[0]["src"]).startswith("data:video/mp4;base64,")
 
 
@@ -213,12 +209,6 @@ def test_the_command_writes_the_report_and_says_where(
     assert target.read_text("utf-8") == run.read_text("utf-8")
     assert main(["report", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("phase-ppl: error: ")
-
-
-def test_what_a_template_needs_and_is_not_given_is_an_error() -> None:
-    assert "<h1>&lt;i&gt;" in page("base.html", title="<i>")
-    with pytest.raises(jinja2.UndefinedError, match="title"):
-        page("base.html")
 
 
 # --- the page of an event ----------------------------------------------------------------------
@@ -270,55 +260,3 @@ def test_an_event_that_is_not_there_and_a_damaged_posterior_are_named(
     (damaged.folder_of("one") / POSTERIOR).write_bytes(b"no NetCDF")
     with pytest.raises(InvalidEventError, match=r"posterior\.nc"):
         page_of(ppl.Evaluation.load(damaged.path), "one")
-
-
-# --- in a browser ------------------------------------------------------------------------------
-
-
-def opened(path: Path, folder: Path) -> tuple[str, str]:
-    """Return what the page has become in a browser, and what its console says."""
-    options = [
-        "--headless",
-        "--no-sandbox",
-        "--disable-dev-shm-usage",
-        "--disable-gpu",
-        "--enable-logging=stderr",
-        "--v=0",
-    ]
-    options += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=2000"]
-    command = [browser_path(), *options, "--dump-dom", path.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True)
-    return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
-
-
-@needs_browser
-def test_a_browser_shows_the_videos_and_filters_and_sorts_them(
-    evaluation: Path, run: Path, tmp_path: Path
-) -> None:
-    text, console = opened(evaluation, tmp_path)
-    of_run = opened(run, tmp_path)[1]  # a film, and no menus
-    assert console == of_run == ""
-    page = Page(text)
-    assert "3 of 3 videos" in page.text
-    assert "hidden" not in page.all("form")[0]
-    # what a reader does with the menus, done by a script, which the page's policy would not run
-    choose = """<script>
-      const form = document.getElementById("filters");
-      form.elements.outcome.value = "wrong";
-      for (const order of ["name", "surprise"]) {
-        form.elements.order.value = order;
-        form.dispatchEvent(new Event("input"));
-        const videos = [...document.getElementById("videos").children];
-        document.body.dataset[order] = videos.map((video) => video.dataset.outcome).join(" ");
-      }
-    </script></body>"""
-    text = re.sub(r'<meta http-equiv="Content[^>]*>', "", evaluation.read_text("utf-8"))
-    copy = tmp_path / "chosen.html"
-    copy.write_text(text.replace("</body>", choose), "utf-8")
-    page = Page(opened(copy, tmp_path)[0])
-    videos = [d for d in page.all("details") if "data-name" in d]
-    assert "1 of 3 videos" in page.text
-    assert sum("hidden" in d for d in videos) == 2
-    (body,) = page.all("body")
-    assert body["data-name"] == "right wrong unknown"
-    assert body["data-surprise"] == "wrong right unknown"

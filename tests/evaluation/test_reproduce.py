@@ -15,16 +15,18 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation import report
 from phase_ppl.evaluation import reproduce as module
-from phase_ppl.evaluation.paper import (
+from phase_ppl.evaluation.reproduce import (
     NO_REPRODUCTION,
     PRINTED,
     SIMPLE,
     VERDICTS,
+    Asked,
     Cell,
     Printed,
+    expected_seconds,
+    models_of,
     verdict,
 )
-from phase_ppl.evaluation.reproduce import Asked, expected_seconds, models_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
 from phase_ppl.world.hypothesis import SCENARIOS
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
@@ -139,7 +141,7 @@ def models(monkeypatch: pytest.MonkeyPatch, unpainted: None) -> None:
 @pytest.fixture
 def cheap(models: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have no pages either, which take most of the time."""
-    monkeypatch.setattr(report, "reproduction_page", lambda *given, **more: "a page")
+    monkeypatch.setattr(module, "reproduction_page", lambda *given, **more: "a page")
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ import pytest
 from starlette.testclient import TestClient
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.arrays import true_answers
 from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.table import true_answers
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.hypothesis import Roles
 from phase_study.clips import CLIPS, Clip, clips_of

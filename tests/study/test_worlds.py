@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.arrays import true_answers
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
+from phase_ppl.evaluation.table import true_answers
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_study import plan

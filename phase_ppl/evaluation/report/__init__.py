@@ -4,54 +4,56 @@ from __future__ import annotations
 
 import base64
 import functools
-import hashlib
 import io
-import itertools
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 import phase_ppl
 from phase_ppl.analysis import figures as plots
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.figures.posterior import titles
-from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.verdict import JUDGED, as_html
-from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, PEOPLE, AnswerSet, label_of
-from phase_ppl.evaluation.arrays import titles_of, true_answers, true_scenario
-from phase_ppl.evaluation.cells import metric_tables, number
+from phase_ppl.evaluation.cells import Table, metric_tables, number
 from phase_ppl.evaluation.comparison import (
     ModelComparison,
     difference_tables,
     equivalence_tables,
 )
 from phase_ppl.evaluation.evaluation import COMPARISON, POSTERIOR, SETTINGS, Evaluation
-from phase_ppl.evaluation.figures import drawings_of
-from phase_ppl.evaluation.figures.rows import NothingToDrawError, Results, scenarios_of
-from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
-from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
+from phase_ppl.evaluation.figures import Results, drawings_of
+from phase_ppl.evaluation.prediction import pairs_of, questions_of
+from phase_ppl.evaluation.table import (
+    PEOPLE,
+    AnswerSet,
+    label_of,
+    titles_of,
+    true_answers,
+    true_scenario,
+)
 from phase_ppl.render.frames import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, check_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
-from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, SCENARIOS, Roles
-from phase_ppl.world.picture import trail_colour
+from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.progress import counted
-from phase_ppl.world.scene import PHASE, Scene
+from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL import Image
+
+    Drawn = tuple[str, str, Callable[[], Figure]]  # title, words, what draws it
 
 NAME: Final = "report.html"
 REPLAY: Final = "replay.mp4"  # the film in the folder of a run
@@ -60,38 +62,12 @@ MAX_ROWS: Final = 6  # most goals that are shown of an agent
 _WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
 _PANELS: Final = 6
 _STRIP_WIDTH: Final = 1200  # pixels
-_DIAGNOSTICS: Final = {
-    "kernel": "kernel",
-    "validity": "validity",
-    "weights": "weights",
-    "particles": "particles",
-    "iterations": "iterations",
-    "acceptance_rate": "proposals accepted",
-    "move_rate": "iterations with a change of goals",
-    "distinct_goal_pairs": "distinct pairs of goals",
-    "agreement": "particles that agree on the goal",
-    "monte_carlo_error": "Monte-Carlo error of the leading goal",
-    "simulations": "simulations",
-    "frames_saved_share": "frames saved by stopping early",
-    "best_error_per_frame": "error of the best draw, units per frame",
-    "planner_seeds": "sets of searches",
-    "surprising_share": "frames that surprise whatever the goals",
-}
-"""Diagnostic -> how it is called where a few are shown."""
 
-_OUTCOMES: Final = {
-    "right": "all right",
-    "wrong": "something wrong",
-    "unknown": "truth not known",
-    "none": "no prediction",
-}
-"""What became of an event -> how the filter calls it."""
-
-_ORDERS: Final = {
-    "file": "order of the file",
-    "surprise": "least belief in the truth first",
-    "name": "name",
-}
+INTERVALS: Final = (
+    "In brackets: 95 % intervals, of right answers Clopper-Pearson for as many independent answers "
+    "as they are worth, of the rest over resampled events."
+)
+NOTHING_TO_COMPARE: Final = "There is nothing to compare with: neither truth nor judgments."
 
 
 def report(
@@ -147,16 +123,6 @@ def write_page(text: str, path: str | os.PathLike[str]) -> Path:
 # --- an event --------------------------------------------------------------------------------
 
 
-class Question(NamedTuple):
-    """What all answer to a question about an event: a row per answer, a column each."""
-
-    name: str
-    title: str
-    rows: Sequence[str]
-    truth: str | None
-    answers: Sequence[AnswerSet]
-
-
 def event_page(event: Event, shown: Sequence[AnswerSet], post: EventPosterior | None = None) -> str:
     """Return the page of an event, with a column for each who said something of it.
 
@@ -167,14 +133,14 @@ def event_page(event: Event, shown: Sequence[AnswerSet], post: EventPosterior | 
         truth = f"Truth: {event.truth}."
     elif event.truth is not None:
         truth = f"Truth: {event.truth.scenario}, {event.truth.relation}."
-    return page("event.html", title=event.id, truth=truth, item=_item(event, shown, post))
+    return page(title=event.id, notes=[truth], alone=_item(event, shown, post))
 
 
 def page_of(evaluation: Evaluation, event_id: str) -> str:
     """Return the page of an event of an evaluation."""
-    events = {event.id: event for event in evaluation.events}
-    check_name("event", event_id, events)
-    return event_page(events[event_id], evaluation.answers, _posterior(evaluation, event_id))
+    post = evaluation.posterior(event_id)
+    event = next(event for event in evaluation.events if event.id == event_id)
+    return event_page(event, evaluation.answers, post)
 
 
 def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str]:
@@ -186,18 +152,13 @@ def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str
     labels = questions_of(event.scene.world)[question]
     if question in pairs_of(event.scene.world):
         return list(labels)
-    highest = np.zeros(len(labels))
-    truth = true_answers(event)
-    asked = [truth[question]] if question in truth else []
-    for answers in shown:
-        prediction = answers.predictions[event.id]
-        if question in prediction.answers:
-            asked.append(prediction.answers[question])
-        if question in prediction.probabilities:
-            highest = np.maximum(highest, prediction.probabilities[question])
+    made = [answers.predictions[event.id] for answers in shown]
+    given = [one.probabilities[question] for one in made if question in one.probabilities]
+    highest = np.max([np.zeros(len(labels)), *given], axis=0)
+    asked = [true_answers(event).get(question), *(one.answers.get(question) for one in made)]
     order = [labels[i] for i in np.argsort(-highest, kind="stable") if highest[i] >= _WORTH_A_ROW]
-    chosen = list(dict.fromkeys([*asked, *order]))
-    kept = chosen[: max(MAX_ROWS, len(set(asked)))]
+    chosen = list(dict.fromkeys([*filter(None, asked), *order]))
+    kept = chosen[: max(MAX_ROWS, len({*filter(None, asked)}))]
     return sorted(kept, key=lambda goal: (-highest[labels.index(goal)], labels.index(goal)))
 
 
@@ -207,36 +168,69 @@ def _item(
     post: EventPosterior | None = None,
     film: bool = False,
 ) -> dict[str, Any]:
-    """Return what pages show of an event: ``right`` are those right in all they answered.
-
-    What is not known is None, or empty.
-    """
+    """Return what pages show of an event."""
     shown = [one for one in everybody if event.id in one.predictions]
-    given = {one.label: one.predictions[event.id].answers for one in shown if one.kind != "people"}
-    trajectory = event.observation.trajectory
-    strips = [_strip("Observed", trajectory, event.scene, event.id)]
+    strips = [_strip("Observed", event.observation.trajectory, event.scene, event.id)]
     replay = None if post is None else post.replay()
     if replay is not None:
         strips.append(_strip("Best hypothesis, simulated", replay, event.scene, event.id))
-    truth = true_answers(event)
-    questions = [
-        Question(name, title, rows_of(name, shown, event), truth.get(name), shown)
+    tables = [
+        (f"{title}: answers about {event.id}", _answers(name, shown, event).rename_axis(title))
         for name, title in titles_of(event.scene.world).items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
-    scenario = true_scenario(event) or ""
-    right = [label for label, said in given.items() if said and said.items() <= truth.items()]
+    told = [true_scenario(event) or _told(event)]
+    truth = true_answers(event).items()
+    said = {o.label: o.predictions[event.id].answers for o in shown if o.kind != "people"}
+    if truth:
+        right = [label for label, given in said.items() if given and given.items() <= truth]
+        told.append(f"right in all they answered: {', '.join(right) or 'nobody'}")
+    if all(one.kind != "model" for one in shown):
+        told.append("no prediction")
     return {
         "id": event.id,
-        "scenario": scenario,
-        "told": scenario or _told(event),
+        "told": " \N{MIDDLE DOT} ".join(told),
         "film": _film(event, replay) if film else None,
         "strips": strips,
-        "questions": questions,
+        "tables": tables,
         "verdict": "" if post is None else str(post.diagnostics()["verdict"]),
         "cost": next((o.predictions[event.id].cost for o in shown if o.kind == "model"), {}),
-        "right": None if event.truth is None else right,
     }
+
+
+def _answers(question: str, shown: Sequence[AnswerSet], event: Event) -> pd.DataFrame:
+    """Return answer x whose it is -> what a page shows of it."""
+    true = true_answers(event).get(question)
+
+    def cell(answers: AnswerSet, label: str) -> str:
+        given = answers.predictions[event.id]
+        if question in given.probabilities:
+            return _bar(given.estimate(question, label), answers.colour)
+        if question not in given.answers:
+            return number(None)
+        mark = Markup('<span class="answer" style="background:{}"></span>answer')
+        return mark.format(answers.colour) if given.answers[question] == label else ""
+
+    rows = rows_of(question, shown, event)
+    named = Markup('<span class="swatch" style="background:{}"></span>{}')
+    marked = [
+        Markup('{}<span class="true">true</span>').format(r) if r == true else r for r in rows
+    ]
+    return pd.DataFrame(
+        [[cell(answers, label) for answers in shown] for label in rows],
+        marked,
+        [named.format(answers.colour, answers.label) for answers in shown],
+    )
+
+
+def _bar(value: Any, colour: str) -> Markup:
+    """Return a bar and the number beside it, with its error; that of 1 takes 62 % of its column."""
+    if value < LEAST:
+        return Markup('<span class="soft">0</span>')
+    error = getattr(value, "error", np.nan)
+    told = number(value) + ("" if np.isnan(error) else f" ± {number(error)}")
+    bar = Markup('<span class="bar" style="width:{:.1f}%;background:{}"></span>{}')
+    return bar.format(62 * float(value), colour, told)
 
 
 def _told(event: Event) -> str:
@@ -269,13 +263,6 @@ def _film(event: Event, replay: FloatArray | None) -> tuple[str, str]:
         return embedded(path.read_bytes(), "video/mp4"), f"{words}."
 
 
-def _posterior(evaluation: Evaluation, event_id: str) -> EventPosterior | None:
-    """Return the posterior of an event, if that is how it was predicted."""
-    folder = evaluation.folder
-    source = None if folder is None else folder.folder_of(event_id) / POSTERIOR
-    return load_posterior(source) if source is not None and source.is_file() else None
-
-
 # --- a run -----------------------------------------------------------------------------------
 
 
@@ -288,32 +275,26 @@ def run_page(folder: Path) -> str:
         beside = "the best hypothesis, simulated, on the right."
         strips.append(_strip("Best hypothesis, simulated", replay, post.scene, post.event_id))
     found = post.diagnostics()
-    few = [
-        (words, f"{found[name]:.0%}" if name.endswith(("_rate", "_share")) else in_words(v))
-        for name, words in _DIAGNOSTICS.items()
-        if (v := found.get(name)) is not None
-    ]
-    best_record = post.map_record()
-    if post.scene.world == PHASE:
-        best_record["alpha"] = ALPHA_WORDS[ALPHAS.index(post.map().alpha)]
-    alt = "Goals, relation, scenario, tracks and strengths, as listed above."
+    film = _film_of_run(folder / REPLAY, f"Film: the observation on the left, {beside}")
+    alt = "Goals, relation, scenario, tracks and strengths, as in the table above."
+    decided = _decided(post)
     return page(
-        "run.html",
         title=f"{post.event_id}: posterior",
-        heading=post.event_id,
-        film=_film_of_run(folder / REPLAY, f"Film: the observation on the left, {beside}"),
-        strips=strips,
-        bars=list(_bars(post)),
-        strengths=[(agent, _strength(post, name)) for agent, name in post.strengths_of.items()],
-        best=best_record,
-        verdict=Markup(as_html(found)),
-        posterior=figure_of(plots.posterior(post), alt),
-        decided=_decided(post),
-        few=few,
-        rest={name: value for name, value in found.items() if name not in JUDGED},
-        cost=post.cost,
-        settings=post.settings,
-    )
+        notes=["Who wants what: a posterior over goals, relation and strengths."],
+        alone={"film": film, "strips": strips, "tables": [], "cost": {},
+               "verdict": Markup(as_html(found))},
+        text=str(post),
+        drawn=[
+            ("The posterior", figure_of(plots.posterior(post), alt)),
+            *([("What decided", decided)] if decided else []),
+        ],
+        records={
+            "Best hypothesis": post.map_record(),
+            "Diagnostics": {name: value for name, value in found.items() if name not in JUDGED},
+            "Cost": post.cost,
+            "Settings": post.settings,
+        },
+    )  # fmt: skip
 
 
 def _decided(post: Posterior | StepwisePosterior) -> Picture | None:
@@ -339,166 +320,90 @@ def _film_of_run(source: Path, words: str) -> tuple[str, str] | None:
         raise InvalidEventError(f"{source} cannot be read: {error.strerror}") from None
 
 
-def _bars(
-    post: Posterior | StepwisePosterior,
-) -> Iterator[tuple[str, str, Sequence[tuple[str, float]]]]:
-    """Yield title, colour and the most probable answers of each quantity."""
-    named = titles(post) | {name: label.capitalize() for label, name in post.scenarios_of.items()}
-    agents = dict(zip(post.goals_of.values(), post.scene.world.entity_colours, strict=False))
-    for name, title in named.items():
-        least = LEAST if name in agents else 0.0
-        entries = [entry for entry in post.top(name, MAX_ROWS) if entry[1] >= least]
-        colour = f"rgb{trail_colour(agents[name])}" if name in agents else MODEL_COLOUR
-        yield title, colour, entries
+# --- results -------------------------------------------------------------------------------------
 
 
-def _strength(post: Posterior | StepwisePosterior, name: str) -> str:
-    low, high = post.hdi(name).values
-    return f"{post.mean(name)} N ({HDI_PROBABILITY:.0%} interval {low:.0f} to {high:.0f} N)"
+def _shown(results: Results, more: Iterable[Drawn] = ()) -> dict[str, Any]:
+    """Return what pages show of results: tables of metrics, figures, and why others are not there.
 
-
-# --- an evaluation ---------------------------------------------------------------------------
-
-
-def _shown(results: Results) -> dict[str, Any]:
-    """Return what pages show of results.
-
-    ``tables`` of metrics, ``answers``, whose they are about, by name; ``drawn``, the figures that
-    the results allow with their titles, and ``left_out``, why others are not there.
+    ``more`` are titles, words and functions that draw figures of something else.
     """
-    answers = {one.name: one for one in results.measured}
-    models = [(name, one.metrics) for name, one in answers.items() if name != PEOPLE]
-    people = answers[PEOPLE].metrics if PEOPLE in answers else None
+    metrics = {one.name: one.metrics for one in results.measured}
+    people = metrics.pop(PEOPLE, None)
     drawn, left_out = [], []
-    for drawing in drawings_of(results).values():
+    found: list[Drawn] = [
+        (o.title, o.alt, functools.partial(o.draw, results)) for o in drawings_of(results).values()
+    ]
+    for title, alt, draw in [*found, *more]:
         try:
-            drawn.append((drawing.title, figure_of(drawing.draw(results), drawing.alt)))
-        except NothingToDrawError as reason:
-            left_out.append(f"{drawing.title}: {reason}.")
-    tables = list(metric_tables(models, people))
-    return {"tables": tables, "answers": answers, "drawn": drawn, "left_out": left_out}
+            drawn.append((title, figure_of(draw(), alt)))
+        except InvalidSettingError as reason:
+            left_out.append(f"{title}: {reason}.")
+    summary = list(metric_tables(list(metrics.items()), people))
+    told = INTERVALS if summary else NOTHING_TO_COMPARE
+    return {"tables": {"Summary": summary}, "drawn": drawn, "left_out": left_out, "notes": [told]}
 
 
 def evaluation_page(evaluation: Evaluation, videos: bool, progress: bool | None) -> str:
     """Return the page of an evaluation."""
-    scenarios = scenarios_of(evaluation)
     state = f"{len(evaluation.predictions)} of {len(evaluation.events)} events predicted"
     if not evaluation.finished:
         state += "; not finished: tables and figures are about these"
-    present = {name: name for name in SCENARIOS if name in scenarios.values()}
-    items = []
-    for event in counted(evaluation.events, progress, "event", "showing"):
-        item = _item(event, evaluation.answers, _posterior(evaluation, event.id), videos)
-        items.append({**item, **_outcome(event, evaluation.predictions.get(event.id))})
+    shown = _shown(evaluation)
+    events = counted(evaluation.events, progress, "event", "showing")
     return page(
-        "evaluation.html",
         title=f"Evaluation of {label_of(evaluation.name)}",
-        state=f"{state}.",
-        failures=[(event_id, in_words(what)) for event_id, what in evaluation.failures.items()],
-        menus=[
-            *([("scenario", "Scenario", {"": "all", **present})] if present else []),
-            ("outcome", "Answers", {"": "all", **_OUTCOMES}),
-            ("order", "Order", _ORDERS),
-        ],
-        items=items,
-        cost=evaluation.cost,
-        settings=evaluation.settings,
-        **_shown(evaluation),
+        items=[_item(e, evaluation.answers, evaluation.posterior(e.id), videos) for e in events],
+        records={
+            "Failures": evaluation.failures,
+            "Cost": evaluation.cost,
+            "Settings": evaluation.settings,
+        },
+        **{**shown, "notes": [f"{state}.", *shown["notes"]]},
     )
-
-
-def _outcome(event: Event, own: Prediction | None) -> dict[str, Any]:
-    """Return what became of the model's answers about an event.
-
-    ``outcome`` is one of those that the filter knows, ``marks`` what became of each answer with the
-    class of its style, ``belief`` the product of the probabilities of the true answers.
-    """
-    if own is None:
-        return {"outcome": "none", "marks": [("no prediction", "bad")], "belief": None}
-    truth = true_answers(event)
-    right = {q: answer == truth.get(q) for q, answer in own.answers.items()}
-    if not truth or not right:
-        return {"outcome": "unknown", "marks": [], "belief": None}
-    belief = None
-    if own.probabilities:
-        belief = float(np.prod([own.estimate(q, truth[q]) for q in own.probabilities]))
-    return {
-        "outcome": "right" if all(right.values()) else "wrong",
-        "marks": [
-            (f"{_short(q)} {'right' if good else 'wrong'}", "good" if good else "bad")
-            for q, good in right.items()
-        ],
-        "belief": belief,
-    }
-
-
-def _short(question: str) -> str:
-    """Return what a question is about, such as "red's goal"."""
-    agent = question.removeprefix("goal_")
-    return question.replace("_", " ") if agent == question else f"{agent}'s goal"
-
-
-# --- a comparison ----------------------------------------------------------------------------
 
 
 def comparison_page(comparison: ModelComparison, *, progress: bool | None = None) -> str:
     """Return the page of a comparison of models."""
-    labels = {answers.name: answers.label for answers in comparison.answers}
-    return page(
-        "comparison.html",
+    names = ", ".join(comparison.models)
+    about = f"{names} on {len(comparison.events)} events."
+    return compared_page(
+        comparison, [about, *(f"{note}." for note in comparison.notes)], {}, progress,
         title="Comparison of models",
-        # a model that predicts nothing has no answers
-        names=[labels.get(name) or label_of(name) for name in comparison.models],
-        notes=comparison.notes,
-        differences=difference_tables(comparison),
-        equivalence=equivalence_tables(comparison),
-        settings=comparison.settings,
-        **_compared(comparison, progress),
-    )
+    )  # fmt: skip
 
 
-def _compared(comparison: ModelComparison, progress: bool | None) -> dict[str, Any]:
-    """Return what is shown of a comparison, its models' settings, and what they said of events."""
-    settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
+def compared_page(
+    comparison: ModelComparison,
+    notes: Sequence[str],
+    tables: Mapping[str, Sequence[Table]],
+    progress: bool | None,
+    more: Iterable[Drawn] = (),
+    **content: Any,
+) -> str:
+    """Return a page with all that there is of a comparison, below more notes and tables."""
+    shown = _shown(comparison, more)
+    models = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
     events = counted(comparison.events, progress, "event", "showing")
-    return {
-        **_shown(comparison),
-        "items": [_item(event, comparison.answers) for event in events],
-        "settings_of_models": list(flat(settings)),
+    shown["tables"] = {
+        **tables,
+        **shown["tables"],
+        "Differences": difference_tables(comparison),
+        "Equivalence with people": equivalence_tables(comparison),
     }
-
-
-# --- the paper, cell by cell -----------------------------------------------------------------
-
-
-def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
-    """Return the page of a reproduction."""
-    shown = _compared(made.comparison, progress)
-    for title, alt, draw in made.drawn:
-        try:
-            shown["drawn"].append((title, figure_of(draw(), alt)))
-        except InvalidSettingError as reason:
-            shown["left_out"].append(f"{title}: {reason}.")
-    shown["left_out"].append(f"{NOT_DRAWN}.")
     return page(
-        "reproduction.html",
-        title="The paper, cell by cell" if made.real else "No reproduction: a try",
-        warning="" if made.real else NO_REPRODUCTION,
-        notes=made.notes,
-        places=[
-            (place, [(one, label_of(one.label)) for one in rows])
-            for place, rows in itertools.groupby(made.cells, lambda one: one.printed.place)
-        ],
-        counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
-        loose=LOOSE,
-        **shown,
+        items=[_item(event, comparison.answers) for event in events],
+        records={
+            "Settings of the comparison": comparison.settings,
+            "Settings of the models": models,
+        },
+        **{**shown, "notes": [*notes, *shown["notes"]], **content},
     )
 
 
-# --- made from templates (Jinja2), with their pictures, style and script inside -------------------
-# Whatever a template is given becomes text: it is escaped unless a template itself made it. The
-# page's policy lets the browser fetch nothing and run no script but its own, which it knows by its
-# hash.
+# --- made from a template (Jinja2), with their pictures and style inside -------------------------
+# Whatever it is given becomes text: it is escaped unless it is Markup. The page's policy lets the
+# browser fetch nothing and run no script.
 
 COLOURS: Final = 256
 """Colours of pictures of events, flat areas and a few thin lines; fewer change those of items."""
@@ -518,9 +423,11 @@ class Picture(NamedTuple):
     height: int
 
 
-def page(template: str, **content: Any) -> str:
-    """Return the page that a template, such as "run.html", makes of its content."""
-    return _environment().get_template(template).render(content) + "\n"
+def page(title: str, **content: Any) -> str:
+    """Return a page of its content, of which the template has sections."""
+    parts = ("warning", "notes", "alone", "text", "drawn", "left_out", "items", "records")
+    given = {**dict.fromkeys(parts, ""), "tables": {}, **content, "title": title}
+    return _environment().get_template("page.html").render(given) + "\n"
 
 
 def picture_of(image: Image.Image, alt: str, width: int) -> Picture:
@@ -561,14 +468,18 @@ def in_words(value: Any) -> str:
     return str(value)
 
 
-def flat(record: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the path and the value, in words, of everything in nested mappings."""
-    for key, value in record.items():
-        path = f"{above}{key}"
-        if isinstance(value, Mapping) and value:
-            yield from flat(value, f"{path}.")
-        else:
-            yield path, in_words(value)
+def flat(record: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the path and the value, in words, of everything in nested mappings."""
+
+    def leaves(given: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:
+        for key, value in given.items():
+            if isinstance(value, Mapping) and value:
+                yield from leaves(value, f"{above}{key}.")
+            else:
+                yield f"{above}{key}", in_words(value)
+
+    found = dict(leaves(record, ""))
+    return pd.DataFrame({"value": found.values()}, pd.Index(found, name="name"))
 
 
 @functools.cache
@@ -581,13 +492,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters |= {"number": number, "in_words": in_words, "flat": flat}
-    style, script = (Markup(loader.get_source(made, f"page.{kind}")[0]) for kind in ("css", "js"))
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    policy = (
-        "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'; "
-        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-    )
-    made.globals |= {"style": style, "script": script, "policy": policy}
-    made.globals |= {"least": LEAST, "version": phase_ppl.__version__}
+    made.filters |= {"in_words": in_words, "flat": flat}
+    made.globals["style"] = Markup(loader.get_source(made, "page.css")[0])
+    made.globals["version"] = phase_ppl.__version__
     return made
