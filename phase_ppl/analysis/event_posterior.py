@@ -33,7 +33,7 @@ from phase_ppl.world.picture import plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.what_if import Source, WhatIf
+    from phase_ppl.analysis.what_if import WhatIf
     from phase_ppl.simulator.contract import Simulator
 
 
@@ -138,8 +138,8 @@ class EventPosterior(Hypotheses):
         own, and of a sampled posterior ``log_joint`` and ``total_error``; and of goals, relations,
         scenario and what else is one's own an indicator (0 or 1) of each category of more than 2 %,
         so that its mean is a probability. ``observed_data`` and ``constant_data`` have the
-        observation and the scene. There is no ``log_likelihood``: ``az.loo`` raises
-        InvalidSettingError, which says why.
+        observation and the scene. There is no ``log_likelihood`` for
+        ``az.loo``; the attribute ``loo`` says why.
 
         Its attributes say how the draws were made: ``weights``, the weighting or "all hypotheses";
         ``effective_size_kish``, how many equal draws the weights are worth; and ``draws``.
@@ -402,12 +402,13 @@ class EventPosterior(Hypotheses):
             raise InvalidSettingError("values is empty: expected numbers")
         # once is enough for a check that takes a while
         self._checked(functools.partial(prior, at[0]))
-        answers: dict[float, xr.DataArray] = {}
+        answers: list[xr.DataArray | None] = []
         refusals: list[str] = []
         for value in at:
             try:
                 answer = self.under(functools.partial(prior, value)).query(question)
             except InvalidSettingError as error:
+                answers.append(None)
                 refusals.append(f"{value:g}: {error}")
                 continue
             if isinstance(answer, Estimate):
@@ -417,25 +418,21 @@ class EventPosterior(Hypotheses):
                     f"{question!r} is answered by {type(answer).__name__}, which makes no curve: "
                     "expected a question after numbers, such as P(relation)"
                 )
-            answers[value] = answer
-        if not answers:
+            answers.append(answer)
+        known = next((answer for answer in answers if answer is not None), None)
+        if known is None:
             raise InvalidSettingError(
                 f"no value of the prior's argument can be answered for: {refusals[0]}"
             )
-        known = next(iter(answers.values()))
         nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
-        table = xr.concat([answers.get(v, nothing) for v in at], "value", join="override")
-        return table.assign_coords(value=at).assign_attrs(
-            question=question, prior=qualified_name(prior), refused="\n".join(refusals)
+        filled = [nothing if answer is None else answer for answer in answers]
+        return (
+            xr.concat(filled, "value", join="override")
+            .assign_coords(value=at)
+            .assign_attrs(
+                question=question, prior=qualified_name(prior), refused="\n".join(refusals)
+            )
         )
-
-    def _source(self) -> Source:
-        from phase_ppl.analysis.what_if import Source
-
-        own = self._constant.get("log_prior_goals")
-        own_goals = None if own is None else np.exp(own.values)
-        of_run = self.event_id, self.settings, self.scene, self.observed()
-        return Source(*of_run, self.table, own_goals)
 
     def do(
         self,
@@ -486,10 +483,10 @@ class EventPosterior(Hypotheses):
         from phase_ppl.analysis.what_if import Change, simulated
 
         change = Change.of(self.world, changed, alpha, relation, remove, walls)
-        return simulated(
-            self._source(), change if change.words else None, at=at, seconds=seconds, n=n,
-            seed=seed, workers=workers, simulator=simulator,
-        )  # fmt: skip
+        own = self._constant.get("log_prior_goals")
+        own_goals = None if own is None else np.exp(own.values)
+        how = (at, seconds, n, seed, workers, simulator)
+        return simulated(self, own_goals, change if change.words else None, *how)
 
     def predict(
         self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None
