@@ -96,7 +96,7 @@ def check_tree(tree: xr.DataTree) -> None:
                 raise InvalidEventError(
                     f"{group}/{name} has dimensions {found.dims}, expected {dims}"
                 )
-            want = tuple(sizes.setdefault(dim, n) for dim, n in found.sizes.items())
+            want = tuple(sizes.setdefault(str(dim), n) for dim, n in found.sizes.items())
             if found.shape != want:
                 raise InvalidEventError(f"{group}/{name} has shape {found.shape}, expected {want}")
             limit = limits.get(name) if name in columns else None

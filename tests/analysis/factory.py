@@ -237,7 +237,8 @@ def random_tree(
         accepted = iteration == 0 or rng.random() < 0.5
         completed = accepted or rng.random() < 0.5
         proposed = pool[rng.integers(len(pool))]
-        proposed = dataclasses.replace(proposed, strength_red=float(rng.uniform(150, 600)))
+        stronger = {"strength_red": float(rng.uniform(150, 600))}
+        proposed = Hypothesis.from_dict({**proposed.to_dict(), **stronger})
         simulations.append(
             Simulation(
                 proposed,
