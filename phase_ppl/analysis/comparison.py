@@ -17,13 +17,8 @@ from phase_ppl.analysis.estimate import total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import Vocabulary
-from phase_ppl.analysis.tree import (
-    SIMULATED,
-    array,
-    effective_goals,
-    log_weight_of_draws,
-    space_of_tree,
-)
+from phase_ppl.analysis.tree import SIMULATED, array, space_of_tree
+from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.analysis.with_arviz import ess
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, check_name
@@ -401,25 +396,21 @@ def _of_first(
     truth: Truth | Hypothesis | None,
 ) -> dict[str, float]:
     """Return :func:`accuracy` of the first draws, and of the simulations done until then."""
-    tree, n_draws = post.tree, post.tree["posterior"].sizes["draw"]
+    n_draws = post.tree["posterior"].sizes["draw"]
     if length == n_draws:
         return accuracy(post, reference, truth)
-    burn_in = int(post.burn_in * (length / n_draws))
-    if post.weights != "count" or np.ptp(log_weight_of_draws(tree)) > 0:
-        prefix = tree.isel(draw=slice(length), simulation=np.flatnonzero(done))
-        prefix.attrs = {**tree.attrs, "burn_in": burn_in}
-        return accuracy(Posterior(prefix, post.weights), reference, truth)
-    counted = slice(burn_in, length)  # the same, much faster, for thousands of draws
-    draws = effective_goals(tree, "posterior")[:, counted].reshape(-1, len(post.goals_of))
-    codes = dict(zip(post.goals_of.values(), draws.T, strict=True))
-    codes |= Vocabulary(space_of_tree(tree)).relation_codes(codes)
+    tree = post.tree.isel(draw=slice(int(post.burn_in * (length / n_draws)), length))
+    if post.weights != "count":
+        tree = tree.isel(simulation=np.flatnonzero(done))
+    rows = WEIGHTINGS[post.weights](tree)  # a posterior of each would take long
+    codes, weights = Vocabulary(space_of_tree(tree)).completed(rows.values), rows.weights
     shares = {
-        name: np.bincount(codes[name], minlength=len(post.quantities[name] or ())) / len(draws)
+        name: np.bincount(codes[name], weights, len(post.quantities[name] or ()))
         for name in marginals_of(post)
     }
     pair = np.nan
     if truth is not None:
         wanted = _true_codes(truth)
         true = [codes[name] == wanted[name] for name in post.goals_of.values()]
-        pair = float(np.logical_and.reduce(true).mean())
+        pair = float(weights[np.logical_and.reduce(true)].sum())
     return distances(shares, reference) | {"p_pair": pair} | of_truth(shares, truth)

@@ -52,12 +52,11 @@ def diagnostics(
 
     * ``particles``, ``iterations``: chains M and draws L.
     * ``acceptance_by_iteration``, ``acceptance_rate``: share of particles that accepted.
-    * ``move_rate``: share of iterations in which a particle's pair of effective goals changed,
-      None with a single draw.
+    * ``move_rate``: share of iterations that changed a particle's pair of effective goals.
     * ``distinct_hypotheses``, ``distinct_goal_pairs``: among the draws.
-    * ``effective_rows``: 1 / sum of squared weights, of the weighting in use.
-    * ``weighted_draws_ess``: for kernels that weigh their draws, the effective share of them,
-      1 / (n * sum of squared weights); None for others. The next three count the draws' weights.
+    * ``effective_rows``: Kish's 1 / sum of squared weights, of the weighting in use.
+    * ``weighted_draws_ess``: the same of draws that the kernel weighs, as a share of them; None for
+      others. The next three count the draws' weights.
     * ``agreement``: per goal, the share of particles whose own leading goal leads overall.
     * ``leading_goals``: per goal, how many particles each goal leads in, most first.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
@@ -69,14 +68,11 @@ def diagnostics(
       agent's landmark were never simulated, though the prior allows them.
     * ``decided``: whether all leaders are sure, have more than ``ALONE`` without the prior, by
       ``effective_size_needed`` independent draws or more, and all rivals were tried.
-    * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
-      weighting in use; None with one particle.
-    * ``effective_size``: how many independent draws would be as sure of the goals as the
-      weighting in use; None with one particle.
-    * ``effective_size_needed``: how many of these an answer needs to be sure; None where no
-      number will do, as most goals were not simulated and what was does not fit by choice.
-    * ``untried``: prior mass of the pairs of effective goals without a completed simulation; None
-      where the file does not hold the prior of pairs.
+    * ``monte_carlo_error``: per goal, the error of the leading goal's probability.
+    * ``effective_size``: how many independent draws would be as sure of the goals;
+      ``effective_size_needed``: how many an answer needs to be sure; None where no number will do,
+      as most goals were not simulated and what was does not fit by choice.
+    * ``untried``: prior mass of the pairs of effective goals without a completed simulation.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
       ``r_hat``, ``ess_bulk`` and ``ess_tail``.
     * ``categories``: of goals, relation and scenario, each category whose ``probability`` under
@@ -85,19 +81,17 @@ def diagnostics(
     * ``windows``: of the proposals, how many came from a window (``proposals``) and from none
       (``without``); the first frames that occur (``starts``) and how often each (``counts``);
       ``frames`` of a window, None where the run has no such setting.
-    * ``simulations``: total, completed, aborted (stopped early), failed.
-    * ``frames_saved``, ``frames_saved_share``: by stopping early.
+    * ``simulations``: total, completed, aborted (stopped early), failed; ``frames_saved`` and
+      ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
     * ``overlapping_frames``: in which bodies lie on each other or in a wall.
-    * ``trust``: "confident", "not certain" or "do not trust"; ``answer``: that and the leaders in a
-      line; ``checks``: what was looked at, each with ``name``, ``state`` ("ok", "doubt", "fail",
-      "unknown"), ``value``, ``limit``, what it ``says`` and an ``advice``; ``next``: the first
-      advice; ``verdict``: what the checks say, the worst first.
+    * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
+      :func:`phase_ppl.analysis.verdict.judged`.
 
-    R-hat and effective sizes are None where they do not exist: for fewer than four draws per
-    chain, weighted draws, or what never changes (R-hat: within half a chain). Of goal codes they
-    mean nothing and are not given.
+    What does not exist is None: errors and effective sizes of one particle; R-hat and ESS of fewer
+    than four draws per chain, of weighted draws, and of what never changes (R-hat: within half a
+    chain). Of goal codes they mean nothing and are not given.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
     space, labels = words.space, words.space.world.goals

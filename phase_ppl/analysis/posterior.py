@@ -342,18 +342,17 @@ class Posterior(EventPosterior):
         )
 
     def over_time(self) -> xr.Dataset:
-        """Return the marginals on ever more of the video, in hindsight.
+        """Return the marginals on ever more of the video, in hindsight (:data:`HINDSIGHT`).
 
-        See :data:`HINDSIGHT`. At the last frame they are those of weights ``"stratified"``,
-        whatever the weighting in use; where proposals have no density that is known, of
-        ``"count"``, whose draws show little of what early frames would have let believe. Nothing is
-        simulated.
+        At the last frame they are those of weights ``"stratified"``, whatever the weighting in
+        use; where proposals have no density that is known, of ``"count"``, whose draws show little
+        of what early frames would have let believe. Nothing is simulated.
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
             another world: probabilities (time, label), with the labels of ``goal_red`` in
-            ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``hindsight`` says what it
-            is, ``weights`` by which weights.
+            ``goal_red_is`` and so on; ``time`` in seconds; attributes ``hindsight`` and
+            ``weights``, by which these are.
         """
         weighting, rows, weights = so_far(self._counted)
         codes = self._words.completed(self._simulated(rows))
@@ -392,20 +391,17 @@ class Posterior(EventPosterior):
         """The chains as they ran, after the burn-in, for ArviZ: R-hat, effective sizes, traces.
 
         ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
-        Every draw counts once, whatever the weights: :attr:`arviz` is the posterior that is
-        printed, and these are how the run went. Groups and attributes are as there, with
-        ``sample_stats``; and ``posterior_predictive``, what could have been observed by the draws:
-        the simulation that each rests on (``post.tree["simulated"]``), with the likelihood's noise
-        on x and y of every frame, from a seed that follows from the run's. Angles are the
-        simulation's, of which the likelihood says nothing, so that
-        ``az.plot_ppc(post.chains, coords={"coord": ["x", "y"]})`` compares like with like. The
-        paper's beta of 0.05 is a tempered likelihood: its noise is 160 units long in a frame. Of a
-        likelihood of one's own there is no such group.
+        Every draw counts once, whatever the weights. Groups and attributes are those of
+        :attr:`arviz`, with ``sample_stats``; and ``posterior_predictive``, what could have been
+        observed by the draws: the simulation that each rests on, with the likelihood's noise on x
+        and y of every frame, from a seed that follows from the run's. Angles are the simulation's,
+        of which the likelihood says nothing: ``az.plot_ppc(post.chains, coords={"coord": ["x",
+        "y"]})``. The paper's beta of 0.05 is a tempered likelihood: its noise is 160 units long in
+        a frame. Of a likelihood of one's own there is no such group.
 
-        An indicator that does not change within any half of a chain has no R-hat and is left out;
-        the attribute ``left_out`` of the posterior (JSON) names these. With fewer than ten draws
-        per chain ArviZ's effective sizes do not depend on the draws and say nothing;
-        :meth:`diagnostics` has some that do.
+        An indicator that does not change within any half of a chain has no R-hat; the attribute
+        ``left_out`` of the posterior (JSON) names these. With fewer than ten draws per chain
+        ArviZ's effective sizes do not depend on the draws: see :meth:`diagnostics`.
 
         Raises:
             InvalidSettingError: the draws have weights, and so are no chains.
@@ -494,7 +490,7 @@ class Posterior(EventPosterior):
     def _body(self, found: Mapping[str, Any]) -> list[str]:
         n, off = self.observed().shape[1], found["best_error_per_frame"]
         fit = f"the best draw stays {off:.2f} units per frame from the observation"
-        fit += "" if n == 1 else f" (all {_WORDS.get(n, n)} entities together)"
+        fit += "" if n == 1 else f" (all {n} entities together)"
         told = {"prior": changed_text(self.settings), "likelihood": self.tempering, "fit": fit}
         told["cost"] = _cost(self.cost, found)
         lines = [line for name, text in told.items() if text for line in wrapped(name, text)]
@@ -523,9 +519,6 @@ class Posterior(EventPosterior):
     def __repr__(self) -> str:
         chains, draws = shape_of_draws(self._tree)
         return f"<Posterior of {self.event_id}: {chains} x {draws} draws, weights {self.weights!r}>"
-
-
-_WORDS: Final = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
 def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
