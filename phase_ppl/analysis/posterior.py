@@ -466,13 +466,8 @@ class Posterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
-        from phase_ppl.analysis.stepwise_posterior import holds_stepwise
         from phase_ppl.data.hdf5 import read_netcdf
 
-        if holds_stepwise(source):
-            raise InvalidEventError(
-                f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
-            )
         try:
             tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
             return cls(tree, weights, burn_in=burn_in, scenario=scenario)

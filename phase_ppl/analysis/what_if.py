@@ -39,7 +39,7 @@ from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, checked_stre
 from phase_ppl.world.names import Literal, Predicate
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
-from phase_ppl.world.space import HypothesisSpace, space_of
+from phase_ppl.world.space import space_of
 
 WORLDS: Final = ("as it is", "changed")
 _BY_CHANCE: Final = 0.05
@@ -204,14 +204,12 @@ class WhatIf(Printed):
 
 def _entity(name: object, among: Sequence[str]) -> int:
     """Return the number of an entity by its name, or by the first word of one name only."""
-    if isinstance(name, str):
-        said = name.strip().lower()
-        names = [known.lower() for known in among]
-        first_words = [known.split()[0] for known in names]
-        if said in names:
-            return names.index(said)
-        if first_words.count(said) == 1:
-            return first_words.index(said)
+    said = str(name).strip().lower()
+    names = [known.lower() for known in among]
+    first_words = [known.split()[0] for known in names]
+    for known in (names, first_words):
+        if known.count(said) == 1:
+            return known.index(said)
     raise unknown_name("entity", name, among)
 
 
@@ -247,22 +245,34 @@ class Change:
         sites: dict[str, Any] = {}
         goals: dict[str, int] = {}
         for name, value in given.items():
+            stated = name.removeprefix("stated_")
             if value is None:
                 continue
             if name in space.strength_sites:
                 sites[name] = checked_strength(name, value)
                 words.append(f"{name} = {value}")
-                continue
-            if (stated := name.removeprefix("stated_")) not in space.goal_sites:
+            elif stated in space.goal_sites:
+                goal = goal_index(value, world)
+                if space.impossible[space.goal_sites.index(stated), goal]:
+                    raise InvalidSettingError(
+                        f"{name}={world.goals[goal]!r} names the agent itself"
+                    )
+                (goals if name == stated else sites)[stated] = goal
+                words.append(f"{name} = {world.goals[goal]}")
+            else:
                 known = (*space.goal_sites, *space.stated_sites, *space.strength_sites)
                 raise unknown_name("quantity to change", name, known)
-            goal = goal_index(value, world)
-            if space.impossible[space.goal_sites.index(stated), goal]:
-                raise InvalidSettingError(f"{name}={world.goals[goal]!r} names the agent itself")
-            (goals if name == stated else sites)[stated] = goal
-            words.append(f"{name} = {world.goals[goal]}")
         if relation is not None:
-            sites[space.company_site] = _way(space, relation)
+            towards: list[tuple[int, int] | None] = [None] * space.n_agents
+            for (who, whom), word in relation.items():
+                check_name("relation", word, STANCES)
+                towards[world.agent(who)] = world.agent(whom), STANCES[word]
+            if tuple(towards) not in space.ways:
+                raise InvalidSettingError(
+                    f"relation={shown(dict(relation))}: whom one helps or hinders must be another "
+                    "agent that pursues a goal of its own"
+                )
+            sites[space.company_site] = space.ways.index(tuple(towards))
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
             words.append(" and ".join(said) or "nobody helping or hindering")
         if alpha is not None:
@@ -297,21 +307,6 @@ class Change:
         own = dict(zip(space.goal_sites, effective, strict=True))
         nobody = space.ways.index((None,) * space.n_agents)
         return space.hypothesis({**sites, **own, **self.goals, space.company_site: nobody})
-
-
-def _way(space: HypothesisSpace, relation: Mapping[tuple[str, str], str]) -> int:
-    """Return the code of who helps or hinders whom."""
-    world = space.world
-    towards: list[tuple[int, int] | None] = [None] * space.n_agents
-    for (who, whom), word in relation.items():
-        check_name("relation", word, STANCES)
-        towards[world.agent(who)] = world.agent(whom), STANCES[word]
-    if tuple(towards) not in space.ways:
-        raise InvalidSettingError(
-            f"relation={shown(dict(relation))}: whom one helps or hinders must be another agent "
-            "that pursues a goal of its own"
-        )
-    return space.ways.index(tuple(towards))
 
 
 def simulated(
