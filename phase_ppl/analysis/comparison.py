@@ -17,13 +17,8 @@ from phase_ppl.analysis.estimate import total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import Vocabulary
-from phase_ppl.analysis.tree import (
-    SIMULATED,
-    array,
-    effective_goals,
-    log_weight_of_draws,
-    space_of_tree,
-)
+from phase_ppl.analysis.tree import SIMULATED, array, space_of_tree
+from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.analysis.with_arviz import ess
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, check_name
@@ -176,15 +171,24 @@ class Comparison(Printed):
         table, settings = self.table, self.settings
         unit = settings["budget"].rpartition(" ")[2]
         others = " and ".join(o for o in ("simulations", "frames", "seconds") if o != unit)
+        lengths = {name: settings["kernels"][name].get("length", {}) for name in self.kernels}
+        own = " and ".join(
+            f"{name}, which has {length.get('budget') or length['iterations'] + ' iterations'}"
+            for name, length in lengths.items()
+            if length  # of its own, as presets have
+        )
         words = (
             f"{settings['event']}: budget {settings['budget']}, {settings['chains']} chains, "
             f"weights {settings['weights']}; mean ± standard error\n"
             f"equal are the {unit}, up to the last iteration of a run; {others} are not"
-            f"{self._own_lengths()}\n"
+            f"{own and f'{chr(10)}but for {own}'}\n"
             f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
-        named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
-        columns = {MEASURES[n]: [_cell(*row) for row in table[n].to_numpy(float)] for n in named}
+        columns = {
+            heading: [_cell(*row) for row in table[name].to_numpy(float)]
+            for name, heading in MEASURES.items()
+            if np.isfinite(table[name, "mean"].to_numpy(float)).any()
+        }
         proposals = settings.get("proposals", {})
         if any(proposals.values()):
             columns = {"proposals": [proposals.get(k) or "-" for k in table.index], **columns}
@@ -196,25 +200,13 @@ class Comparison(Printed):
             blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in known))
         return "\n\n".join(blocks)
 
-    def _own_lengths(self) -> str:
-        """Return in words which kernels have a length of their own, as presets do."""
-        kept = self.settings["kernels"]
-        found = {name: kept[name].get("length", {}) for name in self.kernels}
-        told = [
-            f"{name}, which has {length.get('budget') or length['iterations'] + ' iterations'}"
-            for name, length in found.items()
-            if length
-        ]
-        return f"\nbut for {' and '.join(told)}" if told else ""
-
     def _error_in_words(self) -> str:
-        errors = {name: self.reference_error(name) for name in DISTANCES}
         if self.settings["reference"].get("marginals") is None:
             return "so there are no distances, and no ranks"
+        errors = {name: self.reference_error(name) for name in DISTANCES}
         if set(errors.values()) == {0.0}:
             return "which is exact"
-        measured = {n: e for n, e in errors.items() if e is not None and not np.isnan(e)}
-        known = [f"{MEASURES[n]} {e:.2f}" for n, e in measured.items()]
+        known = [f"{MEASURES[n]} {e:.2f}" for n, e in errors.items() if e is not None and e == e]
         if not known:
             return "its own error is not known, so kernels are not ranked by it"
         return (
@@ -227,11 +219,11 @@ class Comparison(Printed):
         if (ranks["best"] == 1).all() and (ranks["worst"] == len(ranks)).all():
             by = "this reference" if (self.table["runs", "n"] > 1).all() else "a single run"
             return f"not told apart by {by}: {', '.join(ranks.index)}"
-        parts = []
-        for (best, worst), names in ranks.groupby(["best", "worst"], sort=False).groups.items():
-            place = f"{best}" if best == worst else f"{best} to {worst}"
-            parts.append(f"{place}: {', '.join(names)}")
-        return "; ".join(parts)
+        parts = ranks.groupby(["best", "worst"], sort=False).groups.items()
+        return "; ".join(
+            f"{best}{'' if best == worst else f' to {worst}'}: {', '.join(names)}"
+            for (best, worst), names in parts
+        )
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self.kernels)}: {len(self.runs)} runs>"
@@ -273,10 +265,8 @@ def _means(measure: str, values: Mapping[str, float]) -> dict[str, float]:
     """Return the means of a measure over goals and over relations; NaN where there are none."""
     goals = [value for name, value in values.items() if name.startswith("goal_")]
     relations = [value for name, value in values.items() if not name.startswith("goal_")]
-    return {
-        f"{measure}_goals": float(np.mean(goals)),
-        f"{measure}_relation": float(np.mean(relations)) if relations else np.nan,
-    }
+    relation = float(np.mean(relations)) if relations else np.nan
+    return {f"{measure}_goals": float(np.mean(goals)), f"{measure}_relation": relation}
 
 
 def distances(found: Marginals, reference: Marginals | None) -> dict[str, float]:
@@ -300,21 +290,12 @@ def accuracy(
     * ``map_goals``: share of the agents whose most probable goal is the true one;
       ``map_relation``: of the pairs whose most probable relation is.
     """
-    pair = np.nan
+    found, pair = marginals(post), np.nan
     if truth is not None:
-        pair = float(post.probability(**_true_goals(post, truth)))
-    return _accuracy(marginals(post), pair, reference, truth)
-
-
-def _accuracy(
-    found: Marginals, pair: float, reference: Marginals | None, truth: Truth | Hypothesis | None
-) -> dict[str, float]:
+        goals, codes = post.world.goals, _true_codes(truth).items()
+        true = {name: goals[code] for name, code in codes if name.startswith("goal_")}
+        pair = float(post.probability(**true))
     return distances(found, reference) | {"p_pair": pair} | of_truth(found, truth)
-
-
-def _true_goals(post: Posterior, truth: Truth | Hypothesis) -> dict[str, str]:
-    goals, codes = post.world.goals, _true_codes(truth).items()
-    return {name: goals[code] for name, code in codes if name.startswith("goal_")}
 
 
 def _true_codes(truth: Truth | Hypothesis) -> dict[str, int]:
@@ -323,11 +304,9 @@ def _true_codes(truth: Truth | Hypothesis) -> dict[str, int]:
         space, goals = space_of(truth.world), np.array(truth.effective_goals)
         relations = {name: int(code) for name, code in space.relation_codes(goals).items()}
         return dict(zip(space.goal_sites, goals.tolist(), strict=True)) | relations
-    return {
-        "goal_red": goal_index(truth.goal_red),
-        "goal_green": goal_index(truth.goal_green),
-        "relation": RELATIONS.index(truth.relation),
-    }
+    relation = RELATIONS.index(truth.relation)
+    red, green = goal_index(truth.goal_red), goal_index(truth.goal_green)
+    return {"goal_red": red, "goal_green": green, "relation": relation}
 
 
 def of_truth(found: Marginals, truth: Truth | Hypothesis | None) -> dict[str, float]:
@@ -389,19 +368,19 @@ def curve(
     """
     tree = post.tree
     n_draws = tree["posterior"].sizes["draw"]
-    iteration = array(tree, "simulations", "iteration")
-    frames = array(tree, "simulations", "frames_simulated")
+    iteration, frames = (
+        array(tree, "simulations", name) for name in ("iteration", "frames_simulated")
+    )
     # draws are those after the last iterations: a run can have more of these, or one fewer
     first = int(iteration.max(initial=0)) - n_draws + 1
     is_table = "trajectory" not in tree[SIMULATED]
     total = int(post.cost["simulations"])
-    if n_draws == 1 or (first not in (0, 1) and not is_table):
-        lengths = np.array([n_draws])
-    else:
+    lengths = np.array([n_draws])
+    if n_draws > 1 and (first in (0, 1) or is_table):
         lengths = np.unique(np.linspace(1, n_draws, CURVE_POINTS).round().astype(int))
     rows = []
     for length in lengths.tolist():
-        done = iteration < first + length if length < n_draws else np.ones(len(iteration), bool)
+        done = (iteration < first + length) | (length == n_draws)
         # what is looked up in a table is not recorded one by one
         n = total * length / n_draws if is_table else float(done.sum())
         paid = {"simulations": n, "frames": float(frames[done].sum())}
@@ -417,26 +396,21 @@ def _of_first(
     truth: Truth | Hypothesis | None,
 ) -> dict[str, float]:
     """Return :func:`accuracy` of the first draws, and of the simulations done until then."""
-    tree, n_draws = post.tree, post.tree["posterior"].sizes["draw"]
+    n_draws = post.tree["posterior"].sizes["draw"]
     if length == n_draws:
         return accuracy(post, reference, truth)
-    burn_in = int(post.burn_in * (length / n_draws))
-    if post.weights != "count" or np.ptp(log_weight_of_draws(tree)) > 0:
-        prefix = tree.isel(draw=slice(length), simulation=np.flatnonzero(done))
-        prefix.attrs = {**tree.attrs, "burn_in": burn_in}
-        return accuracy(Posterior(prefix, post.weights), reference, truth)
-    counted = slice(burn_in, length)  # the same, much faster, for thousands of draws
-    draws = effective_goals(tree, "posterior")[:, counted].reshape(-1, len(post.goals_of))
-    codes = dict(zip(post.goals_of.values(), draws.T, strict=True))
-    codes |= Vocabulary(space_of_tree(tree)).relation_codes(codes)
+    tree = post.tree.isel(draw=slice(int(post.burn_in * (length / n_draws)), length))
+    if post.weights != "count":
+        tree = tree.isel(simulation=np.flatnonzero(done))
+    rows = WEIGHTINGS[post.weights](tree)  # a posterior of each would take long
+    codes, weights = Vocabulary(space_of_tree(tree)).completed(rows.values), rows.weights
     shares = {
-        name: np.bincount(codes[name], minlength=len(labels)) / len(draws)
-        for name, labels in post.quantities.items()
-        if name in marginals_of(post) and labels is not None
+        name: np.bincount(codes[name], weights, len(post.quantities[name] or ()))
+        for name in marginals_of(post)
     }
     pair = np.nan
     if truth is not None:
         wanted = _true_codes(truth)
         true = [codes[name] == wanted[name] for name in post.goals_of.values()]
-        pair = float(np.logical_and.reduce(true).mean())
-    return _accuracy(shares, pair, reference, truth)
+        pair = float(weights[np.logical_and.reduce(true)].sum())
+    return distances(shares, reference) | {"p_pair": pair} | of_truth(shares, truth)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import total_variation, worth
-from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
+from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.tree import (
     are_weighted,
     array,
@@ -44,7 +44,7 @@ def diagnostics(
     leaders: Mapping[str, dict[str, Any]],
     effective_size: float,
     needed: float,
-    scenario: ScenarioFunction | None = None,
+    words: Vocabulary,
 ) -> dict[str, Any]:
     """Return the diagnostics of a tree of draws as plain data.
 
@@ -52,12 +52,11 @@ def diagnostics(
 
     * ``particles``, ``iterations``: chains M and draws L.
     * ``acceptance_by_iteration``, ``acceptance_rate``: share of particles that accepted.
-    * ``move_rate``: share of iterations in which a particle's pair of effective goals changed,
-      None with a single draw.
+    * ``move_rate``: share of iterations that changed a particle's pair of effective goals.
     * ``distinct_hypotheses``, ``distinct_goal_pairs``: among the draws.
-    * ``effective_rows``: 1 / sum of squared weights, of the weighting in use.
-    * ``weighted_draws_ess``: for kernels that weigh their draws, the effective share of them,
-      1 / (n * sum of squared weights); None for others. The next three count the draws' weights.
+    * ``effective_rows``: Kish's 1 / sum of squared weights, of the weighting in use.
+    * ``weighted_draws_ess``: the same of draws that the kernel weighs, as a share of them; None for
+      others. The next three count the draws' weights.
     * ``agreement``: per goal, the share of particles whose own leading goal leads overall.
     * ``leading_goals``: per goal, how many particles each goal leads in, most first.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
@@ -69,14 +68,11 @@ def diagnostics(
       agent's landmark were never simulated, though the prior allows them.
     * ``decided``: whether all leaders are sure, have more than ``ALONE`` without the prior, by
       ``effective_size_needed`` independent draws or more, and all rivals were tried.
-    * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
-      weighting in use; None with one particle.
-    * ``effective_size``: how many independent draws would be as sure of the goals as the
-      weighting in use; None with one particle.
-    * ``effective_size_needed``: how many of these an answer needs to be sure; None where no
-      number will do, as most goals were not simulated and what was does not fit by choice.
-    * ``untried``: prior mass of the pairs of effective goals without a completed simulation; None
-      where the file does not hold the prior of pairs.
+    * ``monte_carlo_error``: per goal, the error of the leading goal's probability.
+    * ``effective_size``: how many independent draws would be as sure of the goals;
+      ``effective_size_needed``: how many an answer needs to be sure; None where no number will do,
+      as most goals were not simulated and what was does not fit by choice.
+    * ``untried``: prior mass of the pairs of effective goals without a completed simulation.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
       ``r_hat``, ``ess_bulk`` and ``ess_tail``.
     * ``categories``: of goals, relation and scenario, each category whose ``probability`` under
@@ -85,42 +81,62 @@ def diagnostics(
     * ``windows``: of the proposals, how many came from a window (``proposals``) and from none
       (``without``); the first frames that occur (``starts``) and how often each (``counts``);
       ``frames`` of a window, None where the run has no such setting.
-    * ``simulations``: total, completed, aborted (stopped early), failed.
-    * ``frames_saved``, ``frames_saved_share``: by stopping early.
+    * ``simulations``: total, completed, aborted (stopped early), failed; ``frames_saved`` and
+      ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
     * ``overlapping_frames``: in which bodies lie on each other or in a wall.
-    * ``trust``: "confident", "not certain" or "do not trust"; ``answer``: that and the leaders in a
-      line; ``checks``: what was looked at, each with ``name``, ``state`` ("ok", "doubt", "fail",
-      "unknown"), ``value``, ``limit``, what it ``says`` and an ``advice``; ``next``: the first
-      advice; ``verdict``: what the checks say, the worst first.
+    * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
+      :func:`phase_ppl.analysis.verdict.judged`.
 
-    R-hat and effective sizes are None where they do not exist: for fewer than four draws per
-    chain, weighted draws, or what never changes (R-hat: within half a chain). Of goal codes they
-    mean nothing and are not given.
+    What does not exist is None: errors and effective sizes of one particle; R-hat and ESS of fewer
+    than four draws per chain, of weighted draws, and of what never changes (R-hat: within half a
+    chain). Of goal codes they mean nothing and are not given.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
-    words = Vocabulary(space_of_tree(tree), scenario)
     space, labels = words.space, words.space.world.goals
-    accepted = stats["accepted"].values.astype(float)
+    accepted, log_weight = stats["accepted"].values.astype(float), log_weight_of_draws(tree)
     n_chains, n_draws = accepted.shape
-    goals = {name: posterior[name].values for name in space.goal_sites}
-    log_weight = log_weight_of_draws(tree)
+    n_frames = tree["observed_data"].sizes["time"]
     if not np.isfinite(log_weight).any():  # under other weights than the draws' own
         log_weight = np.zeros_like(log_weight)
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
-    by_particle = [_by_particle(codes, draw_weights, labels) for codes in goals.values()]
     weighted = are_weighted(tree)
-    pair = np.zeros(accepted.shape, np.int64)  # of all agents' goals
-    for codes in goals.values():
-        pair = pair * len(labels) + codes
+    goals = effective_goals(tree, "posterior")
+    by_goal = {
+        name: _by_particle(goals[..., agent], draw_weights, labels)
+        for agent, name in enumerate(space.goal_sites)
+    }
     hypotheses = pd.DataFrame({name: posterior[name].values.ravel() for name in space.kept_columns})
-    n_frames = tree["observed_data"].sizes["time"]
-    answers, n_untried = (
+    leaders, n_untried = (
         _without_prior(tree, rows, leaders, words),
         len(untried_rivals(tree, leaders)),
     )
+    codes = {name: goals[..., agent] for agent, name in enumerate(space.goal_sites)}
+    derived = words.relation_codes({name: one.ravel() for name, one in codes.items()})
+    codes |= {name: one.reshape(accepted.shape) for name, one in derived.items()}
+
+    def known(statistic: Callable[..., float], *given: Any) -> float | None:
+        return None if weighted else statistic(*given)
+
+    def category(name: str, code: int, probability: float, share: float) -> dict[str, Any]:
+        indicator = (codes[name] == code).astype(float)
+        return {
+            "probability": probability,
+            "share": share,
+            "ess": known(ess, indicator, "mean"),
+            "mcse": known(mcse, indicator),
+            "r_hat": known(r_hat, indicator, "split"),
+        }
+
+    categories: dict[str, dict[str, Any]] = {}
+    for name, drawn in codes.items():
+        options = words.quantities[name].categories()
+        mass = np.bincount(rows.values[name], rows.weights, len(options))
+        share = np.bincount(drawn.ravel(), draw_weights.ravel(), len(options))
+        order = [c for c in np.lexsort((-share, -mass)).tolist() if max(mass[c], share[c]) > MASS]
+        categories[name] = {options[c]: category(name, c, mass[c], share[c]) for c in order}
     record = {
         "weights": weights,
         "kernel": str(tree.attrs["kernel"]),
@@ -129,38 +145,33 @@ def diagnostics(
         "iterations": n_draws,
         "acceptance_by_iteration": accepted.mean(axis=0),
         "acceptance_rate": accepted.mean(),
-        "move_rate": (pair[:, 1:] != pair[:, :-1]).mean() if n_draws > 1 else None,
+        "move_rate": np.diff(goals, axis=1).any(axis=-1).mean() if n_draws > 1 else None,
         "distinct_hypotheses": len(hypotheses.drop_duplicates()),
-        "distinct_goal_pairs": len(np.unique(pair)),
+        "distinct_goal_pairs": len(np.unique(goals.reshape(-1, space.n_agents), axis=0)),
         "effective_rows": worth(rows.weights),
         "weighted_draws_ess": worth(draw_weights) / draw_weights.size if weighted else None,
         **{
-            key: {name: one[key] for name, one in zip(goals, by_particle, strict=True)}
-            for key in by_particle[0]
+            key: {name: one[key] for name, one in by_goal.items()}
+            for key in ("agreement", "leading_goals", "between_chain_tv")
         },
-        "leaders": answers,
+        "leaders": leaders,
         "untried_rivals": n_untried,
         "decided": effective_size >= needed
         and not n_untried
-        and all(one["sure"] and (one["without_prior"] or 0) > ALONE for one in answers.values()),
-        "monte_carlo_error": {name: leaders[name]["error"] for name in goals},
+        and all(one["sure"] and (one["without_prior"] or 0) > ALONE for one in leaders.values()),
+        "monte_carlo_error": {name: leaders[name]["error"] for name in space.goal_sites},
         "effective_size": effective_size,
         "effective_size_needed": needed if np.isfinite(needed) else None,
         "untried": untried(tree),
         "scalars": {
             name: {
-                "r_hat": None if weighted else r_hat(values),
-                "ess_bulk": None if weighted else ess(values, "bulk"),
-                "ess_tail": None if weighted else ess(values, "tail"),
+                "r_hat": known(r_hat, values),
+                "ess_bulk": known(ess, values, "bulk"),
+                "ess_tail": known(ess, values, "tail"),
             }
             for name, values in scalars(tree).items()
         },
-        "categories": {
-            name: _categories(
-                words.quantities[name].categories(), codes, draw_weights, rows, name, weighted
-            )
-            for name, codes in categorical_draws(tree, scenario).items()
-        },
+        "categories": categories,
         "windows": _windows(stats["window"].values, tree.attrs["settings"], n_frames),
         **_simulation_costs(tree, n_frames),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
@@ -198,19 +209,20 @@ def untried_rivals(
     """
     space = space_of_tree(tree)
     tried = effective_goals(tree, "simulations")[~array(tree, "simulations", "failed")]
-    done = set(map(tuple, tried.tolist()))
     goals = space.world.goals
     leading = tuple(goals.index(leaders[name]["label"]) for name in space.goal_sites)
     rivals = [
-        tuple(other if place == agent else goal for place, goal in enumerate(leading))
-        for agent in range(space.n_agents)
+        (*leading[:agent], other, *leading[agent + 1 :])
+        for agent, goal in enumerate(leading)
         for other in range(len(goals))
-        if _elsewhere(other, leading[agent], agent, space)
+        if _elsewhere(other, goal, agent, space)
     ]
     pairs = np.array(rivals, np.int64).reshape(-1, space.n_agents)
     prior = prior_of_goals(tree, pairs)
-    new = np.array([one not in done for one in rivals], np.bool_)
-    return pairs[:0] if prior is None else pairs[(prior > 0) & new]
+    if prior is None:
+        return pairs[:0]
+    done = set(map(tuple, tried.tolist()))
+    return pairs[(prior > 0) & np.array([one not in done for one in rivals], np.bool_)]
 
 
 def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> bool:
@@ -230,46 +242,9 @@ def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
     own = [name for name in own_sites(tree) if posterior[name].dtype.kind == "f"]
     names = (*space_of_tree(tree).strength_sites, *own)
-    return {
-        **{name: stats[name].values.astype(float) for name in ("log_joint", "total_error")},
-        **{name: posterior[name].values.astype(float) for name in names},
-    }
-
-
-def categorical_draws(
-    tree: xr.DataTree, scenario: ScenarioFunction | None = None
-) -> dict[str, NDArray[np.int64]]:
-    """Return the codes (chain, draw) of goals, relations and scenarios of the draws."""
-    words, goals = Vocabulary(space_of_tree(tree), scenario), effective_goals(tree, "posterior")
-    shape = goals.shape[:-1]
-    codes = {name: goals[..., agent] for agent, name in enumerate(words.space.goal_sites)}
-    derived = words.relation_codes({name: values.ravel() for name, values in codes.items()})
-    return codes | {name: values.reshape(shape) for name, values in derived.items()}
-
-
-def _categories(
-    labels: tuple[str, ...],
-    codes: NDArray[np.int64],
-    draw_weights: FloatArray,
-    rows: Rows,
-    name: str,
-    weighted: bool,
-) -> dict[str, dict[str, Any]]:
-    probability = np.bincount(rows.values[name], rows.weights, minlength=len(labels))
-    share = np.bincount(codes.ravel(), draw_weights.ravel(), minlength=len(labels))
-    found = {}
-    for code in np.lexsort((-share, -probability)).tolist():
-        if max(probability[code], share[code]) <= MASS:
-            continue
-        indicator = (codes == code).astype(float)
-        found[labels[code]] = {
-            "probability": probability[code],
-            "share": share[code],
-            "ess": None if weighted else ess(indicator, "mean"),
-            "mcse": None if weighted else mcse(indicator),
-            "r_hat": None if weighted else r_hat(indicator, "split"),
-        }
-    return found
+    found = {"log_joint": stats["log_joint"], "total_error": stats["total_error"]}
+    found |= {name: posterior[name] for name in names}
+    return {name: one.values.astype(float) for name, one in found.items()}
 
 
 def _windows(window: NDArray[Any], settings: str, n_frames: int) -> dict[str, Any]:
@@ -312,13 +287,9 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
     aborted = ~completed & ~failed
     saved = (n_frames - simulations["frames_simulated"].values[aborted]).sum()
     wanted = n_frames * (~failed).sum()
+    counts = {"completed": completed, "aborted": aborted, "failed": failed}
     return {
-        "simulations": {
-            "total": len(failed),
-            "completed": completed.sum(),
-            "aborted": aborted.sum(),
-            "failed": failed.sum(),
-        },
+        "simulations": {"total": len(failed), **{k: one.sum() for k, one in counts.items()}},
         "frames_saved": saved,
         "frames_saved_share": saved / wanted if wanted else 0.0,
     }

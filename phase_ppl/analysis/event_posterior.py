@@ -33,7 +33,7 @@ from phase_ppl.world.picture import plain, preformatted, wrapped
 from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.what_if import Source, WhatIf
+    from phase_ppl.analysis.what_if import WhatIf
     from phase_ppl.simulator.contract import Simulator
 
 
@@ -119,8 +119,8 @@ class EventPosterior(Hypotheses):
     def untried(self) -> float:
         """Prior mass of the pairs of effective goals that nothing was asked about.
 
-        To these a sampled posterior gives probability 0, whatever they would explain; NaN where
-        the prior of pairs is not kept. 0 of what was read step by step, under all hypotheses.
+        A sampled posterior gives these probability 0, whatever they would explain; NaN where the
+        prior of pairs is not kept. 0 of what was read step by step, under all hypotheses.
         """
         return 0.0
 
@@ -129,20 +129,17 @@ class EventPosterior(Hypotheses):
         """The posterior that is printed, for ArviZ, as in ``az.summary(post.arviz)``.
 
         Equal draws: those of the chains after the burn-in where they count alike (weights
-        ``"count"``), otherwise 4 chains of 1000 that are resampled from the weights, with a seed
-        that follows from the run's (:func:`phase_ppl.analysis.with_arviz.resampled`). So R-hat
-        and effective sizes of resampled draws are of the resampling: :attr:`chains` has the chains
-        as they ran.
+        ``"count"``), otherwise 4 chains of 1000 resampled from the weights, with a seed that
+        follows from the run's. R-hat and effective sizes of resampled draws are of the resampling:
+        :attr:`chains` has the chains as they ran.
 
         The group ``posterior`` has numbers, such as strengths, real sites and quantities of one's
-        own, and of a sampled posterior ``log_joint`` and ``total_error``; and of goals, relations,
-        scenario and what else is one's own an indicator (0 or 1) of each category of more than 2 %,
-        so that its mean is a probability. ``observed_data`` and ``constant_data`` have the
-        observation and the scene. There is no ``log_likelihood``: ``az.loo`` raises
-        InvalidSettingError, which says why.
-
-        Its attributes say how the draws were made: ``weights``, the weighting or "all hypotheses";
-        ``effective_size_kish``, how many equal draws the weights are worth; and ``draws``.
+        own, and of a sampled posterior ``log_joint`` and ``total_error``; and of what has
+        categories an indicator (0 or 1) of each of more than 2 %, so that its mean is a
+        probability. ``observed_data`` and ``constant_data`` have the observation and the scene.
+        There is no ``log_likelihood`` for ``az.loo``; the attribute ``loo`` says why. ``weights``,
+        ``effective_size_kish`` (how many equal draws the weights are worth) and ``draws`` say how
+        draws were made.
 
         Returns:
             An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
@@ -227,10 +224,10 @@ class EventPosterior(Hypotheses):
             over: what to compare with, likewise; by default that ``event`` is false.
 
         Returns:
-            ``log_odds`` (time,) of one over the other given the frames so far, in nats, tempered
-            as the attribute ``tempering`` says, its ``error`` (time,) by the jackknife over planner
-            seeds (NaN: it is not known), and ``change`` (time,) by each frame. Of a sampled
-            posterior in hindsight, as :meth:`over_time`.
+            ``log_odds`` (time,) of one over the other given the frames so far, nats, tempered as
+            the attribute ``tempering`` says, its ``error`` (time,) by the jackknife over planner
+            seeds (NaN: not known), and ``change`` (time,) by each frame. Of a sampled posterior in
+            hindsight, as :meth:`over_time`.
 
         Raises:
             QueryError, UnknownNameError: it cannot be read, or names something unknown.
@@ -255,15 +252,11 @@ class EventPosterior(Hypotheses):
     ) -> xr.Dataset:
         """Return log odds (time,) and their errors as :meth:`why` does."""
         time = np.arange(len(odds)) / FRAMES_PER_SECOND
-        return xr.Dataset(
-            {
-                "log_odds": ("time", odds),
-                "error": ("time", error),
-                "change": ("time", np.diff(odds, prepend=odds[0])),
-            },
-            {"time": ("time", time, {"units": "s"})},
-            {"event": event, "over": over or f"not {event}", "tempering": self.tempering, **attrs},
-        )
+        columns = {"log_odds": odds, "error": error, "change": np.diff(odds, prepend=odds[0])}
+        said = {"event": event, "over": over or f"not {event}", "tempering": self.tempering}
+        coords = {"time": ("time", time, {"units": "s"})}
+        found = {name: ("time", column) for name, column in columns.items()}
+        return xr.Dataset(found, coords, {**said, **attrs})
 
     def _along_time(
         self, time: FloatArray, tables: Mapping[str, FloatArray], **attrs: str
@@ -343,14 +336,14 @@ class EventPosterior(Hypotheses):
     def with_prior(self, prior: Callable[..., object] | str) -> Self:
         """Return the posterior under another prior; nothing is simulated or searched again.
 
-        Args:
-            prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one
-                (:func:`phase_ppl.priors.available`).
-
         Read step by step, all hypotheses are there, so this is what a new run would say, but for
         which pairs of goals all sets of searches were made for. A sampled one is reweighted by the
         ratio of the priors over what was simulated; what that is worth is in its ``settings`` and
         is printed.
+
+        Args:
+            prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one
+                (:func:`phase_ppl.priors.available`).
 
         Raises:
             InvalidSettingError: it is no prior, or too little was simulated of what it makes
@@ -402,12 +395,13 @@ class EventPosterior(Hypotheses):
             raise InvalidSettingError("values is empty: expected numbers")
         # once is enough for a check that takes a while
         self._checked(functools.partial(prior, at[0]))
-        answers: dict[float, xr.DataArray] = {}
+        answers: list[xr.DataArray | None] = []
         refusals: list[str] = []
         for value in at:
             try:
                 answer = self.under(functools.partial(prior, value)).query(question)
             except InvalidSettingError as error:
+                answers.append(None)
                 refusals.append(f"{value:g}: {error}")
                 continue
             if isinstance(answer, Estimate):
@@ -417,25 +411,21 @@ class EventPosterior(Hypotheses):
                     f"{question!r} is answered by {type(answer).__name__}, which makes no curve: "
                     "expected a question after numbers, such as P(relation)"
                 )
-            answers[value] = answer
-        if not answers:
+            answers.append(answer)
+        known = next((answer for answer in answers if answer is not None), None)
+        if known is None:
             raise InvalidSettingError(
                 f"no value of the prior's argument can be answered for: {refusals[0]}"
             )
-        known = next(iter(answers.values()))
         nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
-        table = xr.concat([answers.get(v, nothing) for v in at], "value", join="override")
-        return table.assign_coords(value=at).assign_attrs(
-            question=question, prior=qualified_name(prior), refused="\n".join(refusals)
+        filled = [nothing if answer is None else answer for answer in answers]
+        return (
+            xr.concat(filled, "value", join="override")
+            .assign_coords(value=at)
+            .assign_attrs(
+                question=question, prior=qualified_name(prior), refused="\n".join(refusals)
+            )
         )
-
-    def _source(self) -> Source:
-        from phase_ppl.analysis.what_if import Source
-
-        own = self._constant.get("log_prior_goals")
-        own_goals = None if own is None else np.exp(own.values)
-        of_run = self.event_id, self.settings, self.scene, self.observed()
-        return Source(*of_run, self.table, own_goals)
 
     def do(
         self,
@@ -463,11 +453,11 @@ class EventPosterior(Hypotheses):
             alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
             relation: the same in any world, (who, whom) -> "help" or "hinder"; of all others,
                 neither. Whoever helps or hinders no more pursues a goal of its own; beside PHASE
-                it is drawn from the prior, as nothing else is known of it.
+                it is drawn from the prior.
             remove: an entity or several, such as ``"green agent"``.
             walls: (n, 2, 2) ends of the inner walls, units; an empty list: there are none.
-            at: frame from which on it is changed; what was seen until then has happened, and
-                agents believe what they saw. By default the start.
+            at: frame from which on it is changed; agents believe what they saw until then. By
+                default the start.
             seconds: simulated time from there; by default to the end of the video.
             n, seed, workers: hypotheses, their seed, and processes (by default one per core).
             simulator: of a run that had one of its own.
@@ -486,10 +476,10 @@ class EventPosterior(Hypotheses):
         from phase_ppl.analysis.what_if import Change, simulated
 
         change = Change.of(self.world, changed, alpha, relation, remove, walls)
-        return simulated(
-            self._source(), change if change.words else None, at=at, seconds=seconds, n=n,
-            seed=seed, workers=workers, simulator=simulator,
-        )  # fmt: skip
+        own = self._constant.get("log_prior_goals")
+        own_goals = None if own is None else np.exp(own.values)
+        how = (at, seconds, n, seed, workers, simulator)
+        return simulated(self, own_goals, change if change.words else None, *how)
 
     def predict(
         self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None

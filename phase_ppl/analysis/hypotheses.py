@@ -491,7 +491,7 @@ class Hypotheses(Printed):
     def _why_impossible(self, given: Conditions) -> str:
         """Return why nothing can be conditioned on ``given``, and what could be instead."""
         why, weights = "it has probability 0 in this posterior", self._rows.weights
-        for holds, name in given.clauses:
+        for holds, name, *_ in given.clauses:
             if weights[holds(self._rows.values)].sum() > 0:
                 continue
             if name is None:  # several are compared

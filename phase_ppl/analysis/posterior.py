@@ -34,6 +34,7 @@ from phase_ppl.analysis.tree import (
     changed_text,
     check_overlap,
     check_tree,
+    completed,
     log_weight_of_draws,
     reweighted,
     settings_under,
@@ -115,29 +116,28 @@ class Posterior(EventPosterior):
         scenario: ScenarioFunction | None = None,
     ) -> None:
         check_tree(tree)
-        recorded = str(tree.attrs["weights"])
-        name = _FORMERLY.get(recorded, recorded) if weights is None else weights
-        check_name("weights", name, WEIGHTINGS)
-        n_draws = tree["posterior"].sizes["draw"]
-        self._burn_in = whole_number(
-            "burn_in", tree.attrs.get("burn_in", 0) if burn_in is None else burn_in, minimum=0
-        )
+        recorded, n_draws = str(tree.attrs["weights"]), tree["posterior"].sizes["draw"]
+        self._weights = _FORMERLY.get(recorded, recorded) if weights is None else weights
+        check_name("weights", self._weights, WEIGHTINGS)
+        given = tree.attrs.get("burn_in", 0) if burn_in is None else burn_in
+        self._burn_in = whole_number("burn_in", given, minimum=0)
         if self._burn_in >= n_draws:
             raise InvalidSettingError(
                 f"burn_in={self._burn_in}, but each chain has {n_draws} draws: expected fewer"
             )
         self._tree = tree
         self._counted = counted = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
-        self._weights = name
-        rows = WEIGHTINGS[name](counted)
+        rows = WEIGHTINGS[self._weights](counted)
         words = Vocabulary(space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(counted, site, columns[site])
-        groups, parts = chain_groups(tree)[rows.index["chain"]], halves(counted, name, rows)
+        groups, parts = (
+            chain_groups(tree)[rows.index["chain"]],
+            halves(counted, self._weights, rows),
+        )
         rows = dataclasses.replace(rows, values=columns, groups=groups, halves=parts)
-        constant = tree["constant_data"].to_dataset()
-        super().__init__(words, self._tree.attrs, constant, known, rows)
+        super().__init__(words, tree.attrs, tree["constant_data"].to_dataset(), known, rows)
         stats = counted["sample_stats"].dataset
         self._looked_up = "log_likelihood_without" in stats
         if self._looked_up:
@@ -265,7 +265,7 @@ class Posterior(EventPosterior):
         if self._weights == "likelihood":
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
         tree = reweighted(self._tree, prior)
-        changed = self._like(tree, self._weights)
+        changed = self._under_weights(self._weights, tree)
         sizes = worth(changed.table.weights), worth(self.table.weights)
         check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
         tree.attrs["settings"] = settings_under(
@@ -273,11 +273,8 @@ class Posterior(EventPosterior):
         )
         return changed
 
-    def _under_weights(self, weights: str) -> Posterior:
-        return self._like(self._tree, weights)
-
-    def _like(self, tree: xr.DataTree, weights: str) -> Posterior:
-        scenario = self._words.scenario
+    def _under_weights(self, weights: str, tree: xr.DataTree | None = None) -> Posterior:
+        tree, scenario = self._tree if tree is None else tree, self._words.scenario
         other = Posterior(tree, weights, burn_in=self._burn_in, scenario=scenario)
         return other._defining(self._own)
 
@@ -297,27 +294,17 @@ class Posterior(EventPosterior):
         return space.hypothesis({site: row[name].item() for site, name in sites})
 
     def map_record(self) -> dict[str, Any]:
-        """Return :meth:`map` as plain data.
-
-        ``goal_*`` are the effective goals and ``stated_goal_*`` the stated ones, as everywhere;
-        with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``. In other worlds than
-        PHASE the plain form of roles, with ``log_joint`` and each ``relation_<one>_<other>``.
-        """
-        best, words = self.map(), self._words
-        goals = zip(words.space.goal_sites, best.effective_goals, strict=True)
-        codes = words.relation_codes({name: np.array([goal]) for name, goal in goals})
-        return {
-            **super().map_record(),
-            "log_joint": float(self._log_joint().max()),
-            **{name: self._quantities[name].categories()[int(c[0])] for name, c in codes.items()},
-        }
+        goals = zip(self._words.space.goal_sites, self.map().effective_goals, strict=True)
+        codes = self._words.relation_codes({name: np.array([goal]) for name, goal in goals})
+        labels = {n: self._quantities[n].categories()[int(c[0])] for n, c in codes.items()}
+        return {**super().map_record(), "log_joint": float(self._log_joint().max()), **labels}
 
     def _log_joint(self) -> FloatArray:
         """Return (simulation,) log prior + log likelihood, -inf where not completed."""
         simulations = self._tree["simulations"].dataset
-        usable = simulations["completed"].values & ~simulations["failed"].values
         values = (simulations["log_prior_effective"] + simulations["log_likelihood"]).values
-        return np.where(usable & ~np.isnan(values), values, -np.inf).astype(np.float64)
+        usable = completed(self._tree) & ~np.isnan(values)
+        return np.where(usable, values, -np.inf).astype(np.float64)
 
     def _best_simulation(self) -> int:
         """Return the completed simulation with the highest log joint, the first of equals."""
@@ -351,40 +338,39 @@ class Posterior(EventPosterior):
             self.leaders(),
             self._effective_size,
             self._needed,
-            self._words.scenario,
+            self._words,
         )
 
     def over_time(self) -> xr.Dataset:
-        """Return the marginals on ever more of the video, in hindsight.
+        """Return the marginals on ever more of the video, in hindsight (:data:`HINDSIGHT`).
 
-        See :data:`HINDSIGHT`. At the last frame they are those of weights ``"stratified"``,
-        whatever the weighting in use; where proposals have no density that is known, of
-        ``"count"``, whose draws show little of what early frames would have let believe. Nothing is
-        simulated.
+        At the last frame they are those of weights ``"stratified"``, whatever the weighting in
+        use; where proposals have no density that is known, of ``"count"``, whose draws show little
+        of what early frames would have let believe. Nothing is simulated.
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
             another world: probabilities (time, label), with the labels of ``goal_red`` in
-            ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``hindsight`` says what it
-            is, ``weights`` by which weights.
+            ``goal_red_is`` and so on; ``time`` in seconds; attributes ``hindsight`` and
+            ``weights``, by which these are.
         """
         weighting, rows, weights = so_far(self._counted)
-        words, simulations = self._words, self._tree["simulations"].dataset
-        codes = {name: simulations[name].values[rows] for name in words.space.goal_sites}
-        codes |= words.relation_codes(codes)
-        sizes = {name: len(words.quantities[name].categories()) for name in codes}
+        codes = self._words.completed(self._simulated(rows))
         tables = {
-            name: weights.T @ (column[:, None] == np.arange(sizes[name]))
-            for name, column in codes.items()
+            name: weights.T @ (codes[name][:, None] == np.arange(len(self.quantities[name] or ())))
+            for name in (*self.goals_of.values(), *self.relations_of.values(), *self.scenarios_of)
         }
         time = array(self._tree, "observed_data", "time")
         return self._along_time(time, tables, hindsight=HINDSIGHT, weights=weighting)
 
+    def _simulated(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Return the columns of a hypothesis of these simulations."""
+        simulations = self._tree["simulations"].dataset
+        return {name: simulations[name].values[rows] for name in self._words.space.columns}
+
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         _, rows, weights = so_far(self._counted)
-        simulations = self._tree["simulations"].dataset
-        columns = {name: simulations[name].values[rows] for name in self._words.space.columns}
-        sides = self._sides(columns, event, over)
+        sides = self._sides(self._simulated(rows), event, over)
         for_it, against = (weights[side].sum(axis=0) for side in sides)
         for side, mass in ((event, for_it), (over or f"not {event}", against)):
             if not (mass > 0).all():
@@ -394,7 +380,7 @@ class Posterior(EventPosterior):
 
     @property
     def arviz(self) -> Any:
-        if are_weighted(self._counted) or "draw" not in self._rows.index:
+        if self._weights == "stratified" or are_weighted(self._counted):
             return super().arviz
         if not are_equal(self._rows.weights):  # by their likelihood
             return super().arviz
@@ -405,20 +391,17 @@ class Posterior(EventPosterior):
         """The chains as they ran, after the burn-in, for ArviZ: R-hat, effective sizes, traces.
 
         ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
-        Every draw counts once, whatever the weights: :attr:`arviz` is the posterior that is
-        printed, and these are how the run went. Groups and attributes are as there, with
-        ``sample_stats``; and ``posterior_predictive``, what could have been observed by the draws:
-        the simulation that each rests on (``post.tree["simulated"]``), with the likelihood's noise
-        on x and y of every frame, from a seed that follows from the run's. Angles are the
-        simulation's, of which the likelihood says nothing, so that
-        ``az.plot_ppc(post.chains, coords={"coord": ["x", "y"]})`` compares like with like. The
-        paper's beta of 0.05 is a tempered likelihood: its noise is 160 units long in a frame. Of a
-        likelihood of one's own there is no such group.
+        Every draw counts once, whatever the weights. Groups and attributes are those of
+        :attr:`arviz`, with ``sample_stats``; and ``posterior_predictive``, what could have been
+        observed by the draws: the simulation that each rests on, with the likelihood's noise on x
+        and y of every frame, from a seed that follows from the run's. Angles are the simulation's,
+        of which the likelihood says nothing: ``az.plot_ppc(post.chains, coords={"coord": ["x",
+        "y"]})``. The paper's beta of 0.05 is a tempered likelihood: its noise is 160 units long in
+        a frame. Of a likelihood of one's own there is no such group.
 
-        An indicator that does not change within any half of a chain has no R-hat and is left out;
-        the attribute ``left_out`` of the posterior (JSON) names these. With fewer than ten draws
-        per chain ArviZ's effective sizes do not depend on the draws and say nothing;
-        :meth:`diagnostics` has some that do.
+        An indicator that does not change within any half of a chain has no R-hat; the attribute
+        ``left_out`` of the posterior (JSON) names these. With fewer than ten draws per chain
+        ArviZ's effective sizes do not depend on the draws: see :meth:`diagnostics`.
 
         Raises:
             InvalidSettingError: the draws have weights, and so are no chains.
@@ -436,23 +419,19 @@ class Posterior(EventPosterior):
         """Return the draws that are counted, chain by chain."""
         rows = np.arange(len(self._rows.weights)).reshape(shape_of_draws(self._counted))
         groups = {"sample_stats": self._counted["sample_stats"].to_dataset()}
-        if (replicated := self._replicated()) is not None:
-            groups["posterior_predictive"] = replicated
+        simulated = self._counted[SIMULATED].to_dataset()
+        if "beta" in simulated.attrs:  # else the noise of the likelihood is not known
+            from phase_ppl.models.likelihood import RadialLikelihood
+
+            rng = np.random.default_rng([int(self.settings.get("seed", 0)), _STREAM])
+            trajectory = simulated["trajectory"].astype(np.float64)
+            likelihood = RadialLikelihood(
+                float(simulated.attrs["beta"]), trajectory.sizes["entity"]
+            )
+            trajectory[..., :2] = likelihood.replicate(trajectory[..., :2].values, rng)
+            groups["posterior_predictive"] = simulated.assign(trajectory=trajectory)
         how += f", after a burn-in of {self._burn_in}" if self._burn_in else ""
         return self._for_arviz(rows, self._beside, how, moving=moving, **groups)
-
-    def _replicated(self) -> xr.Dataset | None:
-        """Return what the draws could have looked like; None where the noise is not known."""
-        simulated = self._counted[SIMULATED].to_dataset()
-        if "beta" not in simulated.attrs:
-            return None
-        from phase_ppl.models.likelihood import RadialLikelihood
-
-        rng = np.random.default_rng([int(self.settings.get("seed", 0)), _STREAM])
-        trajectory = simulated["trajectory"].values.astype(np.float64)
-        likelihood = RadialLikelihood(float(simulated.attrs["beta"]), trajectory.shape[-2])
-        trajectory[..., :2] = likelihood.replicate(trajectory[..., :2], rng)
-        return simulated.assign(trajectory=(simulated["trajectory"].dims, trajectory))
 
     @property
     def _weighting(self) -> str:
@@ -460,7 +439,7 @@ class Posterior(EventPosterior):
 
     @property
     def _beside(self) -> dict[str, NDArray[Any]]:
-        if "draw" in self._rows.index:
+        if self._weights != "stratified":
             stats = self._counted["sample_stats"].dataset
             return {name: stats[name].values.ravel() for name in ("log_joint", "total_error")}
         found = self._tree["simulations"].dataset.isel(simulation=self._rows.index["simulation"])
@@ -487,13 +466,8 @@ class Posterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
-        from phase_ppl.analysis.stepwise_posterior import holds_stepwise
         from phase_ppl.data.hdf5 import read_netcdf
 
-        if holds_stepwise(source):
-            raise InvalidEventError(
-                f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
-            )
         try:
             tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
             return cls(tree, weights, burn_in=burn_in, scenario=scenario)
@@ -501,35 +475,27 @@ class Posterior(EventPosterior):
             raise InvalidEventError(f"{source}: {error}") from None
 
     def _head(self, found: Mapping[str, Any]) -> str:
-        head = (
+        after = self.burn_in and self.weights == "count"
+        return (
             f"{self.event_id}: {found['particles']} particles x {found['iterations']} iterations, "
             f"{found['kernel']}, weights {found['weights']}"
+            + (f", after a burn-in of {self.burn_in}" if after else "")
         )
-        if self.burn_in and self.weights == "count":
-            head += f", after a burn-in of {self.burn_in}"
-        return head
 
     def _body(self, found: Mapping[str, Any]) -> list[str]:
         n, off = self.observed().shape[1], found["best_error_per_frame"]
         fit = f"the best draw stays {off:.2f} units per frame from the observation"
-        fit += "" if n == 1 else f" (all {_WORDS.get(n, n)} entities together)"
-        told = [*self._answer_lines(), ""]
-        if changed := changed_text(self.settings):
-            told += wrapped("prior", changed)
-        if self.tempering:
-            told += wrapped("likelihood", self.tempering)
-        return [*told, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))]
+        fit += "" if n == 1 else f" (all {n} entities together)"
+        told = {"prior": changed_text(self.settings), "likelihood": self.tempering, "fit": fit}
+        told["cost"] = _cost(self.cost, found)
+        lines = [line for name, text in told.items() if text for line in wrapped(name, text)]
+        return [*self._answer_lines(), "", *lines]
 
     def _untried(self, name: str) -> frozenset[str]:
-        simulations = self._tree["simulations"].dataset
-        tried_at_all = ~simulations["failed"].values
-        space = self._words.space
-        goals = {
-            one: simulations[one].values[tried_at_all].astype(np.int64) for one in space.goal_sites
-        }
-        tried = {**goals, **self._words.relation_codes(goals)}.get(name)
-        if tried is None or self._looked_up:
+        if self._looked_up:
             return frozenset()
+        tried_at_all = np.flatnonzero(~array(self._tree, "simulations", "failed"))
+        tried = self._words.completed(self._simulated(tried_at_all))[name]
         labels = self._quantities[name].categories()
         return frozenset(labels) - {labels[code] for code in np.unique(tried).tolist()}
 
@@ -550,9 +516,6 @@ class Posterior(EventPosterior):
         return f"<Posterior of {self.event_id}: {chains} x {draws} draws, weights {self.weights!r}>"
 
 
-_WORDS: Final = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
-
-
 def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     simulations = found["simulations"]
     known = {
@@ -562,16 +525,14 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         "workers": f" on {{:d}} worker{'' if cost.get('workers') == 1 else 's'}",
         "seconds_overhead": ", {:.0f} s of it beside the simulations",
     }
-    words = f"{simulations['total']} simulations"
-    costs = [(told, cost.get(name)) for name, told in known.items()]
-    words += "".join(told.format(amount) for told, amount in costs if amount is not None)
-    if simulations["aborted"]:
+    told = [words.format(cost[name]) for name, words in known.items() if cost.get(name) is not None]
+    stopped = "none stopped early"
+    if n := simulations["aborted"]:
         saved = f"{found['frames_saved_share']:.0%} of the frames"
-        words += f"; {simulations['aborted']} stopped early, which saved {saved}"
-    else:
-        words += "; none stopped early"
-    words += f"; {cost.get('failures', simulations['failed'])} failed"
-    return f"{words}, {cost['retries']} run again" if cost.get("retries") else words
+        stopped = f"{n} stopped early, which saved {saved}"
+    again = f", {cost['retries']} run again" if cost.get("retries") else ""
+    failed = cost.get("failures", simulations["failed"])
+    return f"{simulations['total']} simulations{''.join(told)}; {stopped}; {failed} failed{again}"
 
 
 def load_posterior(

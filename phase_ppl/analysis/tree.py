@@ -32,38 +32,34 @@ SIMULATION: Final = ("simulation",)
 FRAME: Final = ("time", "entity", "coord")
 """Dimensions of what there is of each draw, of each simulation, and of a trajectory."""
 
-REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
+REQUIRED: Final[Mapping[str, Mapping[tuple[str, ...], str]]] = {
     "posterior": {},
     "sample_stats": {
-        **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), DRAW),
-        "sim_seed": DRAW,
-        "step_error": (*DRAW, "time"),
+        DRAW: "log_joint total_error accepted window sim_seed",
+        (*DRAW, "time"): "step_error",
     },
     SIMULATED: {},
-    "observed_data": {"trajectory": FRAME},
-    "simulations": dict.fromkeys(
-        (
-            *("seed", "chain", "iteration", "log_prior", "log_prior_effective", "log_likelihood"),
-            *("total_error", "completed", "frames_simulated", "failed"),
-        ),
-        SIMULATION,
-    ),
-    "constant_data": dict.fromkeys(("start", "radius", "walls", "arena", "landmark_centres")),
+    "observed_data": {FRAME: "trajectory"},
+    "simulations": {
+        SIMULATION: "seed chain iteration log_prior log_prior_effective log_likelihood total_error "
+        "completed frames_simulated failed"
+    },
+    "constant_data": {(): "start radius walls arena landmark_centres"},
 }
-"""Group -> variable -> dimensions (None: any); beside the columns of a hypothesis, which draws and
+"""Group -> dimensions (none: any) -> variables; beside the columns of a hypothesis, which draws and
 simulations have: ``HypothesisSpace.columns`` of the world."""
 
-OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
+OPTIONAL: Final[Mapping[str, Mapping[tuple[str, ...], str]]] = {
     "sample_stats": {
-        **dict.fromkeys(("log_weight", "log_evidence", "frames_simulated"), DRAW),
-        "log_likelihood_without": (*DRAW, "planner_seed"),
+        DRAW: "log_weight log_evidence frames_simulated",
+        (*DRAW, "planner_seed"): "log_likelihood_without",
     },
-    SIMULATED: {"trajectory": (*DRAW, *FRAME)},
-    "simulations": {"step_log_likelihood": ("simulation", "time")},
+    SIMULATED: {(*DRAW, *FRAME): "trajectory"},
+    "simulations": {(*SIMULATION, "time"): "step_log_likelihood"},
 }
-"""Group -> further variable -> dimensions: not all files and kernels have them. Where simulations
-were looked up in what the closed loop has read there are no trajectories, but log likelihoods
-without each of its sets of searches, less those with all."""
+"""Likewise further variables: not all files and kernels have them. Where simulations were looked up
+in what the closed loop has read there are no trajectories, but log likelihoods without each of its
+sets of searches, less those with all."""
 
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "kernel", "validity", "weights", "schema")
 
@@ -73,45 +69,53 @@ def check_tree(tree: xr.DataTree) -> None:
     schema = tree.attrs.get("schema")
     if schema != SCHEMA:
         raise InvalidEventError(
-            f"this is no tree of draws: its schema is {schema!r}, not {SCHEMA!r}"
+            f"this is no tree of draws: its schema is {schema!r}, not {SCHEMA!r} (where it was "
+            "read step by step: load_posterior reads it)"
         )
     if missing := [name for name in REQUIRED_ATTRS if name not in tree.attrs]:
         raise InvalidEventError(f"the tree of draws lacks the root attributes {missing}")
     for group in REQUIRED:
         if group not in tree.children:
             raise InvalidEventError(f"the tree of draws lacks the group {group!r}")
-    space = space_of_tree(tree)
-    of_hypothesis: dict[str, tuple[str, ...]] = {"posterior": DRAW, "simulations": SIMULATION}
-    sizes: dict[str, int] = {}
-    for group, others in REQUIRED.items():
-        columns = space.columns if group in of_hypothesis else ()
-        variables = {**dict.fromkeys(columns, of_hypothesis.get(group)), **others}
+    space, sizes = space_of_tree(tree), dict[str, int]()
+    limits = {**dict.fromkeys(space.stated_sites, space.n_goals), **space.limits}
+    for group, given in REQUIRED.items():
         dataset = tree[group].dataset
-        if missing := [name for name in variables if name not in dataset.variables]:
+        of_hypothesis = {"posterior": DRAW, "simulations": SIMULATION}.get(group)
+        columns = dict.fromkeys(space.columns, of_hypothesis) if of_hypothesis else {}
+        required, optional = (
+            {name: dims for dims, names in one.items() for name in names.split()}
+            for one in (given, OPTIONAL.get(group, {}))
+        )
+        if missing := [n for n in (*columns, *required) if n not in dataset.variables]:
             raise InvalidEventError(f"group {group!r} of the tree of draws lacks {missing}")
-        for name, dims in {**variables, **OPTIONAL.get(group, {})}.items():
-            if dims is None or name not in dataset:
+        for name, dims in {**columns, **required, **optional}.items():
+            if not dims or name not in dataset:
                 continue
-            dims_of, shape = dataset[name].dims, dataset[name].shape
-            if dims_of != dims:
-                raise InvalidEventError(f"{group}/{name} has dimensions {dims_of}, expected {dims}")
-            want = tuple(sizes.setdefault(dim, n) for dim, n in zip(dims, shape, strict=True))
-            if shape != want:
-                raise InvalidEventError(f"{group}/{name} has shape {shape}, expected {want}")
+            found = dataset[name]
+            if found.dims != dims:
+                raise InvalidEventError(
+                    f"{group}/{name} has dimensions {found.dims}, expected {dims}"
+                )
+            want = tuple(sizes.setdefault(str(dim), n) for dim, n in found.sizes.items())
+            if found.shape != want:
+                raise InvalidEventError(f"{group}/{name} has shape {found.shape}, expected {want}")
+            limit = limits.get(name) if name in columns else None
+            if limit and found.size and (found.min() < 0 or found.max() >= limit):
+                raise InvalidEventError(f"{group}/{name} has codes outside 0..{limit - 1}")
     if not (sizes["chain"] and sizes["draw"]):
         shape = sizes["chain"], sizes["draw"]
         raise InvalidEventError(f"the tree holds no draws: (chain, draw) = {shape}")
-    limits = {**dict.fromkeys(space.stated_sites, space.n_goals), **space.limits}
-    for group in ("posterior", "simulations"):
-        for name, limit in limits.items():
-            codes = array(tree, group, name)
-            if codes.size and (codes.min() < 0 or codes.max() >= limit):
-                raise InvalidEventError(f"{group}/{name} has codes outside 0..{limit - 1}")
 
 
 def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
     """Return the values of a variable of the tree."""
     return tree[group].dataset[name].values
+
+
+def completed(tree: xr.DataTree) -> NDArray[np.bool_]:
+    """Return (simulation,) which were simulated to the end."""
+    return array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
 
 
 def shape_of_draws(tree: xr.DataTree) -> tuple[int, ...]:
@@ -150,8 +154,7 @@ def untried(tree: xr.DataTree) -> float:
 
     NaN where the tree does not hold their prior.
     """
-    done = array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
-    tried = np.unique(effective_goals(tree, "simulations")[done], axis=0)
+    tried = np.unique(effective_goals(tree, "simulations")[completed(tree)], axis=0)
     found = prior_of_goals(tree, tried)
     if found is None:
         return float("nan")
@@ -169,16 +172,15 @@ def suggestion_agreement(tree: xr.DataTree) -> float:
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
         return np.nan
-    done = simulations["completed"].values & ~simulations["failed"].values
     suggested = (simulations["log_proposal"] - simulations["log_prior"]).values
-    done &= np.isfinite(suggested)
+    done = completed(tree) & np.isfinite(suggested)
     goals = effective_goals(tree, "simulations")[done]
     _, first = np.unique(goals, axis=0, return_index=True)
     if len(first) < _FEWEST_RANKS:
         return np.nan
-    columns = suggested[done][first], simulations["log_likelihood"].values[done][first]
-    ranks = pd.DataFrame(np.transpose(columns)).rank()
-    return float(ranks[0].corr(ranks[1]) * np.sqrt(len(first) - 1))
+    fit = simulations["log_likelihood"].values[done][first]
+    ranks = pd.DataFrame({"suggested": suggested[done][first], "fit": fit}).rank()
+    return float(ranks["suggested"].corr(ranks["fit"]) * np.sqrt(len(first) - 1))
 
 
 _FEWEST_RANKS: Final = 10
@@ -195,7 +197,7 @@ def unseen_share(tree: xr.DataTree) -> float:
     if "log_evidence" not in stats or not mass > 0:
         return 0.0
     evidence = float(stats["log_evidence"].values[0, -1])
-    done = simulations["completed"].values & ~simulations["failed"].values
+    done = completed(tree)
     order = np.argsort(simulations["iteration"].values[done], kind="stable")
     goals = effective_goals(tree, "simulations")[done][order]
     _, first = np.unique(goals, axis=0, return_index=True)
@@ -241,8 +243,8 @@ def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:
     seeds = array(tree, "sample_stats", "sim_seed")
     draws = {**{name: array(tree, "posterior", name) for name in names[:-1]}, "seed": seeds}
     simulations = tree["simulations"].dataset
-    usable = simulations["completed"].values & ~simulations["failed"].values
-    known = pd.DataFrame({name: _single(simulations[name].values) for name in names})[usable]
+    known = pd.DataFrame({name: _single(simulations[name].values) for name in names})
+    known = known[completed(tree)]
     known = known.drop_duplicates().reset_index(names="simulation")
     asked = pd.DataFrame({name: _single(values.ravel()) for name, values in draws.items()})
     found = asked.merge(known, how="left", on=names)["simulation"].fillna(-1)
@@ -264,37 +266,32 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
         attrs["landmark_half_width"] = float(scene.landmark_half_width)
     else:
         attrs["world"] = json.dumps([scene.world.to_dict(), scene.half_widths.tolist()])
-    return xr.Dataset(
-        {
-            "start": (("entity", "coord"), scene.start),
-            "radius": (("entity",), scene.radius),
-            "walls": (("wall", "end", "xy"), scene.walls),
-            "arena": (("bound",), np.array(scene.arena)),
-            "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
-        },
-        {
-            "entity": list(scene.world.entities),
-            "coord": ["x", "y", "angle"],
-            "landmark": list(scene.world.landmark_names),
-            "bound": ["x_min", "x_max", "y_min", "y_max"],
-        },
-        attrs,
-    )
+    variables = {
+        "start": (("entity", "coord"), scene.start),
+        "radius": (("entity",), scene.radius),
+        "walls": (("wall", "end", "xy"), scene.walls),
+        "arena": (("bound",), np.array(scene.arena)),
+        "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
+    }
+    coords = {
+        "entity": list(scene.world.entities),
+        "coord": ["x", "y", "angle"],
+        "landmark": list(scene.world.landmark_names),
+        "bound": ["x_min", "x_max", "y_min", "y_max"],
+    }
+    return xr.Dataset(variables, coords, attrs)
 
 
 def kept_scene(kept: xr.Dataset) -> Scene:
     """Return the scene that :func:`scene_dataset` wrote into a dataset."""
-    x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
-    if "world" in kept.attrs:
-        half_width = json.loads(kept.attrs["world"])[1]
-    else:
-        half_width = float(kept.attrs["landmark_half_width"])
-    names = ("start", "radius", "walls", "landmark_centres")
+    attrs, names = kept.attrs, ("start", "radius", "walls", "landmark_centres")
+    in_phase = "world" not in attrs
+    half_width = float(attrs["landmark_half_width"]) if in_phase else json.loads(attrs["world"])[1]
     return Scene(
         **{name: kept[name].values for name in names},
-        turning=kept.attrs["turning"],
-        resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),
-        arena=(x0, x1, y0, y1),
+        turning=attrs["turning"],
+        resets_velocity=bool(attrs.get("resets_velocity", 0)),
+        arena=tuple(kept["arena"].values.astype(float).tolist()),
         landmark_half_width=half_width,
         world=kept_world(kept),
     )
@@ -349,12 +346,12 @@ def changed_text(settings: dict[str, Any]) -> str:
         return ""
     found = settings["reweighted"]
     words = f"{settings['model']['prior']}, taken instead of {found['from']} after the run"
-    if "effective_size" in found:
-        words += (
-            f": what was simulated is worth {found['effective_size']:.1f} equal draws, "
-            f"{found['effective_size_before']:.1f} before"
-        )
-    return words
+    if "effective_size" not in found:
+        return words
+    worth = (
+        f"{found['effective_size']:.1f} equal draws, {found['effective_size_before']:.1f} before"
+    )
+    return f"{words}: what was simulated is worth {worth}"
 
 
 def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree:
@@ -373,17 +370,14 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     if (rows < 0).any():
         raise InvalidEventError("a draw rests on no completed simulation of the tree")
     simulations, draws = tree["simulations"].to_dataset(), tree["posterior"].to_dataset()
-    space = space_of_tree(tree)
+    space, goals = space_of_tree(tree), effective_goals(tree, "simulations")
     own = [str(name) for name in draws.data_vars if name not in space.columns]
-    columns = {
-        name.removeprefix("stated_"): simulations[name].values
-        for name in (*space.kept_columns, *own)
-    }
-    goals = effective_goals(tree, "simulations")
-    strengths = {name: columns[name] for name in space.strength_sites}
+    strengths = {name: simulations[name].values for name in space.strength_sites}
     effective = log_prior_of_effective(program, goals, strengths)
     effective[effective <= NO_DENSITY] = -np.inf
     if own and set(own) <= upstream(program).keys():
+        names = (*space.kept_columns, *own)
+        columns = {name.removeprefix("stated_"): simulations[name].values for name in names}
         log_prior = log_prior_of_hypotheses(program, columns)
         log_prior[log_prior <= NO_DENSITY] = -np.inf
         change = log_prior - simulations["log_prior"].values
@@ -399,12 +393,9 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     stats = tree["sample_stats"].to_dataset()
     stats["log_joint"] = stats["log_joint"] + change[rows]
     stats["log_weight"] = (*stats["log_joint"].dims,), log_weight_of_draws(tree) + change[rows]
-    changed = {
-        "simulations": simulations,
-        "posterior": draws,
-        "sample_stats": stats,
-        "constant_data": tree["constant_data"].to_dataset().assign(kept_prior(program)),
-    }
+    constant = tree["constant_data"].to_dataset().assign(kept_prior(program))
+    changed = {"simulations": simulations, "posterior": draws, "sample_stats": stats}
+    changed["constant_data"] = constant
     return tree.assign({name: xr.DataTree(group) for name, group in changed.items()})
 
 

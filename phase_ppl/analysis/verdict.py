@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
 from phase_ppl.analysis.estimate import with_error
-from phase_ppl.analysis.with_arviz import MIN_CHAINS_BETWEEN, MIN_DRAWS, MIN_DRAWS_WITHIN
+from phase_ppl.analysis.with_arviz import MIN_DRAWS
 from phase_ppl.world.picture import LABEL, wrapped
 
 AGREED: Final = 0.8
@@ -25,427 +25,6 @@ likelihoods of few simulations err by nats (``benchmarks/decided.py``)."""
 
 UNTRIED: Final = 0.05
 """Prior mass of pairs of goals without a simulation from which on it is a sign."""
-
-_NAMED: Final = 2  # goals that are named where particles disagree
-_FRAMES_NAMED: Final = 3  # frames that are named
-
-
-State = Literal["ok", "doubt", "fail", "unknown"]
-_MARKS: Final[Mapping[State, str]] = {"ok": "+", "doubt": "!", "fail": "x", "unknown": "?"}
-_WORST_FIRST: Final = ("fail", "doubt", "unknown", "ok")
-_COLOURS: Final[Mapping[State, str]] = {
-    "ok": "#1a7f37",
-    "doubt": "#9a6700",
-    "fail": "#cf222e",
-    "unknown": "#57606a",
-}
-_NAME, _VALUE = 24, 29  # columns of a list of checks
-
-
-class Check(NamedTuple):
-    """One thing that was looked at, to see whether an answer can be trusted."""
-
-    name: str
-    state: State  # "fail": do not trust the answer; "doubt": it is not certain
-    value: str  # what was found
-    limit: str  # what it takes to pass
-    says: str = ""  # what that means, in a sentence or two
-    advice: str = ""  # what to do about it
-
-
-def check(name: str, state: State, value: str, limit: str, says: str = "", do: str = "") -> Check:
-    """Return a check; there is nothing to do where it was passed."""
-    return Check(name, state, value, limit, says, do if state in ("fail", "doubt") else "")
-
-
-JUDGED: Final = ("trust", "answer", "checks", "next", "verdict")
-"""Keys that :func:`judged` makes."""
-
-
-def judged(
-    leaders: Mapping[str, Mapping[str, Any]], checks: Sequence[Check], closing: str = ""
-) -> dict[str, Any]:
-    """Return the end of a record of diagnostics.
-
-    ``trust`` ("confident", "not certain", "do not trust"), the ``answer`` in a line, the
-    ``checks``, what to do ``next``, and the ``verdict``: what the checks say in sentences, the
-    worst first, or the ``closing`` where none says anything.
-    """
-    states = {one.state for one in checks}
-    trust = "not certain" if "doubt" in states else "confident"
-    trust = "do not trust" if "fail" in states else trust
-    ordered = sorted(checks, key=lambda one: _WORST_FIRST.index(one.state))
-    said = " ".join(one.says for one in ordered if one.says)
-    return {
-        "trust": trust,
-        "answer": f"{_answer(leaders)}. {_TRUST[trust]}",
-        "checks": [one._asdict() for one in checks],
-        "next": next((one.advice for one in ordered if one.advice), _ONWARD),
-        "verdict": said or closing,
-    }
-
-
-_TRUST: Final = {
-    "confident": "The computation can be trusted.",
-    "not certain": "The computation is not certain.",
-    "do not trust": "Do not trust it yet.",
-}
-_ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
-
-
-def _answer(leaders: Mapping[str, Mapping[str, Any]]) -> str:
-    goals = [name for name in leaders if name.startswith(_GOAL)]
-    parts = [f"{_agent(name)}: {_probable(leaders[name])}" for name in goals]
-    for name in leaders:
-        if name == "relation":
-            parts.append(_probable(leaders[name]))
-        elif name not in goals:
-            parts.append(f"{_pair(name)}: {_probable(leaders[name])}")
-    return "; ".join(parts)
-
-
-def _pair(name: str) -> str:
-    return name.removeprefix("relation_").replace("_", " and ")
-
-
-def _probable(leader: Mapping[str, Any]) -> str:
-    return f"{leader['label']} ({leader['probability']:.2f})"
-
-
-def verdict_lines(found: Mapping[str, Any]) -> list[str]:
-    """Return the answer, the checks, what the worst one says, and the next step, as lines."""
-    shown = list(wrapped("answer", found["answer"]))
-    label = "checks"
-    for one in found["checks"]:
-        row = f"{one['name']:<{_NAME}}{one['value']:<{_VALUE}}{one['limit']}"
-        shown.append(f"{label:<{LABEL}}{_MARKS[one['state']]} {row}".rstrip())
-        label = ""
-    worst = min(found["checks"], key=lambda one: _WORST_FIRST.index(one["state"]), default=None)
-    if worst is not None and worst["state"] != "ok":
-        shown += wrapped("why", worst["says"] or worst["name"])
-    return [*shown, *wrapped("next", found["next"])]
-
-
-def as_html(found: Mapping[str, Any]) -> str:
-    """Return the answer, the checks as a coloured list, and the next step."""
-    rows = []
-    for one in found["checks"]:
-        mark = f'<strong style="color:{_COLOURS[one["state"]]}">{_MARKS[one["state"]]}</strong>'
-        says = f"<br><small>{html.escape(one['says'])}</small>" if one["state"] != "ok" else ""
-        value, limit = html.escape(one["value"]), html.escape(one["limit"])
-        name = f"<strong>{html.escape(one['name'])}</strong>"
-        rows.append(f"<li>{mark} {name}: {value} <small>({limit})</small>{says}</li>")
-    return (
-        f"<p><strong>{html.escape(found['answer'])}</strong></p><ul>{''.join(rows)}</ul>"
-        f"<p>Next: {html.escape(found['next'])}</p>"
-    )
-
-
-# --- of chains and weighted draws -----------------------------------------------------------------
-
-_CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
-
-
-def of_draws(found: Mapping[str, Any]) -> dict[str, Any]:
-    """Return whether a posterior of draws or simulations with these diagnostics can be trusted."""
-    weighted = found["weighted_draws_ess"] is not None
-    closing = "Nothing speaks against the leading answers."
-    return judged(found["leaders"], list(_of_draws(found, weighted)), closing)
-
-
-def _of_draws(found: Mapping[str, Any], weighted: bool) -> Iterator[Check]:
-    longer = f"{_more(found)}, or {_CLOSED_LOOP}"
-    yield from _apart(found["overlapping_frames"])
-    if found["weights"] == "likelihood":
-        says = "The weights 'likelihood' make every probability too extreme."
-        yield check("weights", "fail", "likelihood", "any other", says, 'weights="count"')
-    if found["validity"] == "approximate" and found["weights"] != "stratified":
-        says = (
-            f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
-            "long it runs."
-        )
-        yield check("kernel", "doubt", "approximate", "exact", says, 'kernel="local_mh"')
-    yield from _enough(found, longer)
-    yield _decided(found["leaders"], longer)
-    yield from _by_prior(found)
-    yield from _tried(found, longer)
-    rate = found["acceptance_rate"]
-    if not weighted:
-        says = ""
-        if rate == 0:
-            says = "No proposal was accepted: this is still the bottom-up guess, not a posterior."
-        elif rate < STUCK:
-            says = (
-                f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
-                "the bottom-up guess."
-            )
-        state: State = "fail" if rate == 0 else "doubt" if says else "ok"
-        yield check(
-            "proposals accepted", state, f"{rate:.0%}", f"{STUCK:.0%} or more", says, longer
-        )
-        yield from _agreement(found, longer)
-        yield _mixing(found, longer)
-        yield from _other_leaders(found["categories"])
-    elif found["weights"] == "count":  # else all simulations count, not the draws alone
-        yield _worth(found, longer)
-    simulations = found["simulations"]
-    if n := simulations["failed"]:
-        says = f"{n} of {simulations['total']} simulations failed."
-        yield check("simulations succeeded", "doubt", f"{n} failed", "all", says)
-
-
-def _more(found: Mapping[str, Any]) -> str:
-    """Return how to ask for more simulations."""
-    draws, particles = found["iterations"], found["particles"]
-    if draws == 1 and found["weighted_draws_ess"] is not None:
-        return f"take more particles: chains={4 * particles}"  # a population
-    return f"run longer: iterations={max(40, 4 * draws)}"
-
-
-def _enough(found: Mapping[str, Any], longer: str) -> Iterator[Check]:
-    needed, size = found["effective_size_needed"], found["effective_size"]
-    name = "enough simulations"
-    if needed is None:
-        says = (
-            "Not enough: goals that the video suggests fit no better than chance, and goals with "
-            f"{found['untried']:.2f} of the prior's mass were never simulated to the end."
-        )
-        learns = 'if simulations take milliseconds, kernel="amis" learns what fits; else '
-        can_learn = found["kernel"] != "amis" and len(found["agreement"]) <= 2
-        advice = learns * can_learn + longer
-        yield check("suggestions fit", "fail", "no better than chance", "better", says, advice)
-    elif size is None:
-        says = "With one particle nothing tells how much another run would differ."
-        yield check(name, "unknown", "one particle", "2 or more", says)
-    else:
-        says = ""
-        if size < needed:
-            says = (
-                f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
-                f"{needed:g}. Another run may well differ."
-            )
-        state: State = "fail" if says else "ok"
-        yield check(name, state, f"{size:.1f} effective", f"{needed:g} or more", says, longer)
-
-
-def _decided(leaders: Mapping[str, Mapping[str, Any]], longer: str) -> Check:
-    sure = sum(one["sure"] for one in leaders.values())
-    says = " ".join(undecided(leaders))
-    state: State = "doubt" if says else "ok"
-    value = f"{sure} of {len(leaders)}, beyond errors"
-    return check("answers above 1/2", state, value, "all", says, longer)
-
-
-def _tried(found: Mapping[str, Any], longer: str) -> Iterator[Check]:
-    n, untried = found["untried_rivals"], found["untried"]
-    says = (
-        f"Not ruled out: {n} rival{'' if n == 1 else 's'} of the leading goals, with another "
-        f"landmark for one agent, {'was' if n == 1 else 'were'} never simulated."
-    )
-    if n:
-        yield check("rivals tried", "doubt", f"{n} untried", "none untried", says, longer)
-    else:
-        yield check("rivals tried", "ok", "all", "none untried")
-    if untried is None or found["effective_size_needed"] is None:  # then it is said
-        return
-    says = (
-        f"{_combined(found).capitalize()} with {untried:.2f} of the prior's mass were never "
-        "simulated to the end, and count as impossible."
-    )
-    few = untried >= UNTRIED
-    state: State = "unknown" if few else "ok"
-    limit = f"{1 - UNTRIED:.2f} or more"
-    yield check("goals simulated", state, f"{1 - untried:.2f} of the prior", limit, says * few)
-
-
-def _margin(found: Mapping[str, Any]) -> str:
-    errors = [error for error in found["monte_carlo_error"].values() if error is not None]
-    if not errors:
-        return ""
-    return f"(Monte-Carlo error of a leading goal's probability: {max(errors):.2f})"
-
-
-def _split(found: Mapping[str, Any]) -> list[str]:
-    return [name for name, share in found["agreement"].items() if share < AGREED]
-
-
-def _agreement(found: Mapping[str, Any], longer: str) -> Iterator[Check]:
-    particles, split, name = found["particles"], _split(found), "particles agree"
-    limit = f"{AGREED:.0%} or more"
-    if particles == 1:
-        says = "With one particle nothing shows whether another would agree: use more."
-        yield check(name, "unknown", "one particle", limit, says)
-        return
-    least = min(found["agreement"].values())
-    value = f"{least:.0%} on each goal"
-    if not split:
-        whose = _by_agents(found, "the agent's goal", "both agents' goals", "all agents' goals")
-        says = f"The {particles} particles agree on {whose} {_margin(found)}".rstrip() + "."
-        yield check(name, "ok", value, limit, says)
-        return
-    camps = {name: _camps(found["leading_goals"][name]) for name in split}
-    agreed = [name for name in found["agreement"] if name not in split]
-    by_agent = "; ".join(f"for {_agent(name)}, {camp}" for name, camp in camps.items())
-    if len(split) == 1 and len(agreed) == 1:
-        text = f"agree on {_asked(agreed[0])} but not on {_agent(split[0])}'s"
-        text += f", where {camps[split[0]]}"
-    elif agreed:
-        text = f"agree on {' and '.join(map(_asked, agreed))} only: {by_agent}"
-    elif len(split) == 1:
-        text = f"do not agree on {_asked(split[0])}: {camps[split[0]]}"
-    else:
-        whose = "neither agent's goal" if len(split) == 2 else "no agent's goal"
-        text = f"agree on {whose}: {by_agent}"
-    says = (
-        f"The {particles} particles {text} {_margin(found)}. More iterations would tell real "
-        "uncertainty from chains that have not mixed."
-    )
-    yield check(name, "doubt", value, limit, says, longer)
-
-
-def _camps(leading: Mapping[str, int]) -> str:
-    """Return which goals the particles favour, as "7 favour 'A', 5 'B' and 3 something else"."""
-    named = [(goal, n) for goal, n in list(leading.items())[:_NAMED] if n > 1]
-    rest = sum(leading.values()) - sum(n for _, n in named)
-    if not named:
-        return f"all {rest} favour different ones"
-    (first, most), *others = named
-    parts = [f"{most} favour '{first}'", *(f"{n} '{goal}'" for goal, n in others)]
-    parts += [f"{rest} something else"] if rest else []
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def _mixing(found: Mapping[str, Any], longer: str) -> Check:
-    """Return whether chains differ more than draws of one law do."""
-    worst = {"the log joint": found["scalars"]["log_joint"]["r_hat"]}
-    for name, labels in found["categories"].items():
-        of_labels = [one["r_hat"] for one in labels.values() if one["r_hat"] is not None]
-        worst[_titled(name)] = max(of_labels, default=None)
-    known = {name: r for name, r in worst.items() if r is not None}
-    draws, limit, name = found["iterations"], f"{MIXED:g} or less", "chains have mixed"
-    if draws < MIN_DRAWS or not known:
-        says = (
-            f"R-hat and effective sample sizes need {MIN_DRAWS} draws per particle; "
-            f"there {'is' if draws == 1 else 'are'} {draws}."
-        )
-        if draws >= MIN_DRAWS:
-            says = "R-hat does not exist where nothing changes within half a chain."
-        value = f"{draws} draw{'' if draws == 1 else 's'} each"
-        return check(name, "unknown", value, limit, says)
-    of = max(known, key=lambda name: known[name])
-    value = f"R-hat {known[of]:.2f} of {of}"
-    apart = [f"{name} {r:.2f}" for name, r in known.items() if r > MIXED]
-    says = ""
-    if apart:
-        says = (
-            "The chains still depend on where they began: R-hat (1 where they have mixed) is "
-            f"{', '.join(apart)}."
-        )
-    elif draws < MIN_DRAWS_WITHIN and found["particles"] < MIN_CHAINS_BETWEEN:
-        says = (
-            f"Effective sample sizes need {MIN_DRAWS_WITHIN} draws per particle, or "
-            f"{MIN_CHAINS_BETWEEN} particles."
-        )
-    return check(name, "doubt" if apart else "ok", value, limit, says, longer)
-
-
-def _other_leaders(categories: Mapping[str, Any]) -> Iterator[Check]:
-    """Yield for which agent the weighting puts another goal first than the draws do."""
-    for name, goals in categories.items():
-        if not name.startswith(_GOAL):
-            continue
-        agent = _agent(name)
-        first = max(goals, key=lambda goal: goals[goal]["probability"])
-        if goals[first]["share"] < max(entry["share"] for entry in goals.values()):
-            says = f"The weights put another goal of {agent} first, '{first}'."
-            yield check("weights and draws", "doubt", f"differ on {agent}", "the same goal", says)
-
-
-_GOAL: Final = "goal_"  # begins the names of goals
-
-
-def _agent(goal: str) -> str:
-    return goal.removeprefix(_GOAL)
-
-
-def _asked(name: str) -> str:
-    """Return in words what a goal or relation is of."""
-    if name.startswith(_GOAL):
-        return f"{_agent(name)}'s goal"
-    return "the relation" if name == "relation" else name.replace("_", " ")
-
-
-def _titled(name: str) -> str:
-    return f"goal of {_agent(name)}" if name.startswith(_GOAL) else name.replace("_", " ")
-
-
-def _by_agents(found: Mapping[str, Any], one: str, two: str, more: str) -> str:
-    """Return what to say where there are one, two or more agents."""
-    return {1: one, 2: two}.get(len(found["agreement"]), more)
-
-
-def _combined(found: Mapping[str, Any]) -> str:
-    """Return in words what all agents want together, in the plural."""
-    return _by_agents(found, "goals", "pairs of goals", "combinations of goals")
-
-
-def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return what is not decided, and between what; see ``Hypotheses.leaders``."""
-    open_ones = []
-    for name, one in leaders.items():
-        if not one["sure"]:
-            error = math.nan if one["error"] is None else one["error"]
-            first = f"'{one['label']}' ({with_error(one['probability'], error)})"
-            second = f"'{one['next']}' ({one['next_probability']:.2f})"
-            open_ones.append(f"{_asked(name)} {first} or {second}")
-    return [f"Not decided: {'; '.join(open_ones)}."] if open_ones else []
-
-
-def _by_prior(found: Mapping[str, Any]) -> Iterator[Check]:
-    """Yield whether the video decides what is sure, or the prior."""
-    known = {
-        name: one
-        for name, one in found["leaders"].items()
-        if one["sure"] and one["without_prior"] is not None
-    }
-    if not known:
-        return
-    # rounded down, so that what is short of a limit is not shown as it
-    shown = {n: f"{math.floor(100 * one['without_prior']) / 100:.2f}" for n, one in known.items()}
-    below, said = 0.0, []
-    for most, says in (
-        (0.5, "The prior decides, not the video"),
-        (ALONE, f"The video alone does not decide, which takes {ALONE}"),
-    ):
-        names = [
-            f"{shown[name]} for {_asked(name)} '{one['label']}'"
-            for name, one in known.items()
-            if below <= one["without_prior"] <= most
-        ]
-        below = math.nextafter(most, 1)
-        if names:
-            said.append(
-                f"{says}: with all {_combined(found)} alike beforehand there would be "
-                f"{' and '.join(names)}."
-            )
-    least = min(known, key=lambda name: known[name]["without_prior"])
-    state: State = "doubt" if said else "ok"
-    value = f"{shown[least]} were goals alike before"
-    yield check("the video decides", state, value, f"above {ALONE}", " ".join(said))
-
-
-def _worth(found: Mapping[str, Any], longer: str) -> Check:
-    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
-    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones {_margin(found)}"
-    few = ": so few decide that another run may well differ."
-    too_few = ess < FEW and ess * draws < (found["effective_size_needed"] or math.inf)
-    says = text.rstrip() + (few if too_few else ".")
-    state: State = "doubt" if too_few else "ok"
-    value = f"worth {ess:.0%}, {ess * draws:.1f} of {draws}"
-    return check("weighted draws", state, value, f"{FEW:.0%} or more", says, longer)
-
-
-# --- of a reading step by step --------------------------------------------------------------------
 
 UNEXPLAINED: Final = 17.0
 """Nats below a perfect match, after the best joint action, from which on a frame counts as
@@ -465,122 +44,401 @@ TOO_SURPRISING: Final = 0.5
 DISAGREE: Final = 0.1
 """Standard error of a leading probability from which on the sets of searches disagree."""
 
+JUDGED: Final = ("trust", "answer", "checks", "next", "verdict")
+"""Keys that :func:`judged` makes."""
 
-def of_reading(found: Mapping[str, Any]) -> dict[str, Any]:
-    """Return whether a posterior that was read step by step can be trusted."""
-    checks = list(_of_reading(found))
-    own, samples, n_sets = found["samples"] is not None, found["samples"], found["planner_seeds"]
-    worst = max((one["error"] or 0.0 for one in found["leading"].values()), default=0.0)
-    agree = f"agree (largest standard error of a leading probability: {worst:.2g})."
-    if own:
-        closing = f"Samples come near every frame, and their {n_sets} parts {agree}"
-        if not samples:
-            closing = (
-                "The simulator's own density was summed over all hypotheses: there is no error "
-                "but the model's."
-            )
-    else:
-        share = found["surprising_share"] or 0.0
-        closing = (
-            f"Actions explain every frame, {1 - share:.0%} of them are such as the model expects, "
-            f"and the {n_sets} sets of searches {agree}"
+State = Literal["ok", "doubt", "fail", "unknown"]
+_LOOKS: Final[Mapping[State, tuple[str, str]]] = {
+    "fail": ("x", "#cf222e"),
+    "doubt": ("!", "#9a6700"),
+    "unknown": ("?", "#57606a"),
+    "ok": ("+", "#1a7f37"),
+}
+"""State, the worst first -> its mark, and its colour."""
+
+_TRUST: Final = {
+    "confident": "The computation can be trusted.",
+    "not certain": "The computation is not certain.",
+    "do not trust": "Do not trust it yet.",
+}
+_CLOSED_LOOP: Final = "leave the kernel out: ppl.infer(event, model)"
+_ONWARD: Final = "post.over_time() and post.why(...) show which frames the answer rests on"
+_TRACKS: Final = "check the tracks of these frames"
+_NAMED: Final = 3  # frames that are named
+_GOAL: Final = "goal_"  # begins the names of goals
+
+Record = Mapping[str, Any]
+
+
+class Check(NamedTuple):
+    """One thing that was looked at, to see whether an answer can be trusted."""
+
+    name: str
+    state: State  # "fail": do not trust the answer; "doubt": it is not certain
+    value: str  # what was found
+    limit: str  # what it takes to pass
+    says: str = ""  # what it means that it was not passed
+    advice: str = ""  # what to do about it
+
+
+def judged(leaders: Record, checks: Sequence[Check], closing: str = "") -> dict[str, Any]:
+    """Return the end of a record of diagnostics.
+
+    ``trust`` ("confident", "not certain", "do not trust"), the ``answer`` in a line, the
+    ``checks``, what to do ``next``, and the ``verdict``: what the checks say that were not passed,
+    the worst first, or the ``closing`` where none says anything.
+    """
+    checks = [one._replace(says="", advice="") if one.state == "ok" else one for one in checks]
+    ordered = sorted(checks, key=lambda one: list(_LOOKS).index(one.state))
+    worst = ordered[0].state if ordered else "ok"
+    trust = {"fail": "do not trust", "doubt": "not certain"}.get(worst, "confident")
+    parts = [
+        f"{_of(name)}{one['label']} ({one['probability']:.2f})" for name, one in leaders.items()
+    ]
+    return {
+        "trust": trust,
+        "answer": f"{'; '.join(parts)}. {_TRUST[trust]}",
+        "checks": [one._asdict() for one in checks],
+        "next": next((one.advice for one in ordered if one.advice), _ONWARD),
+        "verdict": " ".join(one.says for one in ordered if one.says) or closing,
+    }
+
+
+def _of(name: str) -> str:
+    """Return in words whose goal or relation this is, before its label."""
+    if name == "relation":
+        return ""
+    name = name.removeprefix(_GOAL).removeprefix("relation_")
+    return f"{name.replace('_', ' and ')}: "
+
+
+def _asked(name: str) -> str:
+    """Return in words what a goal or relation is of."""
+    if name.startswith(_GOAL):
+        return f"{name.removeprefix(_GOAL)}'s goal"
+    return "the relation" if name == "relation" else name.replace("_", " ")
+
+
+def verdict_lines(found: Record) -> list[str]:
+    """Return the answer, the checks, what the worst one says, and the next step, as lines."""
+    shown, label = list(wrapped("answer", found["answer"])), "checks"
+    for one in found["checks"]:
+        row = f"{_LOOKS[one['state']][0]} {one['name']:<24}{one['value']:<29}{one['limit']}"
+        shown.append(f"{label:<{LABEL}}{row}".rstrip())
+        label = ""
+    said = [one["says"] for state in _LOOKS for one in found["checks"] if one["state"] == state]
+    if said and said[0]:
+        shown += wrapped("why", said[0])
+    return [*shown, *wrapped("next", found["next"])]
+
+
+def as_html(found: Record) -> str:
+    """Return the answer, the checks as a coloured list, and the next step."""
+    rows = []
+    for one in found["checks"]:
+        mark, colour = _LOOKS[one["state"]]
+        name, value, limit, says = (
+            html.escape(one[key]) for key in ("name", "value", "limit", "says")
         )
-    return judged(found["leading"], checks, closing)
-
-
-def _of_reading(found: Mapping[str, Any]) -> Iterator[Check]:
-    n, n_sets, samples = found["frames"] - 1, found["planner_seeds"], found["samples"]
-    own = samples is not None
-    if n == 0:
-        says = "Nothing was seen but the start: this is the prior."
-        yield check("frames seen", "doubt", "the start", "2 or more", says, "watch further frames")
-        return
-    yield _explained(found, own)
-    yield from _apart(found["overlapping_frames"])
-    if not own:
-        yield _expected(found)
-    more = _more_sets(n_sets, samples)
-    yield _decided(found["leading"], "" if own and not samples else more)
-    yield from _searched(found, own)
-
-
-def _more_sets(n_sets: int, samples: int | None) -> str:
-    given = f"samples={4 * samples}" if samples else f"planner_seeds={max(4, 2 * n_sets)}"
-    return f"search more: likelihood=ppl.StepwiseLikelihood({given})"
-
-
-def _explained(found: Mapping[str, Any], own: bool) -> Check:
-    frames, most = found["unexplained_frames"], found["unexplained_most"]
-    name = "frames are explained"
-    if frames:
-        which = frames_text(frames)
-        says = (
-            f"No sample of the simulator comes near {which}: its tails decide, of which samples "
-            "say nothing."
-            if own
-            else f"No action explains {which}: a body is where nothing could have put it. The "
-            "probabilities hold only for a video that this is not."
+        rows.append(
+            f'<li><strong style="color:{colour}">{mark}</strong> <strong>{name}</strong>: {value} '
+            f"<small>({limit})</small>{says and f'<br><small>{says}</small>'}</li>"
         )
-        n = len(frames)
-        value = f"all but {n}"
-        return check(name, "fail", value, "all", says, "check the tracks of these frames")
-    value = "all" if most is None else f"all, within {most:.0f} nats"
-    return check(name, "ok", value, "all" if most is None else f"{UNEXPLAINED:.0f} nats")
+    return (
+        f"<p><strong>{html.escape(found['answer'])}</strong></p><ul>{''.join(rows)}</ul>"
+        f"<p>Next: {html.escape(found['next'])}</p>"
+    )
 
 
-def _expected(found: Mapping[str, Any]) -> Check:
-    share, name, limit = found["surprising_share"], "agents act as expected", TOO_SURPRISING
-    if share is None:
-        says = "Nothing was kept that would tell whether the model expects such a video."
-        return check(name, "unknown", "not kept", f"{limit:.0%} or more", says)
-    says = ""
-    if share > limit:
-        says = (
-            f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
-            f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
-        )
-    value = f"in {1 - share:.0%} of the frames"
-    return check(name, "fail" if says else "ok", value, f"{1 - limit:.0%} or more", says)
-
-
-def _searched(found: Mapping[str, Any], own: bool) -> Iterator[Check]:
-    n_sets, samples = found["planner_seeds"], found["samples"]
-    sets = "parts of the samples" if own else "sets of searches"
-    name = "samples agree" if own else "searches agree"
-    if n_sets == 1:
-        if not own:
-            says = (
-                "With one set of searches nothing tells how much of this is the planner's chance."
-            )
-            yield check(name, "unknown", "one set", "2 sets or more", says)
-        return
-    errors = {key: one["error"] for key, one in found["leading"].items()}
-    worst = max(errors, key=lambda key: errors[key] if errors[key] == errors[key] else 0.0)
-    error, says, more = errors[worst], "", ""
-    if error > DISAGREE:
-        more = _more_sets(n_sets, samples)
-        says = (
-            f"The {n_sets} {sets} disagree on {_asked(worst)} (standard error {error:.2f}): "
-            "use more."
-        )
-    value, limit = f"error {error:.2g}, {n_sets} sets", f"{DISAGREE:g} or less"
-    yield check(name, "doubt" if says else "ok", value, limit, says, more)
+# --- of draws, and of a reading step by step ------------------------------------------------------
 
 
 def _apart(frames: list[int]) -> Iterator[Check]:
-    """Yield what the frames in which bodies lie on each other say of a posterior, if there are."""
     if frames:
         says = (
-            f"Bodies lie on each other or in a wall in {frames_text(frames)}, which bodies of this "
+            f"Bodies lie on each other or in a wall in {_frames(frames)}, which bodies of this "
             "world cannot: what they do there says little of goals."
         )
-        do = "check the tracks of these frames"
-        yield check("bodies are apart", "fail", f"not in {len(frames)} frames", "always", says, do)
+        value = f"not in {len(frames)} frames"
+        yield Check("bodies are apart", "fail", value, "always", says, _TRACKS)
 
 
-def frames_text(frames: list[int]) -> str:
+def _frames(frames: list[int]) -> str:
     """Return frames by number, the first few if they are many."""
-    named = ", ".join(map(str, frames[:_FRAMES_NAMED]))
-    if len(frames) > _FRAMES_NAMED:
+    named = ", ".join(map(str, frames[:_NAMED]))
+    if len(frames) > _NAMED:
         return f"{len(frames)} frames ({named}, ...)"
     return f"frame{'s' if len(frames) > 1 else ''} {named}"
+
+
+def _decided(leaders: Record, advice: str) -> Check:
+    sure = sum(one["sure"] for one in leaders.values())
+    open_ones = [
+        f"{_asked(name)} '{one['label']}' "
+        f"({with_error(one['probability'], math.nan if one['error'] is None else one['error'])}) "
+        f"or '{one['next']}' ({one['next_probability']:.2f})"
+        for name, one in leaders.items()
+        if not one["sure"]
+    ]
+    says, value = (
+        f"Not decided: {'; '.join(open_ones)}.",
+        f"{sure} of {len(leaders)}, beyond errors",
+    )
+    return Check("answers above 1/2", "doubt" if open_ones else "ok", value, "all", says, advice)
+
+
+# --- of chains and weighted draws -----------------------------------------------------------------
+
+
+def of_draws(found: Record) -> dict[str, Any]:
+    """Return whether a posterior of draws or simulations with these diagnostics can be trusted."""
+    draws, particles, weights = found["iterations"], found["particles"], found["weights"]
+    weighted, simulations = found["weighted_draws_ess"] is not None, found["simulations"]
+    more = f"run longer: iterations={max(40, 4 * draws)}"
+    if draws == 1 and weighted:  # a population
+        more = f"take more particles: chains={4 * particles}"
+    longer = f"{more}, or {_CLOSED_LOOP}"
+    checks = [*_apart(found["overlapping_frames"])]
+    if weights == "likelihood":
+        says = "The weights 'likelihood' make every probability too extreme."
+        checks.append(Check("weights", "fail", weights, "any other", says, 'weights="count"'))
+    if found["validity"] == "approximate" and weights != "stratified":
+        says = (
+            f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
+            "long it runs."
+        )
+        checks.append(Check("kernel", "doubt", "approximate", "exact", says, 'kernel="local_mh"'))
+    checks += [_enough(found, longer), _decided(found["leaders"], longer), *_by_prior(found)]
+    checks += _tried(found, longer)
+    if not weighted:
+        checks += [_accepted(found, longer), _agreement(found, longer), _mixing(found, longer)]
+        checks += _other_leaders(found["categories"])
+    elif weights == "count":  # else all simulations count, not the draws alone
+        checks.append(_worth(found, longer))
+    if n := simulations["failed"]:
+        says = f"{n} of {simulations['total']} simulations failed."
+        checks.append(Check("simulations succeeded", "doubt", f"{n} failed", "all", says))
+    return judged(found["leaders"], checks, "Nothing speaks against the leading answers.")
+
+
+def _enough(found: Record, longer: str) -> Check:
+    needed, size = found["effective_size_needed"], found["effective_size"]
+    name = "enough simulations"
+    if needed is None:
+        says = (
+            "Not enough: goals that the video suggests fit no better than chance, and goals with "
+            f"{found['untried']:.2f} of the prior's mass were never simulated to the end."
+        )
+        if found["kernel"] != "amis" and len(found["agreement"]) <= 2:
+            learns = 'if simulations take milliseconds, kernel="amis" learns what fits'
+            longer = f"{learns}; else {longer}"
+        return Check("suggestions fit", "fail", "no better than chance", "better", says, longer)
+    if size is None:
+        says = "With one particle nothing tells how much another run would differ."
+        return Check(name, "unknown", "one particle", "2 or more", says)
+    says = (
+        f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
+        f"{needed:g}. Another run may well differ."
+    )
+    state: State = "fail" if size < needed else "ok"
+    return Check(name, state, f"{size:.1f} effective", f"{needed:g} or more", says, longer)
+
+
+def _by_prior(found: Record) -> Iterator[Check]:
+    """Yield whether the video decides what is sure, or the prior."""
+    leaders = found["leaders"].items()
+    known = {n: one["without_prior"] for n, one in leaders if one["sure"]}
+    known = {name: share for name, share in known.items() if share is not None}
+    if known:
+        # rounded down, so that what is short of a limit is not shown as it
+        shown = {name: f"{math.floor(100 * share) / 100:.2f}" for name, share in known.items()}
+        short = [f"{shown[name]} for {_asked(name)}" for name in known if known[name] <= ALONE]
+        says = (
+            f"With all goals alike beforehand there would be {' and '.join(short)}: above {ALONE} "
+            "the video decides, up to 1/2 the prior."
+        )
+        value = f"{min(shown.values())} were goals alike before"
+        state: State = "doubt" if short else "ok"
+        yield Check("the video decides", state, value, f"above {ALONE}", says)
+
+
+def _tried(found: Record, longer: str) -> Iterator[Check]:
+    n, untried = found["untried_rivals"], found["untried"]
+    says = f"Never simulated: {n} rival{'s' * (n > 1)} of the leading goals, at another landmark."
+    state, value = ("doubt", f"{n} untried") if n else ("ok", "all")
+    yield Check("rivals tried", state, value, "none untried", says, longer)  # type: ignore[arg-type]
+    if untried is not None and found["effective_size_needed"] is not None:  # else it is said
+        says = (
+            f"Goals with {untried:.2f} of the prior's mass were never simulated to the end, and "
+            "count as impossible."
+        )
+        few: State = "unknown" if untried >= UNTRIED else "ok"
+        value, limit = f"{1 - untried:.2f} of the prior", f"{1 - UNTRIED:.2f} or more"
+        yield Check("goals simulated", few, value, limit, says)
+
+
+def _accepted(found: Record, longer: str) -> Check:
+    rate = found["acceptance_rate"]
+    state: State = "fail" if rate == 0 else "doubt" if rate < STUCK else "ok"
+    says = (
+        f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left the "
+        "bottom-up guess."
+        if rate
+        else "No proposal was accepted: this is still the bottom-up guess, not a posterior."
+    )
+    limit = f"{STUCK:.0%} or more"
+    return Check("proposals accepted", state, f"{rate:.0%}", limit, says, longer)
+
+
+def _agreement(found: Record, longer: str) -> Check:
+    n, name, limit = found["particles"], "particles agree", f"{AGREED:.0%} or more"
+    if n == 1:
+        says = "With one particle nothing shows whether another would agree: use more."
+        return Check(name, "unknown", "one particle", limit, says)
+    least = min(found["agreement"].values())
+    split = [
+        f"on {_asked(goal)}, where {_camps(found['leading_goals'][goal])}"
+        for goal, share in found["agreement"].items()
+        if share < AGREED
+    ]
+    says = (
+        f"The {n} particles do not agree {'; '.join(split)}. More iterations would tell "
+        "real uncertainty from chains that have not mixed."
+    )
+    state: State = "doubt" if split else "ok"
+    return Check(name, state, f"{least:.0%} on each goal", limit, says, longer)
+
+
+def _camps(leading: Mapping[str, int]) -> str:
+    """Return which goals the particles favour, as "7 favour 'A', 5 favour 'B', 3 others"."""
+    named = [(goal, n) for goal, n in list(leading.items())[:2] if n > 1]
+    rest = sum(leading.values()) - sum(n for _, n in named)
+    if not named:
+        return f"all {rest} favour different ones"
+    parts = [f"{n} favour '{goal}'" for goal, n in named]
+    return ", ".join([*parts, f"{rest} others"] if rest else parts)
+
+
+def _mixing(found: Record, longer: str) -> Check:
+    """Return whether chains differ more than draws of one law do."""
+    worst = {"the log joint": [found["scalars"]["log_joint"]["r_hat"]]}
+    for name, labels in found["categories"].items():
+        titled = name.replace("_", " ").replace("goal ", "goal of ")
+        worst[titled] = [one["r_hat"] for one in labels.values()]
+    known = {
+        name: max(there)
+        for name, r_hats in worst.items()
+        if (there := [one for one in r_hats if one is not None])
+    }
+    draws, limit, name = found["iterations"], f"{MIXED:g} or less", "chains have mixed"
+    if draws < MIN_DRAWS or not known:
+        says = "R-hat does not exist where nothing changes within half a chain."
+        if draws < MIN_DRAWS:
+            says = (
+                f"R-hat and effective sample sizes need {MIN_DRAWS} draws per particle; "
+                f"there {'is' if draws == 1 else 'are'} {draws}."
+            )
+        return Check(name, "unknown", f"{draws} draw{'s' * (draws != 1)} each", limit, says)
+    of = max(known, key=lambda name: known[name])
+    apart = [f"{r:.2f} of {name}" for name, r in known.items() if r > MIXED]
+    says = f"R-hat {', '.join(apart)}; below {MIXED:g} chains agree."
+    value = f"R-hat {known[of]:.2f} of {of}"
+    return Check(name, "doubt" if apart else "ok", value, limit, says, longer)
+
+
+def _other_leaders(categories: Record) -> Iterator[Check]:
+    """Yield for which agent the weighting puts another goal first than the draws do."""
+    for name, goals in categories.items():
+        if not name.startswith(_GOAL):
+            continue
+        agent, first = name.removeprefix(_GOAL), max(goals, key=lambda g: goals[g]["probability"])
+        if goals[first]["share"] < max(entry["share"] for entry in goals.values()):
+            says = f"The weights put another goal of {agent} first, '{first}'."
+            yield Check("weights and draws", "doubt", f"differ on {agent}", "the same goal", says)
+
+
+def _worth(found: Record, longer: str) -> Check:
+    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
+    says = (
+        f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones: so few decide that "
+        "another run may well differ."
+    )
+    too_few = ess < FEW and ess * draws < (found["effective_size_needed"] or math.inf)
+    state: State = "doubt" if too_few else "ok"
+    value = f"worth {ess:.0%}, {ess * draws:.1f} of {draws}"
+    return Check("weighted draws", state, value, f"{FEW:.0%} or more", says, longer)
+
+
+# --- of a reading step by step --------------------------------------------------------------------
+
+
+def of_reading(found: Record) -> dict[str, Any]:
+    """Return whether a posterior that was read step by step can be trusted."""
+    n_sets, samples, leaders = found["planner_seeds"], found["samples"], found["leading"]
+    own = samples is not None
+    if found["frames"] == 1:
+        says = "Nothing was seen but the start: this is the prior."
+        see = "watch further frames"
+        return judged(leaders, [Check("frames seen", "doubt", "the start", "2 or more", says, see)])
+    given = f"samples={4 * samples}" if samples else f"planner_seeds={max(4, 2 * n_sets)}"
+    more = f"search more: likelihood=ppl.StepwiseLikelihood({given})"
+    checks = [_explained(found, own), *_apart(found["overlapping_frames"])]
+    checks += [] if own else [_expected(found)]
+    checks.append(_decided(leaders, "" if own and not samples else more))
+    errors = {key: one["error"] or 0.0 for key, one in leaders.items()}
+    worst = max(errors, key=lambda key: errors[key])
+    sets, name = ("parts of the samples", "samples") if own else ("sets of searches", "searches")
+    if n_sets > 1:
+        says = (
+            f"The {n_sets} {sets} disagree on {_asked(worst)} (standard error "
+            f"{errors[worst]:.2f}): use more."
+        )
+        state: State = "doubt" if errors[worst] > DISAGREE else "ok"
+        value = f"error {errors[worst]:.2g}, {n_sets} sets"
+        checks.append(Check(f"{name} agree", state, value, f"{DISAGREE:g} or less", says, more))
+    elif not own:
+        says = "With one set of searches nothing tells how much of this is the planner's chance."
+        checks.append(Check(f"{name} agree", "unknown", "one set", "2 sets or more", says))
+    closing = "Samples come near every frame, and their parts agree."
+    if not own:
+        closing = "Actions explain every frame, as the model expects them, and the searches agree."
+    elif not samples:
+        closing = (
+            "The simulator's own density was summed over all hypotheses: there is no error but "
+            "the model's."
+        )
+    return judged(leaders, checks, closing)
+
+
+def _explained(found: Record, own: bool) -> Check:
+    frames, most, name = (
+        found["unexplained_frames"],
+        found["unexplained_most"],
+        "frames are explained",
+    )
+    if frames:
+        says = (
+            f"No sample of the simulator comes near {_frames(frames)}: its tails decide, of which "
+            "samples say nothing."
+            if own
+            else f"No action explains {_frames(frames)}: a body is where nothing could have put "
+            "it. The probabilities hold only for a video that this is not."
+        )
+        return Check(name, "fail", f"all but {len(frames)}", "all", says, _TRACKS)
+    if most is None:
+        return Check(name, "ok", "all", "all")
+    return Check(name, "ok", f"all, within {most:.0f} nats", f"{UNEXPLAINED:.0f} nats")
+
+
+def _expected(found: Record) -> Check:
+    share, name, limit = found["surprising_share"], "agents act as expected", TOO_SURPRISING
+    if share is None:
+        says = "Nothing was kept that would tell whether the model expects such a video."
+        return Check(name, "unknown", "not kept", f"{limit:.0%} or more", says)
+    says = (
+        f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
+        f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
+    )
+    state: State = "fail" if share > limit else "ok"
+    value = f"in {1 - share:.0%} of the frames"
+    return Check(name, state, value, f"{1 - limit:.0%} or more", says)

@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import (
     array,
+    completed,
     effective_goals,
     log_weight_of_draws,
     own_sites,
@@ -156,8 +157,7 @@ def stratified(tree: xr.DataTree) -> Rows:
     with np.errstate(invalid="ignore"):  # of what failed
         log_weight = strata.log_mass + simulations["log_likelihood"].values
         log_weight = log_weight + _log_reciprocal_proposal(tree)
-    usable = simulations["completed"].values & ~simulations["failed"].values
-    row = np.flatnonzero(usable & np.isfinite(log_weight))
+    row = np.flatnonzero(completed(tree) & np.isfinite(log_weight))
     if not row.size:
         raise InvalidSettingError("weights 'stratified' need at least one completed simulation")
     weights = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
@@ -225,11 +225,9 @@ def has_proposals(tree: xr.DataTree) -> bool:
 
 def _n_requests(simulations: xr.Dataset) -> NDArray[np.int64]:
     """Return (simulation,) how many requests of known proposal density each answered."""
-    again = simulations["log_again"].values
     # files did not always say how many there were
-    n_again = simulations["n_again"].values if "n_again" in simulations else again > -np.inf
-    known: NDArray[np.bool_] = ~np.isnan(simulations["log_proposal"].values)
-    return known.astype(np.int64) + n_again
+    again = simulations.get("n_again", simulations["log_again"] > -np.inf).values
+    return (~np.isnan(simulations["log_proposal"].values)).astype(np.int64) + again
 
 
 def _with_again(simulations: xr.Dataset, log_first: FloatArray) -> FloatArray:
@@ -251,9 +249,9 @@ def _log_reciprocal_proposal(
     if log_likelihood is None:
         log_likelihood = simulations["log_likelihood"].values.astype(float)
     bound = simulations["log_bound"].values
-    log_completion = np.zeros(len(bound))  # for certain, where there was no bound
-    limited = np.isfinite(bound)
-    log_completion[limited] = np.minimum(0.0, bound[limited] + log_likelihood[limited])
+    with np.errstate(invalid="ignore"):  # of what failed
+        allowed = np.minimum(0.0, bound + log_likelihood)
+    log_completion = np.where(np.isfinite(bound), allowed, 0.0)
     return _with_again(simulations, -simulations["log_proposal"].values - log_completion)
 
 
@@ -282,52 +280,35 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
             "this posterior does not hold the likelihood of each frame of its simulations "
             "(simulations/step_log_likelihood); infer it again"
         )
-    if not (simulations["completed"].values & ~simulations["failed"].values).any():
+    if not completed(tree).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
+    by_frame = simulations["step_log_likelihood"].values
+    known = np.logical_and.accumulate(~np.isnan(by_frame), axis=1)
+    likelihood = np.cumsum(np.where(known, by_frame, 0.0), axis=1)
     if not (has_proposals(tree) and _has_prior(tree)):
-        return "count", *_draws_so_far(tree)
-    return "stratified", *_strata_so_far(tree)
-
-
-def _strata_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the rows of simulations and their weights (row, time)."""
-    simulations, log_mass = tree["simulations"].dataset, _strata(tree).log_mass
-    known, so_far = _likelihood_so_far(tree)
-    n_requests = _n_requests(simulations)
+        row, log_weight = simulation_of_draw(tree).ravel(), log_weight_of_draws(tree).ravel()
+        row, log_weight = row[row >= 0], log_weight[row >= 0]
+        log_weights = log_weight[:, None] + likelihood[row] - likelihood[row, -1:]
+        return "count", row, np.stack([normalised(one) for one in log_weights.T], axis=1)
+    log_mass, n_requests = _strata(tree).log_mass, _n_requests(simulations)
     # a frame that was not simulated counts as one without error where a simulation may be stopped
     unknown = (~known).sum(axis=1)
     total = simulations["log_likelihood"].values
     stopped = (unknown > 0) & np.isfinite(total)
-    perfect = ((total - so_far[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
+    perfect = ((total - likelihood[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
     perfect = perfect if np.isfinite(perfect) else np.inf
     # where one was stopped, its last frame is the first that the probability does not allow for
     cut = np.isfinite(simulations["log_bound"].values) & ~simulations["completed"].values
     n_known = np.where(cut, simulations["frames_simulated"].values - 1, known.shape[1])
     weights, used = np.zeros(known.shape), np.zeros(len(known), bool)
     for t, left in enumerate(reversed(range(known.shape[1]))):
-        at_best = so_far[:, t] + (left * perfect if left else 0.0)
-        log_weight = log_mass + so_far[:, t] + _log_reciprocal_proposal(tree, at_best)
+        at_best = likelihood[:, t] + (left * perfect if left else 0.0)
+        log_weight = log_mass + likelihood[:, t] + _log_reciprocal_proposal(tree, at_best)
         usable = known[:, t] & (t < n_known) & ~simulations["failed"].values
         usable &= np.isfinite(log_weight)
         weights[usable, t] = truncated(normalised(log_weight[usable]), n_requests[usable])
         used |= usable
-    return np.flatnonzero(used), weights[used]
-
-
-def _draws_so_far(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the rows of the draws' simulations and their weights (row, time)."""
-    row, (_, so_far) = simulation_of_draw(tree).reshape(-1), _likelihood_so_far(tree)
-    log_weight = log_weight_of_draws(tree).reshape(-1)[row >= 0]
-    row = row[row >= 0]
-    log_weight = log_weight[:, None] + so_far[row] - so_far[row, -1:]
-    return row, np.stack([normalised(column) for column in log_weight.T], axis=1)
-
-
-def _likelihood_so_far(tree: xr.DataTree) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Return (simulation, time) whether a frame was simulated, and the log likelihood so far."""
-    by_frame = tree["simulations"].dataset["step_log_likelihood"].values
-    known = np.logical_and.accumulate(~np.isnan(by_frame), axis=1)
-    return known, np.cumsum(np.where(known, by_frame, 0.0), axis=1)
+    return "stratified", np.flatnonzero(used), weights[used]
 
 
 def _sites(tree: xr.DataTree) -> list[str]:

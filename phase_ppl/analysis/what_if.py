@@ -8,15 +8,15 @@ import math
 import os
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from scipy.special import bdtr
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.estimate import Estimate, cautious
-from phase_ppl.analysis.weights import Rows
 from phase_ppl.closed_loop.hidden_state import Tracking, reconstructed
 from phase_ppl.physics.pymunk_world import AWAY
 from phase_ppl.render.video import Film, video
@@ -39,7 +39,7 @@ from phase_ppl.world.hypothesis import ALPHAS, STANCES, Hypothesis, checked_stre
 from phase_ppl.world.names import Literal, Predicate
 from phase_ppl.world.picture import Printed
 from phase_ppl.world.scene import Scene, World
-from phase_ppl.world.space import HypothesisSpace, space_of
+from phase_ppl.world.space import space_of
 
 WORLDS: Final = ("as it is", "changed")
 _BY_CHANCE: Final = 0.05
@@ -116,10 +116,11 @@ class WhatIf(Printed):
             wanted = self.goals[row][holder] if goal is None else goal_index(goal, self.world)
             literal = goal_literal(wanted, holder, self.world)
             near = self._wanted_near(literal, holder) if world else None
-            if near is None:
-                when = [t for t, one in enumerate(frames) if is_true(literal, one, scene)]
-            else:
-                when = [] if near else list(range(len(frames)))
+            when = [
+                t
+                for t, one in enumerate(frames)
+                if (is_true(literal, one, scene) if near is None else not near)
+            ]
             if when and (literal.positive or when[-1] == len(frames) - 1):
                 frame = when[0] if literal.positive else when[-1]
                 found[world, row] = (self.begin + frame) / FRAMES_PER_SECOND
@@ -129,10 +130,9 @@ class WhatIf(Printed):
     def _wanted_near(self, literal: Literal, holder: int) -> bool | None:
         """Return whether what was removed is to be near something; None: it is about the rest."""
         planned = planned_as(literal, holder, self.scenes[0])
-        bodies = {planned.subject}
-        if planned.predicate is Predicate.TOUCH:
-            bodies.add(planned.target)
-        return None if bodies.isdisjoint(self.removed) else planned.positive
+        touched = [planned.target] if planned.predicate is Predicate.TOUCH else []
+        about_it = not {planned.subject, *touched}.isdisjoint(self.removed)
+        return planned.positive if about_it else None
 
     def probability(self, agent: str, goal: str | None = None) -> list[Estimate]:
         """Return in each world the probability that an agent's goal is reached."""
@@ -187,17 +187,16 @@ class WhatIf(Printed):
             told.append(f"{share}{f' (after {np.median(reached):.1f} s)' if reached.size else ''}")
         if len(told) == 1:
             return told[0]
-        words = f"{told[0]} as it is, {told[1]} with {self.change}"
-        change = self.difference(agent)
-        before, after = np.isfinite(seconds)
+        change, (before, after) = self.difference(agent), np.isfinite(seconds)
         either = [int((after & ~before).sum()), int((before & ~after).sum())]
         if 2 * bdtr(min(either), sum(either), 0.5) > _BY_CHANCE:
-            return f"{words}; no difference that so few simulations would show ({change})"
-        if not self.is_removal:
-            return f"{words}: {'more' if change > 0 else 'less'} often ({change})"
-        names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
-        role = "in its way" if change > 0 else "of help"
-        return f"{words}: {names} was {role} ({change})"
+            so = f"; no difference that so few simulations would show ({change})"
+        elif self.is_removal:
+            names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
+            so = f": {names} was {'in its way' if change > 0 else 'of help'} ({change})"
+        else:
+            so = f": {'more' if change > 0 else 'less'} often ({change})"
+        return f"{told[0]} as it is, {told[1]} with {self.change}{so}"
 
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"
@@ -205,14 +204,12 @@ class WhatIf(Printed):
 
 def _entity(name: object, among: Sequence[str]) -> int:
     """Return the number of an entity by its name, or by the first word of one name only."""
-    if isinstance(name, str):
-        said = name.strip().lower()
-        names = [known.lower() for known in among]
-        first_words = [known.split()[0] for known in names]
-        if said in names:
-            return names.index(said)
-        if first_words.count(said) == 1:
-            return first_words.index(said)
+    said = str(name).strip().lower()
+    names = [known.lower() for known in among]
+    first_words = [known.split()[0] for known in names]
+    for known in (names, first_words):
+        if known.count(said) == 1:
+            return known.index(said)
     raise unknown_name("entity", name, among)
 
 
@@ -248,22 +245,34 @@ class Change:
         sites: dict[str, Any] = {}
         goals: dict[str, int] = {}
         for name, value in given.items():
+            stated = name.removeprefix("stated_")
             if value is None:
                 continue
             if name in space.strength_sites:
                 sites[name] = checked_strength(name, value)
                 words.append(f"{name} = {value}")
-                continue
-            if (stated := name.removeprefix("stated_")) not in space.goal_sites:
+            elif stated in space.goal_sites:
+                goal = goal_index(value, world)
+                if space.impossible[space.goal_sites.index(stated), goal]:
+                    raise InvalidSettingError(
+                        f"{name}={world.goals[goal]!r} names the agent itself"
+                    )
+                (goals if name == stated else sites)[stated] = goal
+                words.append(f"{name} = {world.goals[goal]}")
+            else:
                 known = (*space.goal_sites, *space.stated_sites, *space.strength_sites)
                 raise unknown_name("quantity to change", name, known)
-            goal = goal_index(value, world)
-            if space.impossible[space.goal_sites.index(stated), goal]:
-                raise InvalidSettingError(f"{name}={world.goals[goal]!r} names the agent itself")
-            (goals if name == stated else sites)[stated] = goal
-            words.append(f"{name} = {world.goals[goal]}")
         if relation is not None:
-            sites[space.company_site] = _way(space, relation)
+            towards: list[tuple[int, int] | None] = [None] * space.n_agents
+            for (who, whom), word in relation.items():
+                check_name("relation", word, STANCES)
+                towards[world.agent(who)] = world.agent(whom), STANCES[word]
+            if tuple(towards) not in space.ways:
+                raise InvalidSettingError(
+                    f"relation={shown(dict(relation))}: whom one helps or hinders must be another "
+                    "agent that pursues a goal of its own"
+                )
+            sites[space.company_site] = space.ways.index(tuple(towards))
             said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
             words.append(" and ".join(said) or "nobody helping or hindering")
         if alpha is not None:
@@ -285,55 +294,25 @@ class Change:
             InvalidSettingError: somebody could do nothing for or against what another then wants.
         """
         space, sites = space_of(self.world), {**sites, **self.sites}
-        own = dict(zip(space.goal_sites, _effective(space, sites), strict=True))
+        codes = {name: np.array([sites[name]]) for name in space.limits}
+        effective = space.effective(codes)[0].tolist()
+        if min(effective) < 0:
+            agent = next(agent for agent, goal in enumerate(effective) if goal < 0)
+            owner = int(space.owner[int(sites[space.company_site]), agent])
+            agents, goals = self.world.agents, self.world.goals
+            raise InvalidSettingError(
+                f"the {agents[agent]} can do nothing for or against what the {agents[owner]} "
+                f"would want: {goals[int(sites[space.goal_sites[owner]])]!r}"
+            )
+        own = dict(zip(space.goal_sites, effective, strict=True))
         nobody = space.ways.index((None,) * space.n_agents)
         return space.hypothesis({**sites, **own, **self.goals, space.company_site: nobody})
 
 
-def _way(space: HypothesisSpace, relation: Mapping[tuple[str, str], str]) -> int:
-    """Return the code of who helps or hinders whom."""
-    world = space.world
-    towards: list[tuple[int, int] | None] = [None] * space.n_agents
-    for (who, whom), word in relation.items():
-        check_name("relation", word, STANCES)
-        towards[world.agent(who)] = world.agent(whom), STANCES[word]
-    if tuple(towards) not in space.ways:
-        raise InvalidSettingError(
-            f"relation={shown(dict(relation))}: whom one helps or hinders must be another agent "
-            "that pursues a goal of its own"
-        )
-    return space.ways.index(tuple(towards))
-
-
-def _effective(space: HypothesisSpace, sites: Mapping[str, Any]) -> list[int]:
-    """Return (agent,) what each acts on."""
-    found = space.effective({name: np.array([sites[name]]) for name in space.limits})[0].tolist()
-    for agent, goal in enumerate(found):
-        if goal < 0:
-            owner = int(space.owner[int(sites[space.company_site]), agent])
-            raise InvalidSettingError(
-                f"the {space.world.agents[agent]} can do nothing for or against what the "
-                f"{space.world.agents[owner]} would want: "
-                f"{space.world.goals[int(sites[space.goal_sites[owner]])]!r}"
-            )
-    return found  # type: ignore[no-any-return]
-
-
-class Source(NamedTuple):
-    """What is known of the event and the run of a posterior, and its table of hypotheses."""
-
-    event_id: str
-    settings: Mapping[str, Any]
-    scene: Scene
-    observed: FloatArray
-    table: Rows
-    own_goals: FloatArray | None = None  # (agent, goal) prior of own goals, beside PHASE
-
-
 def simulated(
-    post: Source,
+    post: Any,
+    own_goals: FloatArray | None,
     change: Change | None,
-    *,
     at: int | None,
     seconds: float | None,
     n: int,
@@ -343,12 +322,14 @@ def simulated(
 ) -> WhatIf:
     """Return hypotheses drawn from a posterior, simulated from a frame on.
 
-    In a second world with a change, if there is one; all else as of ``do``.
+    In a second world with a change, if there is one; all else as of ``do``. Beside PHASE
+    ``own_goals`` (agent, goal) is the prior of what agents want for themselves.
     """
-    at, frames = _length(post, at, seconds)
+    observed, scene, settings = post.observed(), post.scene, post.settings
+    at, frames = _length(len(observed) - 1, at, seconds)
     whole_number("n", n, _FEWEST)
-    scene, removed = post.scene, () if change is None else change.removed
-    model = post.settings.get("model", {})
+    removed = () if change is None else change.removed
+    model = settings.get("model", {})
     of_run = model.get("simulator", "joint")
     joint = of_run == "joint" if simulator is None else isinstance(simulator, JointSimulator)
     if not joint and (at or removed):
@@ -363,66 +344,60 @@ def simulated(
             )
         stored = model.get("planner")
         simulator = JointSimulator("fast" if stored is None else PlannerConfig.from_dict(stored))
-    drawn, space = _drawn(post, n, seed), space_of(scene.world)
-    worlds: list[tuple[Scene, tuple[int, ...]]] = [(scene, ())]
-    hypotheses = [[space.hypothesis(sites) for sites in drawn]]
+    drawn, space = _drawn(post, own_goals, n, seed), space_of(scene.world)
+    hypotheses = [space.hypothesis(sites) for sites in drawn]
+    worlds: list[tuple[Scene, tuple[int, ...], list[Any]]] = [(scene, (), hypotheses)]
     if change is not None:
         walls = {} if change.walls is None else {"walls": change.walls}
-        worlds.append((dataclasses.replace(scene, **walls), removed))
-        hypotheses.append([change.hypothesis(sites) for sites in drawn])
-    followed = post.settings.get("likelihood", {}).get("tracking")  # of what was read step by step
+        changed = [change.hypothesis(sites) for sites in drawn]
+        worlds.append((dataclasses.replace(scene, **walls), removed, changed))
+    followed = settings.get("likelihood", {}).get("tracking")  # of what was read step by step
     tracking = None if followed is None else Tracking(**followed)
-    past = reconstructed(scene, post.observed[: at + 1], tracking) if at else None
+    past = reconstructed(scene, observed[: at + 1], tracking) if at else None
     seeds = np.random.SeedSequence([seed, n]).generate_state(n).tolist()
     tasks = [
         (simulator, where, h, int(one), frames, past, gone)
-        for (where, gone), rows in zip(worlds, hypotheses, strict=True)
+        for where, gone, rows in worlds
         for h, one in zip(rows, seeds, strict=True)
     ]
     poses = np.array(list(mapped(_simulate, tasks, number_of_workers(workers), "simulation")))
     if at:  # a frame is the mean over a step, a state its end: show what was seen
         there = poses[:, 0, :, 0] > AWAY / 2
-        poses[:, 0][there] = np.broadcast_to(post.observed[at], poses[:, 0].shape)[there]
+        poses[:, 0][there] = np.broadcast_to(observed[at], poses[:, 0].shape)[there]
     return WhatIf(
         post.event_id,
         "" if change is None else change.words,
         at,
-        tuple(where for where, _ in worlds),
-        [h.effective_goals for h in hypotheses[0]],
+        tuple(where for where, _, _ in worlds),
+        [h.effective_goals for h in hypotheses],
         poses.reshape(len(worlds), n, *poses.shape[1:]),
         removed,
         change is not None and change.is_removal,
     )
 
 
-def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
+def _drawn(post: Any, own_goals: FloatArray | None, n: int, seed: int) -> list[dict[str, Any]]:
     """Return the sites of hypotheses, each by its weight to within one (systematic)."""
-    weights, rng = np.cumsum(post.table.weights), np.random.default_rng(seed)
+    table, space, rng = post.table, space_of(post.world), np.random.default_rng(seed)
+    weights, values = np.cumsum(table.weights), table.values
     places = (rng.random() + np.arange(n)) / n
     rows = np.minimum(np.searchsorted(weights, places * weights[-1], "right"), len(weights) - 1)
-    space, values = space_of(post.scene.world), post.table.values
     if space.company_site in values:
         ways = values[space.company_site][rows]
     else:  # a closed loop of another world keeps it agent by agent
         codes = space.alpha_codes(np.arange(len(space.ways)))
-        way_of = {
-            tuple(code[way] for code in codes.values()): way for way in range(len(space.ways))
-        }
-        ways = [way_of[tuple(values[name][row] for name in codes)] for row in rows]
-    stated = [  # whoever pursues a goal of its own acts on it
-        values[name if name in values else name.removeprefix("stated_")][rows]
-        for name in space.stated_sites
-    ]
-    if post.own_goals is not None:  # of those who help or hinder nothing is known but the prior
-        for agent, masses in enumerate(post.own_goals):
+        way_of = {tuple(c[w] for c in codes.values()): w for w in range(len(space.ways))}
+        ways = np.array([way_of[tuple(values[name][row] for name in codes)] for row in rows])
+    columns = {space.company_site: ways}
+    for site, name in zip(space.goal_sites, space.stated_sites, strict=True):
+        # whoever pursues a goal of its own acts on it
+        columns[site] = values[name if name in values else site][rows]
+    if own_goals is not None:  # of those who help or hinder nothing is known but the prior
+        for agent, (site, masses) in enumerate(zip(space.goal_sites, own_goals, strict=True)):
             idle = space.owner[ways, agent] != agent
-            stated[agent][idle] = rng.choice(len(masses), idle.sum(), p=masses / masses.sum())
-    columns = {
-        **dict(zip(space.goal_sites, (one.tolist() for one in stated), strict=True)),
-        space.company_site: np.asarray(ways).tolist(),
-        **{name: values[name][rows].tolist() for name in space.strength_sites},
-    }
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            columns[site][idle] = rng.choice(len(masses), idle.sum(), p=masses / masses.sum())
+    columns |= {name: values[name][rows] for name in space.strength_sites}
+    return pd.DataFrame(columns).to_dict("records")
 
 
 def _simulate(
@@ -440,9 +415,8 @@ def _simulate(
     return np.array([frame for frame, _ in (next(steps) for _ in range(frames))])
 
 
-def _length(post: Source, at: int | None, seconds: float | None) -> tuple[int, int]:
+def _length(last: int, at: int | None, seconds: float | None) -> tuple[int, int]:
     """Return the frame to go on from, and how many frames to simulate from there, it included."""
-    last = len(post.observed) - 1
     begin = 0 if at is None else at
     if isinstance(begin, bool) or not isinstance(begin, int) or not 0 <= begin <= last:
         raise InvalidSettingError(f"at={shown(at)}, expected a frame in 0..{last}")

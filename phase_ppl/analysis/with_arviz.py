@@ -16,7 +16,6 @@ from collections.abc import Hashable, Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -24,7 +23,6 @@ from phase_ppl.analysis.estimate import ROUNDING
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.analysis.tree import DRAW
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError
 
 N_CHAINS: Final = 4
 N_DRAWS: Final = 1000
@@ -38,7 +36,7 @@ NO_LOO: Final = (
     "simulators or kernels by log_evidence of the closed loop, or by ppl.compare over several "
     "videos"
 )
-"""Why there is no group ``log_likelihood``."""
+"""Why there is no group ``log_likelihood``; the attribute ``loo`` of what ArviZ is given."""
 
 _STREAM: Final = 0xA2  # keeps what is resampled apart from what else follows from a run's seed
 
@@ -85,10 +83,9 @@ def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> floa
     if not np.ptp(halves, axis=1).any():  # the variance of equal numbers may be rounded to above 0
         return math.inf if np.ptp(halves) > 0 else math.nan
     chains = values if len(values) > 1 else halves
-    if chains.shape[1] < MIN_DRAWS:
-        return math.nan
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(arviz_module().rhat(chains, method=method))
+        enough = chains.shape[1] >= MIN_DRAWS
+        return float(arviz_module().rhat(chains, method=method)) if enough else math.nan
 
 
 def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
@@ -103,10 +100,15 @@ def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
     if values.shape[1] >= MIN_DRAWS_WITHIN:
         options = {"prob": _TAIL} if method == "tail" else {}
         return float(arviz_module().ess(values, method=method, **options))
+    from scipy.special import ndtri  # slow to import
+    from scipy.stats import rankdata
+
     if method == "tail":
-        low, high = (_ess_between((values <= q).astype(float)) for q in np.quantile(values, _TAIL))
-        return min(low, high)
-    return _ess_between(_normal_ranks(values) if method == "bulk" else values)
+        return min(_ess_between((values <= q).astype(float)) for q in np.quantile(values, _TAIL))
+    if method == "bulk":  # ranks, of equals the mean, as quantiles of the normal distribution
+        ranks = rankdata(values).reshape(values.shape)
+        values = ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
+    return _ess_between(values)
 
 
 def mcse(values: FloatArray) -> float:
@@ -158,15 +160,6 @@ def chain_halves(values: FloatArray) -> FloatArray:
     return np.concatenate([values[:, :half], values[:, -half:]]).astype(float)
 
 
-def _normal_ranks(values: FloatArray) -> FloatArray:
-    """Return the values' ranks, of equals the mean, as quantiles of the normal distribution."""
-    from scipy.special import ndtri
-
-    ranks = pd.Series(values.ravel()).rank().to_numpy()
-    quantiles: FloatArray = ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
-    return quantiles.reshape(values.shape)
-
-
 def _ess_between(chains: FloatArray) -> float:
     """Return the effective sample size that the spread between the chains' means tells."""
     if np.ptp(chains) < np.finfo(float).resolution:
@@ -196,41 +189,12 @@ def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
 def arviz_groups(
     groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
 ) -> Any:
-    """Return groups, (chain, draw, ...) each, in the form that the installed ArviZ takes.
-
-    Where these are draws of one video, without ``log_likelihood``, ``az.loo`` raises
-    InvalidSettingError that says why (:data:`NO_LOO`).
-    """
-    given = dict(attrs or {})
-    if "log_likelihood" not in groups:
-        kind = _of_video()
-    else:
-        kind = xr.DataTree if _is_new() else arviz_module().InferenceData
+    """Return groups, (chain, draw, ...) each, in the form that the installed ArviZ takes."""
     if not _is_new():
-        return kind(attrs=given, **groups)
-    data = kind.from_dict(dict(groups))
-    data.attrs = given
+        return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
+    data = xr.DataTree.from_dict(dict(groups))
+    data.attrs = dict(attrs or {})
     return data
-
-
-@functools.cache
-def _of_video() -> Any:
-    """Return the class of ArviZ's data that says why it has no log likelihoods."""
-
-    def log_likelihood(self: Any) -> Any:
-        raise InvalidSettingError(NO_LOO)
-
-    # all versions ask first whether their data have this attribute
-    base = xr.DataTree if _is_new() else arviz_module().InferenceData
-    own = {"__slots__": (), "__module__": __name__, "log_likelihood": property(log_likelihood)}
-    return type("DrawsOfVideo", (base,), own)
-
-
-def __getattr__(name: str) -> Any:
-    """Return the class by its name, as pickle asks for it."""
-    if name == "DrawsOfVideo":
-        return _of_video()
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def resampled(weights: FloatArray, seed: int, *, exact: bool) -> NDArray[np.int64]:
@@ -266,28 +230,22 @@ def draws_of(
         moving: leave out an indicator that does not change within any half of a chain, and so has
             no R-hat, and name these in the attribute ``left_out`` (JSON).
     """
-    result = xr.Dataset({name: (DRAW, values) for name, values in numbers.items()})
+    chains, draws = next(iter(numbers.values())).shape
+    result = xr.Dataset(
+        {name: (DRAW, values) for name, values in numbers.items()},
+        {"chain": range(chains), "draw": range(draws)},
+    )
     left_out: dict[str, list[str]] = {}
     for name, (quantity, drawn, probability) in codes.items():
-        found = {
-            quantity.categories()[code]: (drawn == code).astype(np.int64)
-            for code in np.flatnonzero(probability > MASS).tolist()
-        }
-        # of fewer draws ArviZ does not look for it either
-        still = [
-            label
-            for label, indicator in found.items()
-            if moving
-            and drawn.shape[1] >= MIN_DRAWS
-            and not np.ptp(chain_halves(indicator), axis=1).any()
-        ]
-        kept = {label: one for label, one in found.items() if label not in still}
-        if still:
-            left_out[name] = still
-        if kept:
+        likely = np.flatnonzero(probability > MASS)
+        labels = np.array(quantity.categories())[likely]
+        indicators = (drawn[..., None] == likely).astype(np.int64)
+        kept = np.ones(len(likely), bool)
+        if moving and draws >= MIN_DRAWS:  # of fewer draws ArviZ does not look for it either
+            kept = np.ptp(chain_halves(indicators), axis=1).any(axis=0)
+            left_out |= {} if kept.all() else {name: labels[~kept].tolist()}
+        if kept.any():
             dim = f"{name}_is"
-            result[name] = ((*DRAW, dim), np.stack(list(kept.values()), axis=-1))
-            result = result.assign_coords({dim: list(kept)})
-    chains, draws = next(iter(numbers.values())).shape
-    result = result.assign_coords(chain=range(chains), draw=range(draws))
+            result[name] = (*DRAW, dim), indicators[..., kept]
+            result = result.assign_coords({dim: labels[kept].tolist()})
     return result.assign_attrs({"left_out": json.dumps(left_out)} if moving else {})

@@ -73,19 +73,12 @@ def make_tree(
     window: Sequence[Sequence[int]] | None = None,
     by_frame: NDArray[np.float64] | None = None,
 ) -> xr.DataTree:
-    """Return a tree of draws.
+    """Return a tree of ``draws`` (chain, draw), each of which rests on one of the simulations.
 
-    Args:
-        simulations: all that were paid for.
-        draws: (chain, draw) which simulation each draw rests on.
-        n_frames: number of frames, where no trajectories are given.
-        weights, validity: root attributes.
-        scene: of the event.
-        observed: (time, entity, coord).
-        predicted: (simulation, time, entity, coord); default: the simulation's number everywhere.
-        own_site: a value per simulation of a user's site ``mood``.
-        window: (chain, draw) first frame of the window of each proposal; default: none.
-        by_frame: (simulation, time) log likelihoods; default: the tree has none.
+    ``predicted`` (simulation, time, entity, coord) is by default the simulation's number
+    everywhere; ``own_site`` (simulation,) are values of a user's site ``mood``; ``window`` (chain,
+    draw) is the first frame of the window of each proposal, by default none; ``by_frame``
+    (simulation, time) are log likelihoods, by default none.
     """
     scene = scene or default_scene()
     if observed is None:
@@ -159,24 +152,20 @@ def posterior_of(
 
 
 def _simulation_table(simulations: Sequence[Simulation]) -> xr.Dataset:
-    hypotheses = [one.hypothesis for one in simulations]
-    columns: dict[str, Any] = {
-        name: [getattr(one, name) for one in simulations]
-        for name in (field.name for field in dataclasses.fields(Simulation)[1:])
-    }
+    names = [field.name for field in dataclasses.fields(Simulation)[1:]]
+    columns: dict[str, Any] = {n: np.array([getattr(one, n) for one in simulations]) for n in names}
     columns[FRAMES] = columns.pop("frames")
+    hypotheses = [one.hypothesis for one in simulations]
     strengths = [(h.strength_red, h.strength_green) for h in hypotheses]
+    stated = [(h.goal_red, h.goal_green) for h in hypotheses]
+    effective = [h.effective_goals for h in hypotheses]
     columns |= zip(SPACE.strength_sites, np.array(strengths).T, strict=True)
     columns["alpha"] = np.array([ALPHAS.index(h.alpha) for h in hypotheses], np.int8)
-    stated = [(h.goal_red, h.goal_green) for h in hypotheses]
-    for names, goals in (
-        (SPACE.stated_sites, stated),
-        (SPACE.goal_sites, [h.effective_goals for h in hypotheses]),
-    ):
-        columns |= zip(names, np.array(goals, np.int16).T, strict=True)
+    columns |= zip(SPACE.stated_sites, np.array(stated, np.int16).T, strict=True)
+    columns |= zip(SPACE.goal_sites, np.array(effective, np.int16).T, strict=True)
     columns["log_prior_effective"] = columns["log_prior"]
-    columns["total_error"] = -20 * np.array(columns["log_likelihood"])
-    return xr.Dataset({name: ("simulation", np.array(column)) for name, column in columns.items()})
+    columns["total_error"] = -20 * columns["log_likelihood"]
+    return xr.Dataset({name: ("simulation", column) for name, column in columns.items()})
 
 
 def with_variables(tree: xr.DataTree, group: str, **variables: Any) -> xr.DataTree:

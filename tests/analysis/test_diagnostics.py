@@ -72,8 +72,9 @@ def test_weighted_draws_are_judged_by_their_weights() -> None:
     found = post.diagnostics()
     assert found["weighted_draws_ess"] == pytest.approx(36 / 12 / 4)
     assert found["monte_carlo_error"]["goal_red"] == post.top("goal_red", 1)[0][1].error
-    assert "20 weighted draws are worth 15.0 equal ones" in found["verdict"]
-    assert "accepted" not in found["verdict"]
+    checks = {one["name"]: one["value"] for one in found["checks"]}
+    assert checks["weighted draws"] == "worth 75%, 15.0 of 20"
+    assert "proposals accepted" not in checks
     for entry in (found["scalars"]["log_joint"], *found["categories"]["goal_red"].values()):
         assert {entry[name] for name in entry if "probab" not in name and name != "share"} == {None}
 
@@ -88,15 +89,20 @@ def verdict(
 def test_verdict_says_on_whose_goal_the_particles_agree() -> None:
     simulations = [proposed(hypothesis(goal, PINK_TO_BLUE), goal) for goal in range(4)]
     simulations += [proposed(hypothesis(BLUE_TO_RED, goal), goal) for goal in range(4)]
-    one_each = [[0], [1], [2], [3]]
-    said = verdict(one_each, simulations)
-    assert "The 4 particles agree on green's goal but not on red's, where all 4 favour" in said
-    assert "agree on red's goal but not on green's" in verdict([[4], [5], [6], [7]], simulations)
-    said = verdict([[0], [0], [6], [7]], simulations)
-    assert "agree on neither agent's goal" in said
-    assert f"for red, 2 favour '{GOALS[0]}' and 2 '{BLUE_TO_RED}'" in said
-    assert f"for green, 2 favour '{PINK_TO_BLUE}' and 2 something else" in said
-    assert "agree on both" in verdict([[0], [0]], simulations)
+    for draws, red, green in (
+        ([[0], [1], [2], [3]], "all 4 favour different ones", ""),
+        ([[4], [5], [6], [7]], "", "all 4 favour different ones"),
+        (
+            [[0], [0], [6], [7]],
+            f"2 favour '{GOALS[0]}', 2 favour '{BLUE_TO_RED}'",
+            f"2 favour '{PINK_TO_BLUE}', 2 others",
+        ),
+        ([[0], [0]], "", ""),
+    ):
+        said = verdict(draws, simulations)
+        assert ("particles do not agree" in said) == bool(red or green)
+        for agent, camps in (("red", red), ("green", green)):
+            assert (f"on {agent}'s goal, where {camps}" in said) == bool(camps)
 
 
 def test_verdict_discloses_guesses_approximate_kernels_and_weights() -> None:
@@ -194,7 +200,7 @@ def test_verdict_of_draws_that_count_says_whether_the_log_joint_has_mixed() -> N
     apart = [[0, 3] * 5, [1] * 9 + [0], [2] * 9 + [0]]
     mixed = [[0, 1, 2, 3, 0, 1, 2, 3, 1, 2]] * 3
     for weights in ("count", "likelihood"):
-        assert "R-hat (1 where they have mixed) is the log joint" in verdict(apart, levels, weights)
+        assert "of the log joint; below 1.1 chains agree" in verdict(apart, levels, weights)
         assert "R-hat" not in verdict(mixed, levels, weights)
 
 

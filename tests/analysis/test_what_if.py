@@ -342,7 +342,8 @@ def test_ways_are_found_again_in_what_was_read_of_three_agents() -> None:
     assert set(found.goals) <= set(zip(*columns, strict=True))
     assert "nobody helping or hindering" in told(found)
     # whoever helped or hindered wants what the prior says, not what it did for or against others
-    drawn = _drawn(post.with_prior(seldom)._source(), 4000, 0)
+    changed = post.with_prior(seldom)
+    drawn = _drawn(changed, np.exp(changed.dataset["log_prior_goals"].values), 4000, 0)
     idle = [one for one in drawn if space_of(CAST).ways[one["company"]][2] is not None]
     wanted = [Change.of(CAST, {}, relation={}).hypothesis(one).effective_goals[2] for one in idle]
     assert len(idle) > 200

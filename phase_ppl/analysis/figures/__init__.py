@@ -7,8 +7,7 @@ by ``in_style`` begins with ``new_figure`` and ends with ``written``.
 """
 
 from phase_ppl.analysis.figures.beliefs import beliefs, search
-from phase_ppl.analysis.figures.curves import comparison, sensitivity, training_curves
-from phase_ppl.analysis.figures.data_card import data_card
+from phase_ppl.analysis.figures.curves import comparison, data_card, sensitivity, training_curves
 from phase_ppl.analysis.figures.diagnostics import chains, diagnostics, errors, goal_map
 from phase_ppl.analysis.figures.over_time import over_time, why
 from phase_ppl.analysis.figures.posterior import posterior, posteriors

@@ -22,7 +22,6 @@ from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 from phase_ppl.world.scene import PHASE, Scene
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PAPERS_PARTICLES: Final = 10  # K in the figure of the paper
@@ -112,10 +111,9 @@ def beliefs(
         if frame is None:
             raise InvalidSettingError(f"the {agent} of {event.id} sees nothing new: give a frame")
     whole_number("frame", frame, 1, len(found) - 1)
-    new = [ENTITIES[e] for e in np.flatnonzero(found[frame].observed & ~found[frame - 1].observed)]
-    told = (
-        f"In the lower row it sees {' and '.join(f'the {name}' for name in new)}: " if new else ""
-    )
+    observed = found[frame].observed
+    new = [f"the {ENTITIES[e]}" for e in np.flatnonzero(observed & ~found[frame - 1].observed)]
+    told = f"In the lower row it sees {' and '.join(new)}: " if new else ""
     figure = new_figure(
         *(8.4, 6.4),
         note=f"{told}entities in view have their true properties in all particles; others move on "
@@ -126,12 +124,19 @@ def beliefs(
     titles = f"true state, and what the {agent} sees", f"all {particles} particles", "one of them"
     for axes, title, letter in zip(panels[0], titles, "ABC", strict=True):
         axes.set_title(f"{letter}  {title}", fontsize=NORMAL)
-    one = _resampled(found[frame - 1], found[frame])
+    # the particle whose unseen entities moved farthest
+    moved = np.linalg.norm((found[frame].particles - found[frame - 1].particles)[..., :2], axis=-1)
+    one = int(moved[:, ~observed].max(axis=1, initial=0).argmax())
+    x0, _, _, y1 = event.scene.arena
     for row, now in zip(panels, (frame - 1, frame), strict=True):
         belief = found[now]
         for axes in row:
             draw_arena(axes, event.scene)
-        _darken(row[0], event, belief.visible)
+        side = round(len(belief.visible) ** 0.5)
+        shade = np.zeros((side, side, 4))  # of the cells that are not in view
+        shade[..., 3] = np.where(belief.visible.reshape(side, side), 0.0, _DARK)
+        extent = (x0, x0 + side, y1 - side, y1)
+        row[0].imshow(shade, extent=extent, zorder=2, interpolation="nearest")
         for entity in range(len(ENTITIES)):
             draw_entity(row[0], entity, truth[now, entity], radius[entity])
             seen = bool(belief.observed[entity])
@@ -142,21 +147,6 @@ def beliefs(
         row[0].text(0.02, 0.5, name, transform=row[0].transAxes, rotation=90, va="center",
                     ha="right", fontsize=NORMAL)  # fmt: skip
     return written(figure, path)
-
-
-def _resampled(before: Belief, after: Belief) -> int:
-    """Return the particle whose unseen entities moved farthest."""
-    moved = np.linalg.norm((after.particles - before.particles)[..., :2], axis=-1)
-    return int(moved[:, ~after.observed].max(axis=1, initial=0).argmax())
-
-
-def _darken(axes: Axes, event: Event, visible: BoolArray) -> None:
-    """Darken the cells that are not in view."""
-    x0, _, _, y1 = event.scene.arena
-    side = round(len(visible) ** 0.5)
-    shade = np.zeros((side, side, 4))
-    shade[..., 3] = np.where(visible.reshape(side, side), 0.0, _DARK)
-    axes.imshow(shade, extent=(x0, x0 + side, y1 - side, y1), zorder=2, interpolation="nearest")
 
 
 # --- searching for what is not seen ---------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Curves: kernels over simulations, posteriors over priors, trainings."""
+"""Kernels over simulations, posteriors over priors, trainings, and sets of events."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from phase_ppl.analysis.comparison import DISTANCES, Comparison
 from phase_ppl.analysis.figures.style import (
     COLOURS,
     GREY,
+    banded,
     direct_labels,
     figure_of,
     in_shares,
@@ -87,8 +88,7 @@ def _compared(axes: Axes, c: Comparison, name: str) -> None:
         if len(x) == 1:
             axes.errorbar(x, mean, error, fmt="o", ms=4, color=colour, capsize=2, lw=1.2)
         else:
-            axes.fill_between(x, mean - error, mean + error, color=colour, alpha=0.16, lw=0)
-            axes.plot(x, mean, color=colour, ls=style, lw=1.8)
+            banded(axes, x, mean, error, colour, ls=style)
         ends.append((float(mean[-1]), kernel, colour))
         furthest = max(furthest, float(x[-1]))
     own_error = c.reference_error(name) if name in DISTANCES else None
@@ -153,11 +153,7 @@ def sensitivity(
     for place, colour in zip(order, COLOURS, strict=False):
         line = lines.isel(line=int(place))
         y, within = line.values, 1.96 * line["error"].values
-        low, high = y - within, y + within
-        if shares:
-            low, high = np.clip([low, high], 0, 1)
-        axes.fill_between(found["value"], low, high, color=colour, alpha=0.16, lw=0)
-        axes.plot(found["value"], y, "o-", ms=3, color=colour, lw=1.8)
+        banded(axes, found["value"], y, within, colour, shares=shares, marker="o", ms=3)
         name = ", ".join(str(label) for label in line["line"].item())
         if np.isfinite(y).any() and found.ndim > 1:
             ends.append((float(y[np.isfinite(y)][-1]), name, colour))
@@ -172,16 +168,10 @@ def sensitivity(
 # --- a training --------------------------------------------------------------------------------
 
 _CURVES: Final = {
-    "Loss": {
-        "training": (COLOURS[0], "training events"),
-        "validation": (COLOURS[1], "validation events"),
-    },
-    "Right answers on the validation events": {
-        "relation": (COLOURS[2], "relation"),
-        "goals": (COLOURS[3], "goals"),
-    },
+    "Loss": {"training": "training events", "validation": "validation events"},
+    "Right answers on the validation events": {"relation": "relation", "goals": "goals"},
 }
-"""Title of a panel -> curve -> its colour and name."""
+"""Title of a panel -> curve -> its name."""
 
 
 @in_style
@@ -196,23 +186,71 @@ def training_curves(
     figure = new_figure(
         *(7.5, 3),
         f"SocialGNN, {report['settings']['variant']}: {len(members)} "
-        f"network{'' if len(members) == 1 else 's'}, {events['train']} training and "
+        f"network{'s' * (len(members) != 1)}, {events['train']} training and "
         f"{events['validation']} validation events",
     )
     longest = max(len(member["curves"]["training"]) for member in members)
+    colours = iter(COLOURS)
     for axes, (title, lines) in zip(figure.subplots(1, 2), _CURVES.items(), strict=True):
-        for name in [name for name in lines if name in members[0]["curves"]]:
-            colour, label = lines[name]
-            for number, member in enumerate(members):
-                values = member["curves"][name]
-                epochs = np.arange(1, len(values) + 1)
+        for (name, label), colour in zip(lines.items(), colours):  # noqa: B905
+            for number, member in enumerate(members if name in members[0]["curves"] else ()):
+                values, kept = member["curves"][name], member["best_epoch"]
                 style: dict[str, Any] = {"color": colour, "label": None if number else label}
-                axes.plot(epochs, values, lw=0.9, alpha=0.75, **style)
+                axes.plot(np.arange(1, len(values) + 1), values, lw=0.9, alpha=0.75, **style)
                 if name != "training":
-                    kept = member["best_epoch"]
                     axes.plot(kept, values[kept - 1], "o", ms=4, color=colour, mec="white", mew=0.6)
         axes.set(title=title, xlabel="epoch", xlim=(1, max(longest, 2)))
         axes.set_ylim(0, 1.02 if "relation" in lines else None)
         axes.grid(axis="y")
         axes.legend()
+    return written(figure, path)
+
+
+# --- a set of events ------------------------------------------------------------------------------
+
+_PANELS: Final = {
+    "Relation, scenario": ("relation", "scenario"),
+    "Goals of agents, by type": ("goal_type",),
+    "Strength [N], sizes": ("strength", "agent_size", "item_size"),
+    "Time, and events": ("agent_rests", "agent_holds", "item_moves", "moves_to_the_end"),
+    "How they were made": ("family", "reflection", "split"),
+}
+_WORDS: Final = {
+    ("goal_type", "LMO+"): "item to landmark", ("goal_type", "LMO-"): "item from landmark",
+    ("goal_type", "LMA+"): "agent to landmark", ("goal_type", "LMA-"): "agent from landmark",
+    ("goal_type", "TE+"): "to other agent", ("goal_type", "TE-"): "from other agent",
+    ("agent_rests", "mean"): "agent rests", ("agent_holds", "mean"): "agent holds item",
+    ("item_moves", "mean"): "item moves", ("moves_to_the_end", "mean"): "moves to the end",
+}  # fmt: skip
+_PREFIXES: Final = {"agent_size": "agent ", "item_size": "item "}
+_LONGEST: Final = 22  # characters of a label at most
+
+
+@in_style
+def data_card(statistics: pd.DataFrame, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw the main shares of :func:`phase_ppl.statistics`, with their errors, as pairs of bars.
+
+    The original events are in grey, where it is known; 12 inches wide.
+    """
+    of = statistics.index.get_level_values("quantity")
+    panels = {title: [n for n in names if n in of] for title, names in _PANELS.items()}
+    panels = {title: names for title, names in panels.items() if names}
+    events = statistics.attrs.get("events")
+    title = "" if events is None else f"{events} event{'s' * (events != 1)}"
+    figure = new_figure(12.0, 3.6, title, "bars: standard errors over events; in grey: PHASE")
+    drawn = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (heading, names) in zip(drawn, panels.items(), strict=True):
+        rows = pd.concat([statistics.loc[[name]] for name in names])
+        start = rows.index.get_level_values("quantity")
+        # quantities stand apart
+        places = np.arange(len(rows)) + 0.7 * np.cumsum(np.r_[False, start[1:] != start[:-1]])
+        axes.barh(places - 0.2, rows["value"], 0.4, xerr=rows["error"], color=COLOURS[0],
+                  error_kw={"elinewidth": 0.8})  # fmt: skip
+        axes.barh(places + 0.2, rows["phase"], 0.4, color="#b4b4b4")
+        words = [_WORDS.get(one, _PREFIXES.get(one[0], "") + one[1]) for one in rows.index]
+        axes.set_yticks(places, [name[:_LONGEST] for name in words])
+        axes.set(title=heading, ylim=(places[-1] + 0.6, -0.6))
+        axes.set_xlim(left=0)
+        axes.locator_params(axis="x", nbins=4)
+        axes.tick_params(axis="y", length=0)
     return written(figure, path)

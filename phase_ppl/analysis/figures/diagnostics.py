@@ -38,7 +38,6 @@ NAMES: Final = {"log_joint": "log joint", "total_error": "total error [units]"}
 _BEST: Final = "#d55e00"
 _PALE: Final = "#7d93ad"
 _MOST_BINS: Final = 20
-_FEW: Final = len(COLOURS)  # chains that have a colour each
 _MOST_LINES: Final = 60  # rows of a map, at most, that lines keep apart
 
 
@@ -55,15 +54,7 @@ def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> 
     figure = new_figure(10, 10.5 + 0.155 * len(verdict), title)
     upper, middle, lower = figure.subfigures(3, 1, squeeze=False, height_ratios=(2.9, 4, 2.8))[:, 0]
     _goal_panels(upper, post)
-    values = scalars(post.tree)
-    shown = [*NAMES, *post.strengths_of.values()]
-    panels = middle.subplots((len(shown) + 1) // 2, 4, width_ratios=(2.1, 1, 2.1, 1))
-    for axes in panels.reshape(-1, 2)[len(shown) :].ravel():
-        axes.set_axis_off()
-    for (trace, ranks), name in zip(panels.reshape(-1, 2), shown, strict=False):
-        _trace(trace, values[name], _best_chain(post), name)
-        _ranks(ranks, values[name])
-    _chains_note(middle, post)
+    _traces(middle, post, [*NAMES, *post.strengths_of.values()], 2)
     step_errors, acceptance = lower.subplots(1, 2, width_ratios=(2.4, 1))
     _step_errors(step_errors, post, found)
     _acceptance(acceptance, found["acceptance_by_iteration"])
@@ -89,13 +80,9 @@ def chains(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figur
     Orange is the particle with the best draw. In the panels of ranks, a row is a particle: where
     chains have mixed all cells are pale; blue cells have fewer draws than expected, orange more.
     """
-    values = scalars(post.tree)
-    figure = new_figure(8, 1.75 * len(values) + 0.4)
-    panels = figure.subplots(len(values), 2, width_ratios=(2.2, 1), squeeze=False)
-    for (trace, ranks), (name, numbers) in zip(panels, values.items(), strict=True):
-        _trace(trace, numbers, _best_chain(post), name)
-        _ranks(ranks, numbers)
-    _chains_note(figure, post)
+    names = list(scalars(post.tree))
+    figure = new_figure(8, 1.75 * len(names) + 0.4)
+    _traces(figure, post, names, 1)
     return written(figure, path)
 
 
@@ -122,9 +109,8 @@ def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
     order = np.argsort(-held, kind="stable")[: np.count_nonzero(held)]
     room = len(MANY_COLOURS)
     coloured = order if len(order) <= room else order[: room - 1]
-    table = np.tile(to_rgb(OTHER), (len(goals), 1))
-    for code, colour in zip(coloured, MANY_COLOURS, strict=False):
-        table[code] = to_rgb(colour)
+    entries = {goals[code]: c for code, c in zip(coloured, MANY_COLOURS, strict=False)}
+    table = np.array([to_rgb(entries.get(goal, OTHER)) for goal in goals])
     n_chains, n_draws = codes[0].shape
     panels = figure.subplots(1, len(codes), squeeze=False)[0]
     for axes, agent, of_agent in zip(panels, post.goals_of, codes, strict=True):
@@ -137,7 +123,6 @@ def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
         _chain_rows(axes, n_chains)
         axes.set(title=f"Goal of the {agent}", xlabel="draw")
     panels[0].set_ylabel("particle")
-    entries = {goals[code]: c for code, c in zip(coloured, MANY_COLOURS, strict=False)}
     if len(order) > len(coloured):
         entries[f"{len(order) - len(coloured)} other goals"] = OTHER
     figure.legend(
@@ -146,24 +131,35 @@ def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
     )  # fmt: skip
 
 
-def _trace(axes: Axes, values: FloatArray, best: int, name: str) -> None:
-    """Draw (chain, draw) numbers, a line per chain; many chains pale, but for the best."""
-    n = values.shape[1]
-    few = len(values) <= _FEW
-    for chain in [*(c for c in range(len(values)) if c != best), best]:
-        leads = chain == best and not few
-        style: dict[str, Any] = {
-            "color": COLOURS[chain] if few else _BEST if leads else _PALE,
-            "lw": 0.6 if n > _MOST_LINES else 1.5 if leads else 0.8,
-            "alpha": 0.85 if few or leads else 0.6,
-        }
-        axes.plot(np.arange(1, n + 1), values[chain], "o" if n == 1 else "-", ms=3, **style)
-    axes.set_xlim(*((0.5, 1.5) if n == 1 else (1, n)))
-    _whole_ticks(axes.xaxis, n)
-    axes.locator_params(axis="y", nbins=4)
-    agent = name.removeprefix("strength_")
-    title = NAMES.get(name, name) if agent == name else f"strength of {agent} [N]"
-    axes.set(title=title, xlabel="draw")
+def _traces(figure: Figure | SubFigure, post: Posterior, names: list[str], columns: int) -> None:
+    """Draw traces and ranks of quantities, so many beside each other, and what colours mean."""
+    values, log_joint = scalars(post.tree), array(post.tree, "sample_stats", "log_joint")
+    best, few = int(np.nanargmax(log_joint.max(axis=1))), len(log_joint) <= len(COLOURS)
+    ratios, rows = (2.1 if columns > 1 else 2.2, 1) * columns, -(-len(names) // columns)
+    panels = figure.subplots(rows, 2 * columns, width_ratios=ratios, squeeze=False).reshape(-1, 2)
+    for axes in panels[len(names) :].ravel():
+        axes.set_axis_off()
+    for (trace, ranks), name in zip(panels, names, strict=False):
+        numbers = values[name]
+        n = numbers.shape[1]
+        for chain in [*(c for c in range(len(numbers)) if c != best), best]:
+            leads = chain == best and not few
+            style: dict[str, Any] = {
+                "color": COLOURS[chain] if few else _BEST if leads else _PALE,
+                "lw": 0.6 if n > _MOST_LINES else 1.5 if leads else 0.8,
+                "alpha": 0.85 if few or leads else 0.6,
+            }
+            trace.plot(np.arange(1, n + 1), numbers[chain], "o" if n == 1 else "-", ms=3, **style)
+        trace.set_xlim(*((0.5, 1.5) if n == 1 else (1, n)))
+        _whole_ticks(trace.xaxis, n)
+        trace.locator_params(axis="y", nbins=4)
+        agent = name.removeprefix("strength_")
+        title = NAMES.get(name, name) if agent == name else f"strength of {agent} [N]"
+        trace.set(title=title, xlabel="draw")
+        _ranks(ranks, numbers)
+    lines = "a colour for each particle" if few else "orange line: the particle with the best draw"
+    note = f"{lines}; ranks: orange where a particle has more draws than expected, blue where fewer"
+    figure.supxlabel(note, x=0.012, ha="left", color=GREY)
 
 
 def _ranks(axes: Axes, values: FloatArray) -> None:
@@ -172,9 +168,8 @@ def _ranks(axes: Axes, values: FloatArray) -> None:
 
     n_chains, n_draws = values.shape
     bins = int(np.clip(n_draws // 2, 2, _MOST_BINS))
-    order = np.empty(values.size, int)
-    order[np.argsort(values, axis=None, kind="stable")] = np.arange(values.size)
-    place = order.reshape(values.shape) * bins // values.size
+    order = values.ravel().argsort(kind="stable").argsort().reshape(values.shape)
+    place = order * bins // values.size
     counts = np.stack([np.bincount(row, minlength=bins) for row in place])
     colours = LinearSegmentedColormap.from_list("ranks", ["#4f8fc0", "#f4f4f2", "#e08a3c"])
     # beyond twice what is expected all is equally too much
@@ -223,27 +218,15 @@ def _step_errors(axes: Axes, post: Posterior, found: dict[str, Any]) -> None:
 def _acceptance(axes: Axes, rates: list[float]) -> None:
     """Draw the share of particles that accepted, per iteration or, of many, per stretch."""
     stretches = np.array_split(np.array(rates), min(len(rates), _MOST_BINS))
-    starts = np.cumsum([0, *(len(part) for part in stretches)])
-    means = [float(part.mean()) for part in stretches]
-    axes.bar(starts[:-1] + 0.5, means, np.diff(starts) * 0.86, align="edge", color=_PALE, zorder=2)
+    sizes, means = [len(part) for part in stretches], [part.mean() for part in stretches]
+    starts = np.cumsum([0, *sizes[:-1]]) + 0.5
+    axes.bar(starts, means, np.array(sizes) * 0.86, align="edge", color=_PALE, zorder=2)
     axes.axhline(float(np.mean(rates)), color=INK, lw=0.9, ls=(0, (4, 3)), zorder=3)
     axes.set_xlim(0.4, len(rates) + 0.6)
     axes.set_xlabel("iteration")
     _whole_ticks(axes.xaxis, len(rates))
     in_shares(axes)
     titled(axes, "Proposals accepted", f"share of particles; dashed: mean, {np.mean(rates):.0%}")
-
-
-def _chains_note(figure: Figure | SubFigure, post: Posterior) -> None:
-    """Write below traces and ranks what their colours mean."""
-    few = len(array(post.tree, "sample_stats", "log_joint")) <= _FEW
-    lines = "a colour for each particle" if few else "orange line: the particle with the best draw"
-    note = f"{lines}; ranks: orange where a particle has more draws than expected, blue where fewer"
-    figure.supxlabel(note, x=0.012, ha="left", color=GREY)
-
-
-def _best_chain(post: Posterior) -> int:
-    return int(np.nanargmax(array(post.tree, "sample_stats", "log_joint").max(axis=1)))
 
 
 def _whole_ticks(axis: Axis, n: int) -> None:

@@ -20,6 +20,7 @@ from phase_ppl.analysis.figures.style import (
     NORMAL,
     OTHER,
     SIMULATED_TIME,
+    banded,
     direct_labels,
     figure_of,
     in_shares,
@@ -105,11 +106,8 @@ def _panel(
     ends = []
     for label in labels:
         values = marginal.sel({dim: label}).values
-        axes.plot(time, values, color=colours[label], lw=1.8, zorder=3)
-        if errors is not None:
-            within = 1.96 * errors.sel({dim: label}).values
-            low, high = np.clip([values - within, values + within], 0, 1)
-            axes.fill_between(time, low, high, color=colours[label], alpha=0.18, lw=0, zorder=2)
+        within = 0 * values if errors is None else 1.96 * errors.sel({dim: label}).values
+        banded(axes, time, values, within, colours[label], shares=True, zorder=3)
         ends.append((float(values[-1]), label, colours[label]))
     rest = np.clip(1 - marginal.sel({dim: labels}).sum(dim).values, 0, 1)
     if rest.max() >= _SEEN / 2:

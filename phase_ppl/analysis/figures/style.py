@@ -11,8 +11,10 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import atomic_output
 
@@ -162,6 +164,22 @@ def titled(axes: Axes, title: str, note: str = "", **style: Any) -> None:
         note, (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points", color=GREY,
         annotation_clip=False,
     )  # fmt: skip
+
+
+def banded(
+    axes: Axes,
+    x: ArrayLike,
+    y: FloatArray,
+    within: FloatArray,
+    colour: str,
+    *,
+    shares: bool = False,
+    **style: Any,
+) -> None:
+    """Draw a line, and a band of so much to either side of it; of shares up to 0 and 1."""
+    ends = np.array([y - within, y + within])
+    axes.fill_between(x, *(np.clip(ends, 0, 1) if shares else ends), color=colour, alpha=0.16, lw=0)
+    axes.plot(x, y, color=colour, lw=1.8, **style)
 
 
 def in_shares(axes: Axes) -> None:
