@@ -63,7 +63,7 @@ def answer(posterior: ppl.Posterior, truth: Pair) -> dict[str, Any]:
     joint = posterior.joint("goal_red", "goal_green").values
     marginals = [posterior.marginal(name).values for name in ("goal_red", "goal_green")]
     relation = posterior.marginal("relation")
-    true_relation = Hypothesis(*truth).relation
+    true_relation = Hypothesis(truth[0], truth[1]).relation
     return {
         "goals": [int(m.argmax()) for m in marginals],
         "pair": tuple(int(i) for i in np.unravel_index(joint.argmax(), joint.shape)),

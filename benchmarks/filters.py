@@ -39,7 +39,7 @@ class Case(NamedTuple):
     """What is known of a video or a draw."""
 
     scenario: str
-    goals: tuple[int, int]
+    goals: tuple[int, ...]
     found: dict[str, Any]
     reason: str | None
 

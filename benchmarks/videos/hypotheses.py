@@ -45,7 +45,7 @@ def log_mean_exp(errors: list[float]) -> float:
     return float(values.max() + np.log(np.mean(np.exp(values - values.max()))))
 
 
-def wrong_pairs(truth: tuple[int, int]) -> list[tuple[int, int]]:
+def wrong_pairs(truth: tuple[int, ...]) -> list[tuple[int, int]]:
     """Return the pairs of goals that are wrong in exactly one agent."""
     pairs = []
     for agent in range(2):
@@ -66,8 +66,8 @@ def judge(task: Task) -> dict[str, Any]:
     told = common.true_hypothesis(event)
     goals = told.effective_goals
 
-    def error(pair: tuple[int, int], seed: int, ceiling: float = math.inf) -> float:
-        hypothesis = Hypothesis(*pair, (0, 0), *told.strengths)
+    def error(pair: tuple[int, ...], seed: int, ceiling: float = math.inf) -> float:
+        hypothesis = Hypothesis(pair[0], pair[1], (0, 0), *told.strengths)
         result = simulate_one(simulator, event.scene, hypothesis, seed, seen, ceiling)
         assert result.failure is None, result.failure
         within = result.completed and result.total_error <= ceiling

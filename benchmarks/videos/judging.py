@@ -24,7 +24,7 @@ from videos.hypotheses import log_mean_exp
 JUDGING_SEED = 5000
 """Apart from the seeds that a run is likely to have met."""
 
-Pair = tuple[int, int]
+Pair = tuple[int, ...]
 
 
 class Task(NamedTuple):
@@ -85,7 +85,7 @@ def judge(task: Task) -> dict[str, Any]:
     """Return log prior + log mean likelihood of a pair of goals at the true strengths."""
     model = program(task.model, task.options)
     strengths = common.true_hypothesis(task.event).strengths
-    hypothesis = Hypothesis(*task.pair, (0, 0), *strengths)
+    hypothesis = Hypothesis(task.pair[0], task.pair[1], (0, 0), *strengths)
     simulator = model.build_simulator()
     seen = task.event.observation.positions
     errors = [

@@ -105,7 +105,7 @@ class Kept:
         unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.Reading`.
     """
 
-    truth: tuple[int, int]
+    truth: tuple[int, ...]
     levels: tuple[int, int]
     steps: list[tuple[list[list[Plans]], NDArray[np.bool_], FloatArray, float]]
     strengths: FloatArray

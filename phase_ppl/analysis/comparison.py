@@ -405,7 +405,7 @@ def _of_first(
     rows = WEIGHTINGS[post.weights](tree)  # a posterior of each would take long
     codes, weights = Vocabulary(space_of_tree(tree)).completed(rows.values), rows.weights
     shares = {
-        name: np.bincount(codes[name], weights, len(post.quantities[name] or ()))
+        name: np.bincount(codes[name], weights, len(post.quantities[name] or ())).astype(float)
         for name in marginals_of(post)
     }
     pair = np.nan

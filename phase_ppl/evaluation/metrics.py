@@ -513,10 +513,15 @@ def human_accuracy(
     given = responses_of(chosen)
     if given is not None:
         result["by_participant"] = participant_accuracy(chosen)
-        said = given.pivot(index=["event", "who"], columns="question", values="label")
-        rows = [(i, dict(row.dropna())) for (i, _), row in said.iterrows()]
-        true = dict(zip((event.id for event in chosen), answers.scenarios, strict=True))
-        pairs = [true[event] for event, _ in rows], [scenario_of(r, answers.world) for _, r in rows]
+        labels = given.pivot(index=["event", "who"], columns="question", values="label")
+        rows = [(i, dict(row.dropna())) for (i, _), row in labels.iterrows()]
+        scenario_of_event = dict(
+            zip((event.id for event in chosen), answers.scenarios, strict=True)
+        )
+        pairs = (
+            [scenario_of_event[event] for event, _ in rows],
+            [scenario_of(r, answers.world) for _, r in rows],
+        )
         result["confusion"] = confusion(np.array(pairs[0]), places_of_scenarios(pairs[1]))
     return result
 

@@ -215,19 +215,18 @@ class Hypothesis(Printed):
         strength_red: float = STRENGTH,
         strength_green: float = STRENGTH,
     ) -> None:
-        given = {"goal_red": goal_red, "goal_green": goal_green}
-        for holder, (name, goal) in enumerate(given.items()):
-            given[name] = goal_index(goal)
+        stated = goal_index(goal_red), goal_index(goal_green)
+        for holder, (name, goal) in enumerate(zip(("goal_red", "goal_green"), stated, strict=True)):
             if is_self_referring(goal, holder):
                 raise InvalidSettingError(
-                    f"{name}={GOALS[given[name]]!r} names its own holder, the {AGENTS[holder]}"
+                    f"{name}={GOALS[goal]!r} names its own holder, the {AGENTS[holder]}"
                 )
         if (signs := next((one for one in ALPHAS if np.array_equal(alpha, one)), None)) is None:
             raise InvalidSettingError(f"alpha={shown(alpha)} is none of {list(ALPHAS)}")
         forces = {"strength_red": strength_red, "strength_green": strength_green}
         vars(self).update(
             world=PHASE,
-            stated=tuple(given.values()),
+            stated=stated,
             towards=tuple((1 - one, sign) if sign else None for one, sign in enumerate(signs)),
             strengths=tuple(checked_strength(name, force) for name, force in forces.items()),
         )
