@@ -31,6 +31,7 @@ def test_a_file_and_its_folder_print_the_same_table_or_json(folder: Path, capsys
     said = told(capsys, "diagnose", folder, "--json", "--weights", "likelihood")
     post = Posterior.load(folder / "posterior.nc", "likelihood")
     assert json.loads(said) == post.diagnostics()
+    assert str(post.diagnostics()).startswith(f"diagnostics  {post.event_id}: ")
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (4, 123)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -25,14 +25,14 @@ from phase_ppl.analysis.tree import (
     space_of_tree,
     untried,
 )
-from phase_ppl.analysis.verdict import ALONE, of_draws
+from phase_ppl.analysis.verdict import ALONE, of_draws, verdict_lines
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import overlaps
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import Predicate
-from phase_ppl.world.picture import plain
+from phase_ppl.world.picture import LABEL, Printed, plain, wrapped
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import HypothesisSpace
 
@@ -311,3 +311,86 @@ def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
         near |= apart < 3 * (radius[one] + radius[other])
     frames = np.flatnonzero(near).tolist()
     return [t for t in frames if overlaps(trajectory[t], small, walls, n_agents)]
+
+
+# --- as a table -----------------------------------------------------------------------------------
+
+_NAME: Final = 38  # columns of a name, beside the label before it
+_BLOCKS: Final = 10  # stretches of iterations whose acceptance is told, at most
+
+
+class Diagnostics(Printed, dict[str, Any]):
+    """How the chains went; ``print`` shows a table of at most 88 columns with the verdict."""
+
+    def __init__(self, event_id: str, found: Mapping[str, Any]) -> None:
+        super().__init__(found)
+        self._event_id = event_id
+
+    def __str__(self) -> str:
+        rates, counts = self["acceptance_by_iteration"], self["simulations"]
+        blocks = np.array_split(np.array(rates), min(len(rates), _BLOCKS))
+        few = len(rates) <= _BLOCKS
+        by = "by iteration" if few else f"by tenth of the {len(rates)} iterations"
+        texts = {
+            "diagnostics": f"{self._event_id}: {self['particles']} particles x "
+            f"{self['iterations']} iterations, {self['kernel']} ({self['validity']}), weights "
+            f"{self['weights']}",
+            "": "",
+            "accepted": f"{self['acceptance_rate']:.0%} of the proposals; {by}, in percent: "
+            + " ".join(f"{100 * part.mean():.0f}" for part in blocks),
+            "moved": (
+                ""
+                if self["move_rate"] is None
+                else f"to another pair of goals in {self['move_rate']:.0%} of the iterations; "
+            )
+            + f"{self['distinct_hypotheses']} distinct hypotheses, "
+            f"{self['distinct_goal_pairs']} pairs of goals",
+            "windows": _of_windows(self["windows"]),
+            "simulations": f"{counts['total']}: {counts['completed']} completed, "
+            f"{counts['aborted']} stopped early (saved {self['frames_saved_share']:.0%} of the "
+            f"frames), {counts['failed']} failed; the best draw is "
+            f"{self['best_error_per_frame']:.2f} units per frame from the observation",
+        }
+        lines = [line for label, text in texts.items() for line in wrapped(label, text) or [""]]
+        lines += ["", _row("", ("R-hat", "bulk ESS", "tail ESS"), 12)]
+        for name, entry in self["scalars"].items():
+            sizes = [_number(entry[f"ess_{of}"], 0) for of in ("bulk", "tail")]
+            lines.append(_row(name.replace("_", " "), [_number(entry["r_hat"]), *sizes], 12))
+        lines += ["", _row("", ("P", "draws", "MCSE", "ESS", "R-hat"), 7)]
+        for name, categories in self["categories"].items():
+            label = name.replace("_", " ")
+            for category, entry in categories.items():
+                cells = [_number(entry[column]) for column in ("probability", "share", "mcse")]
+                cells += [_number(entry["ess"], 0), _number(entry["r_hat"])]
+                lines.append(_row(f"{label:<{LABEL}}{category}", cells, 7))
+                label = ""
+            if (apart := self["between_chain_tv"].get(name)) is not None:
+                lines += wrapped(
+                    "",
+                    f"the same goal leads in {self['agreement'][name]:.0%} of the particles; two "
+                    f"differ by {apart['mean']:.2f} on average, by {apart['max']:.2f} at most "
+                    "(total variation)",
+                )
+            lines.append("")
+        return "\n".join([*lines, *verdict_lines(self)])
+
+
+def _row(label: str, cells: Iterable[str], width: int) -> str:
+    room = LABEL + _NAME
+    return (f"{label[: room - 1]:<{room}}" + "".join(f"{cell:>{width}}" for cell in cells)).rstrip()
+
+
+def _of_windows(windows: Mapping[str, Any]) -> str:
+    if not windows["proposals"]:
+        return "no proposal came from a window"
+    starts = np.repeat(windows["starts"], windows["counts"])
+    low, high = np.quantile(starts, (0.25, 0.75)).round().astype(int)
+    text = f"{windows['proposals']} proposals from {len(windows['starts'])} windows"
+    if windows["frames"] is not None:
+        text += f" of {windows['frames']} frames"
+    text += f", half of which begin in frames {low} to {high}"
+    return f"{text}; {windows['without']} from none" if windows["without"] else text
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -14,7 +14,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import diagnostics
+from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
 from phase_ppl.analysis.estimate import (
     FEW_WHERE_TOLD,
     LEARNT,
@@ -329,9 +329,12 @@ class Posterior(EventPosterior):
     def observed(self) -> FloatArray:
         return np.asarray(array(self._tree, "observed_data", "trajectory"), np.float64)
 
-    def diagnostics(self) -> dict[str, Any]:
-        """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`."""
-        return diagnostics(
+    def diagnostics(self) -> Diagnostics:
+        """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`.
+
+        ``print`` shows it as a table.
+        """
+        found = diagnostics(
             self._counted,
             self._weights,
             self._rows,
@@ -340,6 +343,7 @@ class Posterior(EventPosterior):
             self._needed,
             self._words,
         )
+        return Diagnostics(self.event_id, found)
 
     def over_time(self) -> xr.Dataset:
         """Return the marginals on ever more of the video, in hindsight (:data:`HINDSIGHT`).

@@ -7,18 +7,14 @@ import functools
 import re
 import shlex
 import sys
-from collections import Counter
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import phase_ppl
 from phase_ppl.cli import own
 from phase_ppl.cli.commands import FAILED, Options
 from phase_ppl.world.errors import check_name
 from phase_ppl.world.files import writable_folder
-
-if TYPE_CHECKING:
-    from phase_ppl.data.generated import GeneratedEvents
 
 
 def generate(options: Options) -> int:
@@ -65,7 +61,7 @@ def generate(options: Options) -> int:
     if options.cell:
         given["cells"] = {_family(name): number for name, number in options.cell.items()}
     made = options.call(phase_ppl.generate, **given)
-    _print(made)
+    print(made)
     if options.videos:
         rejected = [
             dataclasses.replace(event, id=f"{event.id}-{re.sub(r'[^A-Za-z0-9]+', '-', reason)}")
@@ -91,23 +87,6 @@ def generate(options: Options) -> int:
 def _family(cell: str) -> str:
     """Return what a cell is called when the file of ``FILE.py:NAME`` has been run."""
     return cell if own.taken(cell, "family") is cell else cell.rpartition(":")[2]
-
-
-def _print(made: GeneratedEvents) -> None:
-    """Print how many draws of each kind were kept, and why others were not."""
-    manifest = made.manifest
-    for cell, kept in manifest["kept"].items():
-        if not kept:
-            continue
-        print(f"{cell:<22}{_kept(kept, manifest['rejected'][cell], 'draws')}")
-    splits = Counter(entry["split"] for entry in made.entries)
-    parts = ", ".join(f"{n} {name}" for name, n in splits.items())
-    print(f"{len(made)} events ({parts}) in {made.path}")
-
-
-def _kept(kept: int, refused: Mapping[str, int], what: str) -> str:
-    why = "; ".join(f"{reason} {n}" for reason, n in refused.items())
-    return f"{kept:>4} of {kept + sum(refused.values()):>4} {what}{'   ' + why if why else ''}"
 
 
 def verify(options: Options) -> int:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 import phase_ppl
 from phase_ppl.cli import own
 from phase_ppl.cli.commands import POSTERIOR, Options
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import as_path, writable_folder
-from phase_ppl.world.picture import LABEL, plain, wrapped
+from phase_ppl.world.picture import plain
 
 _MOST_LINES: Final = 40  # entries of a table that are printed, at most
 _LEAST: Final = 0.0005  # probability below which they are not printed one by one
@@ -148,10 +146,6 @@ def _ranked(found: Any) -> list[tuple[tuple[str, ...], phase_ppl.Estimate]]:
 
 # --- diagnose --------------------------------------------------------------------------------
 
-_NAME: Final = 38
-_BLOCKS: Final = 10
-"""Stretches of iterations whose acceptance is printed, at most."""
-
 
 def diagnose(options: Options) -> None:
     """Say whether the chains of a posterior can be trusted.
@@ -181,87 +175,12 @@ def diagnose(options: Options) -> None:
     if options.json:
         _print_json(dict(found), 1)
         return
-    print(_table(post.event_id, found) if sampled else post)
+    print(found if sampled else post)
     if figures:
         names = ", ".join(f"{draw.__name__}.png" for draw in figures)
         print(f"\nWritten to {options.out}: {names}")
     elif sampled:
         print("\nNothing was drawn; --out DIR keeps figures.")
-
-
-def _table(event_id: str, found: Mapping[str, Any]) -> str:
-    """Return diagnostics as a table of at most 88 columns."""
-    from phase_ppl.analysis.verdict import verdict_lines
-
-    rates, counts = found["acceptance_by_iteration"], found["simulations"]
-    blocks = np.array_split(np.array(rates), min(len(rates), _BLOCKS))
-    few = len(rates) <= _BLOCKS
-    by = "by iteration" if few else f"by tenth of the {len(rates)} iterations"
-    texts = {
-        "diagnostics": f"{event_id}: {found['particles']} particles x {found['iterations']} "
-        f"iterations, {found['kernel']} ({found['validity']}), weights {found['weights']}",
-        "": "",
-        "accepted": f"{found['acceptance_rate']:.0%} of the proposals; {by}, in percent: "
-        + " ".join(f"{100 * part.mean():.0f}" for part in blocks),
-        "moved": (
-            ""
-            if found["move_rate"] is None
-            else f"to another pair of goals in {found['move_rate']:.0%} of the iterations; "
-        )
-        + f"{found['distinct_hypotheses']} distinct hypotheses, "
-        f"{found['distinct_goal_pairs']} pairs of goals",
-        "windows": _windows(found["windows"]),
-        "simulations": f"{counts['total']}: {counts['completed']} completed, {counts['aborted']} "
-        f"stopped early (saved {found['frames_saved_share']:.0%} of the frames), "
-        f"{counts['failed']} failed; the best draw is {found['best_error_per_frame']:.2f} units "
-        "per frame from the observation",
-    }
-    lines = [line for label, text in texts.items() for line in wrapped(label, text) or [""]]
-    lines += ["", _row("", ("R-hat", "bulk ESS", "tail ESS"), 12)]
-    for name, entry in found["scalars"].items():
-        numbers = _number(entry["r_hat"]), *(_number(entry[f"ess_{of}"], 0) for of in _ESS)
-        lines.append(_row(name.replace("_", " "), numbers, 12))
-    lines += ["", _row("", ("P", "draws", "MCSE", "ESS", "R-hat"), 7)]
-    for name, categories in found["categories"].items():
-        label = name.replace("_", " ")
-        for category, entry in categories.items():
-            cells = [_number(entry[column]) for column in ("probability", "share", "mcse")]
-            cells += [_number(entry["ess"], 0), _number(entry["r_hat"])]
-            lines.append(_row(f"{label:<{LABEL}}{category}", cells, 7))
-            label = ""
-        if (apart := found["between_chain_tv"].get(name)) is not None:
-            lines += wrapped(
-                "",
-                f"the same goal leads in {found['agreement'][name]:.0%} of the particles; two "
-                f"differ by {apart['mean']:.2f} on average, by {apart['max']:.2f} at most "
-                "(total variation)",
-            )
-        lines.append("")
-    return "\n".join([*lines, *verdict_lines(found)])
-
-
-_ESS: Final = ("bulk", "tail")
-
-
-def _row(label: str, cells: Any, width: int) -> str:
-    room = LABEL + _NAME
-    return (f"{label[: room - 1]:<{room}}" + "".join(f"{cell:>{width}}" for cell in cells)).rstrip()
-
-
-def _windows(windows: Mapping[str, Any]) -> str:
-    if not windows["proposals"]:
-        return "no proposal came from a window"
-    starts = np.repeat(windows["starts"], windows["counts"])
-    low, high = np.quantile(starts, (0.25, 0.75)).round().astype(int)
-    text = f"{windows['proposals']} proposals from {len(windows['starts'])} windows"
-    if windows["frames"] is not None:
-        text += f" of {windows['frames']} frames"
-    text += f", half of which begin in frames {low} to {high}"
-    return f"{text}; {windows['without']} from none" if windows["without"] else text
-
-
-def _number(value: float | None, digits: int = 2) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
 
 
 # --- report ----------------------------------------------------------------------------------

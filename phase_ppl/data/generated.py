@@ -103,10 +103,23 @@ class GeneratedEvents(Printed, StoredEvents):
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
             )
 
+    def __str__(self) -> str:
+        """How many draws of each kind were kept, and why others were not."""
+        lines = []
+        for cell, kept in self.manifest["kept"].items():
+            refused = self.manifest["rejected"][cell]
+            why = "; ".join(f"{reason} {n}" for reason, n in refused.items())
+            of = kept + sum(refused.values())
+            line = f"{cell:<22}{kept:>4} of {of:>4} draws   {why}"
+            lines += [line.rstrip()] * (kept > 0)
+        return "\n".join([*lines, f"{len(self)} events ({self._by_split()}) in {self.path}"])
+
     def __repr__(self) -> str:
+        return f"<{len(self)} generated events of {self.path}: {self._by_split()}>"
+
+    def _by_split(self) -> str:
         splits = Counter(entry["split"] for entry in self.entries)
-        told = ", ".join(f"{n} {name}" for name, n in splits.items())
-        return f"<{len(self)} generated events of {self.path}: {told}>"
+        return ", ".join(f"{n} {name}" for name, n in splits.items())
 
     @property
     def entries(self) -> list[dict[str, Any]]:
