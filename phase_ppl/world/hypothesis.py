@@ -389,6 +389,8 @@ class Hypothesis(Printed):
         return each
 
     def __getattr__(self, name: str) -> Any:
+        if "world" not in vars(self):  # while it is unpickled
+            raise AttributeError(name)
         what, _, key = name.partition("_")
         if what not in ("goal", "strength") or key not in self.world.keys:
             raise AttributeError(f"a hypothesis about {self.world.name!r} has no {name}")

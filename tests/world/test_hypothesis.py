@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import pickle
 from collections import Counter
 
 import pytest
@@ -45,6 +46,7 @@ hypotheses = st.builds(
 @given(hypotheses)
 def test_effective_goals_can_be_stated_and_stay_as_they_are(hypothesis: Hypothesis) -> None:
     assert Hypothesis.from_dict(hypothesis.to_dict()) == hypothesis
+    assert pickle.loads(pickle.dumps(hypothesis)) == hypothesis
     effective = hypothesis.effective()
     assert effective.alpha == (0, 0)
     assert effective.effective_goals == hypothesis.effective_goals
