@@ -321,15 +321,15 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
         "phase_ppl.generate",
         functools.wraps(generate)(lambda **options: generate(**{**options, **QUICK, "frames": 3})),
     )
-    arguments = ["generate", "--cell", "chasing=2", "--keep-rejected"]
+    arguments = ["generate", "--cell", "chasing=3", "--keep-rejected"]
     arguments += ["--videos", "--quiet", "--workers", "1"]
     assert main([*arguments, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     made = ppl.load_events(out)
-    assert "chasing                  2 of    3 draws   the third 1" in printed
-    assert len(list((out / "videos").glob("*.mp4"))) == len(made) == 2
+    assert "chasing                  3 of    4 draws   the third 1" in printed
+    assert len(list((out / "videos").glob("*.mp4"))) == len(made) == 3
     (film,) = (out / "videos_rejected").iterdir()
-    assert film.name == "chasing-00001-0-the-third.mp4"
+    assert film.name == "chasing-00002-0-the-third.mp4"
     assert (out / "contact_sheet.png").stat().st_size > 1000
     assert main(["verify", str(out)]) == 0
     assert main([*arguments, "--out", str(out)]) == 2
