@@ -265,6 +265,8 @@ def read_rows(
                     cells = [cell.strip() for cell in row]
                     if not any(cells):
                         continue
+                    if "\0" in "".join(cells):
+                        raise InvalidEventError(": is no CSV file in UTF-8: it holds zero bytes")
                     if not header:
                         header = cells
                         with in_front(f", line {line}: "):

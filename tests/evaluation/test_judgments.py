@@ -117,7 +117,7 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
         ),
         (f'{HEADER}\n\n{ROW}\np02,a,,,"friendly,\n', "line 4: is no CSV: unexpected end of data"),
         (f"{HEADER}\n{'x' * 200_000},a,,,friendly,", "line 2: is no CSV: field larger than"),
-        (b"PK\x03\x04\x00\x00", "unknown column"),
+        (b"PK\x03\x04\x00\x00", "is no CSV file in UTF-8: it holds zero bytes"),
         (b"\x80\x04\x95\x10", "is no CSV file in UTF-8"),
         # cells with lines of their own
         (f'{HEADER}\n"p01",a,,,"friend\nly",', r"line 2: relation: unknown .* 'friend\\nly'"),

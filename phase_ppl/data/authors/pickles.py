@@ -167,12 +167,12 @@ class _Reader(_Base):  # type: ignore[misc]
 
     def _raw(self, content: Any) -> bytes:
         """Return bytes, which Python 2, or an old protocol, wrote as a text."""
-        if isinstance(content, bytes | bytearray):
-            return bytes(content)
-        if not isinstance(content, str):
+        if isinstance(content, bytes):
+            return content
+        if not isinstance(content, str | bytearray):
             raise InvalidEventError(_NO_NUMBERS)
         self._count(len(content))
-        return content.encode("latin-1")
+        return content.encode("latin-1") if isinstance(content, str) else bytes(content)
 
     def _count(self, n: int) -> None:
         self._copied += n
