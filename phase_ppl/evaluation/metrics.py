@@ -537,7 +537,8 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
         scenario -> both, of what participants said about its events, and ``n``, the participants
         who said anything. In other worlds than PHASE ``by_agent`` and ``by_pair``.
     """
-    known = [e for e in events if e.truth is not None and getattr(Judgments.of(e), "responses", ())]
+    judged = [(event, Judgments.of(event)) for event in events if event.truth is not None]
+    known = [event for event, one in judged if one is not None and one.responses]
     world, rows = world_of(events), Answers.of(known, {}).rows
     given = responses_of(known)
     given = pd.DataFrame(columns=["event", "who", "question", "label"]) if given is None else given
