@@ -13,12 +13,12 @@ import math
 import os
 import sys
 import textwrap
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
+import pandas as pd
 
 from phase_ppl.analysis.figures.style import (
     COLOURS,
@@ -49,7 +49,6 @@ from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.table import (
     Answers,
     AnswerSet,
-    kinds_of,
     parts_of,
     true_answers,
     true_scenario,
@@ -426,7 +425,6 @@ _POINT: Final = 0.02
 
 _AREA: Final = 9.0
 
-_Cloud = Counter[tuple[float, float]]
 _Texts = dict[tuple[int, int], tuple[str, dict[str, Any]]]
 
 
@@ -443,9 +441,17 @@ def confusion(source: Source, path: PathLike | None = None) -> Figure:
         NothingToDrawError: nobody answered the goals of events whose scenario is known, as it is
             in PHASE only.
     """
+    from matplotlib import colormaps
+
     results = opened(source)
     true = scenarios_of(results)
-    shown = [(o, counts) for o in results.measured if (counts := _counts(o, true)).any()]
+    shown: dict[AnswerSet, IntArray] = {}
+    for o in results.measured:
+        pairs = [(true[e], p.scenario) for e, p in o.predictions.items() if e in true]
+        counted = pd.DataFrame(pairs, columns=["true", "answered"]).value_counts()
+        cells = itertools.product(SCENARIOS, SCENARIOS)
+        shown[o] = np.array([counted.get(cell, 0) for cell in cells]).reshape(len(SCENARIOS), -1)
+    shown = {o: counts for o, counts in shown.items() if counts.any()}
     if not shown:
         raise NothingToDrawError(
             "nobody answered the goals of an event of the world PHASE whose scenario is known"
@@ -457,44 +463,27 @@ def confusion(source: Source, path: PathLike | None = None) -> Figure:
     figure.suptitle("scenario of the goals answered", fontsize=NORMAL)
     figure.supylabel("true scenario", fontsize=NORMAL)
     grid = figure.subplots(n_rows, n_columns, squeeze=False)
-    events = np.sum([counts for _, counts in shown], axis=2).T
+    events = np.sum([*shown.values()], axis=2).T
     labels = [f"{name}\n{in_words(row)}" for name, row in zip(SCENARIOS, events, strict=True)]
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
-    for place, (answers, counts) in enumerate(shown):
+    for place, (answers, counts) in enumerate(shown.items()):
         row, column = divmod(place, n_columns)
         axes = grid[row, column]
-        _confusion(axes, counts)
-        style: dict[str, Any] = {"rotation": 40, "ha": "left", "rotation_mode": "anchor"}
-        axes.set_xticks(range(len(SCENARIOS)), SCENARIOS if row == 0 else [], **style)
+        shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        texts: _Texts = {}
+        for (i, j), n in np.ndenumerate(counts):
+            colour = "white" if shares[i, j] > _DARK else INK
+            style = {"fontsize": NORMAL, "color": colour, "fontweight": ("normal", "bold")[i == j]}
+            texts[i, j] = (str(n) if n else "\N{MIDDLE DOT}", style)
+        _cells(axes, colormaps["Blues"](shares / 1.15), texts)
+        slanted: dict[str, Any] = {"rotation": 40, "ha": "left", "rotation_mode": "anchor"}
+        axes.set_xticks(range(len(SCENARIOS)), SCENARIOS if row == 0 else [], **slanted)
         axes.set_yticks(range(len(SCENARIOS)), labels if column == 0 else [])
         name = f"{answers.label}, majority" if answers.kind == "people" else answers.label
         style = {"fontsize": NORMAL, "color": answers.colour, "fontweight": "bold"}
         axes.set_title(textwrap.fill(name, 20), **style)
     return written(figure, path)
-
-
-def _counts(answers: AnswerSet, scenarios: Mapping[str, str]) -> IntArray:
-    """Return (true, answered) numbers of events."""
-    counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
-    for name, prediction in answers.predictions.items():
-        if name in scenarios and prediction.scenario is not None:
-            true = SCENARIOS.index(scenarios[name])
-            counts[true, SCENARIOS.index(prediction.scenario)] += 1
-    return counts
-
-
-def _confusion(axes: Axes, counts: IntArray) -> None:
-    from matplotlib import colormaps
-
-    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    texts: _Texts = {}
-    for (row, column), n in np.ndenumerate(counts):
-        colour = "white" if shares[row, column] > _DARK else INK
-        weight = "bold" if row == column else "normal"
-        style = {"fontsize": NORMAL, "color": colour, "fontweight": weight}
-        texts[row, column] = (str(n) if n else "\N{MIDDLE DOT}", style)
-    _cells(axes, colormaps["Blues"](shares / 1.15), texts)
 
 
 def _cells(axes: Axes, colours: FloatArray, texts: _Texts) -> None:
@@ -540,67 +529,52 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
     """Draw a row per model, a column per true scenario."""
     results = opened(source)
     scenarios = scenarios_of(results)
-    people = next((o for o in results.measured if o.kind == "people"), None)
-    models = [] if people is None else [o for o in results.measured if o.kind != "people"]
-    clouds = [(o, p) for o in models if people and (p := _clouds(o, people, scenarios, kind))]
-    if people is None or not clouds:
+    clouds: dict[AnswerSet, pd.Series[int]] = {}
+    for o in results.measured:
+        rows = Answers.of(results.events, o.predictions).rows
+        rows = rows[(rows["kind"] == kind) & rows["people"].notna() & rows["probability"].notna()]
+        if o.kind != "people" and len(rows):
+            places = [(rows[n] / _POINT).round() * _POINT for n in ("people", "probability")]
+            clouds[o] = rows.groupby([rows["event"].map(scenarios).fillna(""), *places]).size()
+    if not clouds:
         raise NothingToDrawError(f"people judged no {kind} that a model gives probabilities for")
-    columns = [name for name in (*SCENARIOS, "") if any(name in points for _, points in clouds)]
+    present = {name for points in clouds.values() for name, _, _ in points.index}
+    columns = [name for name in (*SCENARIOS, "") if name in present]
     figure = new_figure(
-        width_of(o for o, _ in clouds) + 0.3 + 1.4 * max(len(columns), 2),
+        width_of(clouds) + 0.3 + 1.4 * max(len(columns), 2),
         1.0 + 1.4 * len(clouds),
         note=f"Probabilities of the {what}; n: events. The area of a point grows with how many it "
         "stands for.",
     )
     grid = figure.subplots(len(clouds), len(columns), squeeze=False, sharex=True, sharey=True)
-    largest = max(n for _, points in clouds for part in points.values() for n in part.values())
-    for line, (answers, points) in zip(grid, clouds, strict=True):
+    scale = min(1.0, 40 / max(points.max() for points in clouds.values()))
+    for line, (answers, points) in zip(grid, clouds.items(), strict=True):
         for axes, name in zip(line, columns, strict=True):
-            colour = SCENARIO_COLOURS.get(name, GREY)
-            _cloud(axes, points.get(name, _Cloud()), colour, min(1.0, 40 / largest))
+            axes.plot([0, 1], [0, 1], color="#c4c4c4", lw=0.8, zorder=1)
+            # large ones first, so that none hides a smaller one
+            for (of, x, y), n in points.sort_values(ascending=False).items():
+                if of == name:
+                    axes.scatter(
+                        x, y, s=_AREA * (1 + scale * (n - 1)), alpha=0.55, lw=0.5, zorder=2,
+                        color=SCENARIO_COLOURS.get(name, GREY), edgecolor="white", clip_on=False,
+                    )  # fmt: skip
+            axes.set(xlim=(-0.09, 1.09), ylim=(-0.09, 1.09))
+            axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
+            axes.set_yticks([0, 0.5, 1], ["0", "0.5", "1"])
         r = at(answers.metrics, ("human", f"{kind}_r"))
         label = answers.label if r is None else f"{answers.label}\nr = {number(r['value'])}"
         line[0].set_ylabel(
             label, rotation=0, ha="right", va="center", fontsize=fitting([answers.label]),
             color=answers.colour,
         )  # fmt: skip
+    judged = next(o.predictions for o in results.measured if o.kind == "people")
     for top, bottom, name in zip(grid[0], grid[-1], columns, strict=True):
-        n = sum(scenarios.get(event, "") == name for event in people.predictions)
+        n = sum(scenarios.get(event, "") == name for event in judged)
         style = {"color": SCENARIO_COLOURS.get(name, GREY), "fontweight": "bold"}
         title = name or ("scenario not known" if scenarios else "all events")
         titled(top, title, f"n = {n}", fontsize=NORMAL, **style)
         bottom.set_xlabel("people", fontsize=SMALL)
     return written(figure, path)
-
-
-def _clouds(
-    answers: AnswerSet, people: AnswerSet, scenarios: Mapping[str, str], kind: str
-) -> dict[str, _Cloud]:
-    """Return true scenario -> how many answers have which (people's, model's) probability."""
-    found: dict[str, _Cloud] = {}
-    for event, judged in people.predictions.items():
-        given = answers.predictions.get(event)
-        for question in kinds_of(judged.world)[kind]:
-            both = [one and one.probabilities.get(question) for one in (judged, given)]
-            if any(one is None for one in both):
-                continue
-            rounded = np.round(np.round(np.array(both) / _POINT) * _POINT, 6).T.tolist()
-            cloud = found.setdefault(scenarios.get(event, ""), _Cloud())
-            cloud.update((x, y) for x, y in rounded)
-    return found
-
-
-def _cloud(axes: Axes, points: _Cloud, colour: str, scale: float) -> None:
-    axes.plot([0, 1], [0, 1], color="#c4c4c4", lw=0.8, zorder=1)
-    # large ones first, so that none hides a smaller one
-    for (x, y), n in points.most_common():
-        axes.scatter(
-            x, y, s=_AREA * (1 + scale * (n - 1)), color=colour, alpha=0.55, lw=0.5,
-            edgecolor="white", zorder=2, clip_on=False,
-        )  # fmt: skip
-    axes.set(xlim=(-0.09, 1.09), ylim=(-0.09, 1.09))
-    axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
-    axes.set_yticks([0, 0.5, 1], ["0", "0.5", "1"])
 
 
 @drawing(
@@ -615,7 +589,8 @@ def costs(source: Source, path: PathLike | None = None) -> Figure:
         NothingToDrawError: of no model both are known, or it is no comparison of models.
     """
     measured = compared(source).measured
-    timed = [o for o in measured if _positive(o.metrics.get("cpu_seconds"), "value")]
+    # what has a place on an axis without 0
+    timed = [o for o in measured if (at(o.metrics, "cpu_seconds.value") or 0) > 0]
     kinds = {
         kind: shown
         for kind in KIND_TITLES
@@ -637,11 +612,6 @@ def costs(source: Source, path: PathLike | None = None) -> Figure:
     return written(figure, path)
 
 
-def _positive(figure: Mapping[str, Any] | None, part: str) -> bool:
-    """Whether part of a figure is known and has a place on an axis without 0."""
-    return figure is not None and figure[part] is not None and figure[part] > 0
-
-
 def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
     ends: list[float] = []
     for answers in shown:
@@ -650,7 +620,7 @@ def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
         style: dict[str, Any] = {"color": answers.colour, "lw": 1.2, "zorder": 2}
         if right["ci_low"] is not None:
             axes.plot([x, x], [right["ci_low"], right["ci_high"]], **style)
-        if _positive(cost, "ci_low"):
+        if (cost["ci_low"] or 0) > 0:
             axes.plot([cost["ci_low"], cost["ci_high"]], [y, y], **style)
             ends += [cost["ci_low"], cost["ci_high"]]
         axes.plot([x], [y], "o", ms=5.5, color=answers.colour, mec="white", mew=0.8, zorder=3)

@@ -28,14 +28,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import math
 import os
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import pandas as pd
 
 from phase_ppl.data.authors.videos import parse_name
@@ -212,14 +213,12 @@ def _check_header(world: World, of_events: bool, header: Sequence[str]) -> None:
                 )
             if header.count(name) > 1:
                 raise InvalidEventError(f"names the column {name} twice")
-    for name in ("participant", "video"):
-        with faults.noted():
-            if name not in header:
-                raise InvalidEventError(f"names no column {name}")
-    with faults.noted():
-        if not any(name in questions_of(world) for name in header):
-            raise InvalidEventError(f"names none of the columns {', '.join(questions_of(world))}")
     faults.check()
+    missing = [name for name in ("participant", "video") if name not in header]
+    if missing:
+        raise InvalidEventError(f"names no column {' and no column '.join(missing)}")
+    if not any(name in questions_of(world) for name in header):
+        raise InvalidEventError(f"names none of the columns {', '.join(questions_of(world))}")
 
 
 def _row(cells: Mapping[str, str], world: World) -> dict[str, Any]:
@@ -236,23 +235,18 @@ def _row(cells: Mapping[str, str], world: World) -> dict[str, Any]:
             if answer in _NOT_AVAILABLE:
                 raise InvalidEventError(f"{answer}, expected an empty cell where there is none")
             row[question] = checked_answer(question, answer, world) if answer else None
+    seconds = cells.get("response_time", "")
     with faults.noted():
-        row["response_time"] = _seconds(cells.get("response_time", ""))
+        row["response_time"] = math.nan
+        is_number = re.fullmatch(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", seconds)
+        if seconds and not (is_number and math.isfinite(float(seconds))):
+            raise InvalidEventError(
+                f"response_time is {shown(seconds)}, expected seconds, such as 12.4"
+            )
+        if seconds:
+            row["response_time"] = float(seconds)
     faults.check()
     return row
-
-
-def _seconds(cell: str) -> float:
-    """Return the seconds in a cell, NaN where it is empty."""
-    if not cell:
-        return math.nan
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0) or "_" in cell:
-        raise InvalidEventError(f"response_time is {shown(cell)}, expected seconds, such as 12.4")
-    return value
 
 
 # --- raters' files --------------------------------------------------------------------------------
@@ -316,8 +310,8 @@ def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:
     for number, line in enumerate(lines[1:] if len(lines) == 1 + FILMS else [], 2):
         with in_front(f"{file}, line {number}: "):
             try:
-                given = {str(key): value for key, value in json.loads(line)}
-            except (ValueError, TypeError, RecursionError):
+                given = dict(msgspec.json.decode(line, type=list[tuple[str, str]]))
+            except msgspec.DecodeError:
                 raise InvalidEventError("is no JSON list of [key, value] pairs") from None
             film = require(given, "video_name", str)
             relation = checked_answer("relation", require(given, "likert_response", str), PHASE)

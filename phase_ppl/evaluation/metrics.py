@@ -100,12 +100,10 @@ from phase_ppl.evaluation.table import (
     Answers,
     Place,
     kinds_of,
-    part_of,
     parts_of,
     places_of_scenarios,
     predicted,
     responses_of,
-    true_answers,
     world_of,
 )
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
@@ -539,21 +537,17 @@ def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
         scenario -> both, of what participants said about its events, and ``n``, the participants
         who said anything. In other worlds than PHASE ``by_agent`` and ``by_pair``.
     """
-    world = world_of(events)
-    parts = [path for kind in PREFIX for path in parts_of(world, kind)]
-    rows = [
-        (who, kind, part_of(event, kind, i), float(row[question] == true_answers(event)[question]))
-        for event in events
-        if event.truth is not None and (judgments := Judgments.of(event)) is not None
-        for who, row in judgments.responses.items()
-        for kind, questions in kinds_of(world).items()
-        for i, question in enumerate(questions)
-        if question in row
-    ]
-    table = pd.DataFrame(rows, columns=["who", "kind", "part", "right"])
+    judged = [(event, Judgments.of(event)) for event in events if event.truth is not None]
+    known = [event for event, one in judged if one is not None and one.responses]
+    world, rows = world_of(events), Answers.of(known, {}).rows
+    given = responses_of(known)
+    given = pd.DataFrame(columns=["event", "who", "question", "label"]) if given is None else given
+    table = given.merge(rows[rows["truth"] == 1], on=["event", "question"])
+    table["right"] = (table["label_x"] == table["label_y"]).astype(float)
     people = table["who"].unique()
     found: dict[Place, Any] = {("n_participants",): len(people)}
-    paths: list[Place] = [(), *dict.fromkeys(parts)]
+    parts = dict.fromkeys(path for kind in PREFIX for path in parts_of(world, kind))
+    paths: list[Place] = [(), *parts]
     for path in paths:
         of_part = table[table["part"] == path[-1]] if path else table
         if path:

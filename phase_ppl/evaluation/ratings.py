@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+import msgspec
 import numpy as np
 
-from phase_ppl.data.documents import in_front, of_kind
+from phase_ppl.data.documents import converted, in_front
 from phase_ppl.evaluation.prediction import (
     checked_answer,
     labels_of,
@@ -21,9 +22,21 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, World
 
 MAX_RATINGS: Final = 10**9 - 1  # most ratings on one question of one event
-_COUNTS: Final = ("counts", "relation_counts", "goal_counts")
 _WITHOUT_RATINGS: Final = ("n_raters", "majority")
 """What may be all that is known of people: the authors' pickles have the majority only."""
+
+_People = Annotated[int, msgspec.Meta(ge=0, le=MAX_RATINGS)]
+_Votes = dict[str, dict[str, _People] | None]
+
+
+class _Record(msgspec.Struct):
+    """What is read of the judgments of an event file."""
+
+    counts: _Votes | None = None
+    relation_counts: dict[str, _People] | None = None
+    goal_counts: _Votes | None = None
+    responses: list[dict[str, str | None]] | None = None
+    n_raters: _People | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -115,31 +128,44 @@ class Judgments:
                 counts; or the record has fields, but none of those that hold ratings.
             UnknownNameError: no such agent, goal, relation or question.
         """
-        known = (*_COUNTS, "responses")
+        known = _Record.__struct_fields__[:4]
         if record and not any(name in record for name in (*known, *_WITHOUT_RATINGS)):
             raise InvalidEventError(
                 f"has {shown(sorted(map(str, record)))}, expected one of {', '.join(known)}"
             )
-        counts, n_raters = _counts(record, world), record.get("n_raters")
-        listed = record.get("responses")
-        if listed is not None:
-            found = cls.of_responses(_responses(listed), world)
-            for question, ratings in counts.items():
-                if not np.array_equal(ratings, found.counts.get(question, ())):
+        given = converted(dict(record), _Record)
+        votes = {**(given.counts or {}), **per_agent("goal_counts", given.goal_counts, world)}
+        votes |= {} if given.relation_counts is None else {"relation": given.relation_counts}
+        counts = {}
+        for question, of_question in votes.items():
+            labels = labels_of(question, world)
+            values = np.zeros(len(labels), np.int64)
+            for answer, n in (of_question or {}).items():
+                values[labels.index(checked_answer(question, answer, world))] += n
+            if values.sum() > MAX_RATINGS:
+                raise InvalidEventError(f"{question} has more than {MAX_RATINGS} votes")
+            if values.any():
+                counts[question] = values
+        found = cls(counts, 0, world=world)
+        if given.responses is not None:
+            found = cls.of_responses(_by_participant(given.responses), world)
+            for question, values in counts.items():
+                if not np.array_equal(values, found.counts.get(question, ())):
                     raise InvalidEventError(f"the counts of {question} contradict the responses")
-            counts = dict(found.counts)
-        totals = [int(ratings.sum()) for ratings in counts.values()]
-        if n_raters is not None:
-            _check_raters(n_raters, totals)
-        if listed is not None:
-            if n_raters not in (None, found.n_raters):
-                raise InvalidEventError(
-                    f"n_raters is {n_raters}, but {found.n_raters} people responded"
-                )
-            return found if totals else None
-        if not totals:
-            return None
-        return cls(counts, max(totals) if n_raters is None else n_raters, world=world)
+        totals, n_raters = [int(values.sum()) for values in found.counts.values()], given.n_raters
+        most = max(totals, default=0)
+        if n_raters is not None and not most <= n_raters <= sum(totals):
+            raise InvalidEventError(
+                f"n_raters is {n_raters}, but there are {most} votes on a question, {sum(totals)} "
+                "in all"
+            )
+        if found.responses and n_raters not in (None, found.n_raters):
+            raise InvalidEventError(
+                f"n_raters is {n_raters}, but {found.n_raters} people responded"
+            )
+        if not found.responses:
+            found = dataclasses.replace(found, n_raters=most if n_raters is None else n_raters)
+        return found if totals else None
 
     def to_record(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
@@ -156,48 +182,13 @@ class Judgments:
         }
 
 
-def _counts(record: Mapping[str, Any], world: World) -> dict[str, IntArray]:
-    given = dict(of_kind("counts", record.get("counts") or {}, dict))
-    given |= per_agent("goal_counts", record.get("goal_counts"), world)
-    if record.get("relation_counts") is not None:
-        given["relation"] = record["relation_counts"]
-    counts = {}
-    for question, ratings in given.items():
-        if ratings is not None:
-            labels = labels_of(question, world)
-            values = np.zeros(len(labels), np.int64)
-            for answer, n in of_kind(f"the counts of {question}", ratings, dict).items():
-                place = labels.index(checked_answer(question, answer, world))
-                values[place] += _people(f"{question}: {answer!r}", n)
-            if values.sum() > MAX_RATINGS:
-                raise InvalidEventError(f"{question} has more than {MAX_RATINGS} votes")
-            if values.any():
-                counts[question] = values
-    return counts
-
-
-def _check_raters(given: object, totals: Sequence[int]) -> None:
-    number = _people("n_raters", given)
-    if totals and max(totals) > number:
-        raise InvalidEventError(f"n_raters is {number}, but a question has {max(totals)} votes")
-    if number > sum(totals):
-        raise InvalidEventError(f"n_raters is {number}, but there are {sum(totals)} votes in all")
-
-
-def _responses(listed: object) -> dict[str, dict[str, str]]:
+def _by_participant(listed: Sequence[Mapping[str, str | None]]) -> dict[str, dict[str, str]]:
     rows: dict[str, dict[str, str]] = {}
-    for index, entry in enumerate(of_kind("responses", listed, list)):
-        row = dict(of_kind(f"responses[{index}]", entry, dict))
-        who = row.pop("participant", None)
-        if not isinstance(who, str) or not who.strip():
+    for index, entry in enumerate(listed):
+        who = entry.get("participant") or ""
+        if not who.strip():
             raise InvalidEventError(f"responses[{index}] has the participant {shown(who)}")
         if who in rows:
             raise InvalidEventError(f"responses names the participant {shown(who)} twice")
-        rows[who] = {question: answer for question, answer in row.items() if answer is not None}
+        rows[who] = {q: answer for q, answer in entry.items() if answer and q != "participant"}
     return rows
-
-
-def _people(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_RATINGS:
-        raise InvalidEventError(f"{name} has {shown(value)}, expected a number of people")
-    return value

@@ -21,7 +21,7 @@ from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, Roles
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, Hypothesis
 from phase_ppl.world.scene import PHASE, World
 
 Place: TypeAlias = tuple[str, ...]
@@ -82,7 +82,7 @@ def true_answers(event: Event) -> dict[str, str]:
     truth = event.truth
     if truth is None:
         return {}
-    if not isinstance(truth, Roles):
+    if not isinstance(truth, Hypothesis):
         return {question: str(getattr(truth, question)) for question in QUESTIONS}
     goals = zip(kinds_of(truth.world)["goal"], truth.goals.values(), strict=True)
     pairs = pairs_of(truth.world).items()
@@ -91,7 +91,7 @@ def true_answers(event: Event) -> dict[str, str]:
 
 def true_scenario(event: Event) -> str | None:
     """Return the true scenario; None where it is unknown, as in other worlds than PHASE."""
-    known = event.truth is not None and not isinstance(event.truth, Roles)
+    known = event.truth is not None and not isinstance(event.truth, Hypothesis)
     return event.truth.scenario if known else None
 
 

@@ -45,7 +45,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import Scene
 
@@ -129,7 +129,7 @@ def event_page(event: Event, shown: Sequence[AnswerSet], post: EventPosterior | 
     With the model's posterior its best hypothesis' simulation is shown as well.
     """
     truth = "Truth not known."
-    if isinstance(event.truth, Roles):
+    if isinstance(event.truth, Hypothesis):
         truth = f"Truth: {event.truth}."
     elif event.truth is not None:
         truth = f"Truth: {event.truth.scenario}, {event.truth.relation}."
