@@ -106,7 +106,7 @@ def _panel(
     ends = []
     for label in labels:
         values = marginal.sel({dim: label}).values
-        within = 0 * values if errors is None else 1.96 * errors.sel({dim: label}).values
+        within = None if errors is None else 1.96 * errors.sel({dim: label}).values
         banded(axes, time, values, within, colours[label], shares=True, zorder=3)
         ends.append((float(values[-1]), label, colours[label]))
     rest = np.clip(1 - marginal.sel({dim: labels}).sum(dim).values, 0, 1)

@@ -149,14 +149,15 @@ def titles(post: Hypotheses) -> dict[str, str]:
 
 def _relation_bars(axes: Axes, post: Hypotheses) -> None:
     """Draw the probabilities of relations and scenarios as groups of bars."""
-    rows: list[tuple[str, float, float]] = []
+    rows: list[Any] = []
     named = {**post.relations_of, **post.scenarios_of}
     for of, name in named.items():
         found = post.marginal(name)
-        labels = [label if of in _ALONE else f"{of}: {label}" for label in found[name].values]
-        rows += zip(labels, found.values, found["error"].values, strict=True)
+        told = [label if of in _ALONE else f"{of}: {label}" for label in found[name].values]
+        rows += zip(told, found.values, found["error"].values, strict=True)
     sizes = [len(post.quantities[name] or ()) for name in named.values()]
-    bars(axes, *zip(*rows, strict=True), RELATION_COLOUR, groups=sizes)
+    labels, values, errors = map(list, zip(*rows, strict=True))
+    bars(axes, labels, values, errors, RELATION_COLOUR, groups=sizes)
     title = "Relation, and scenario" if post.scenarios_of else "Relations"
     axes.set(title=title, xlabel="posterior probability")
 
