@@ -477,7 +477,7 @@ class EventPosterior(Hypotheses):
         own = self._constant.get("log_prior_goals")
         own_goals = None if own is None else np.exp(own.values)
         how = (at, seconds, n, seed, workers, simulator)
-        return simulated(self, own_goals, change if change.words else None, *how)
+        return simulated(self, own_goals, change, *how)
 
     def predict(
         self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None
