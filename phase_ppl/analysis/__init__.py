@@ -9,8 +9,7 @@ Numbers, each built on those before it:
 * ``hypotheses``: what one can ask a table; ``event_posterior``: what is asked of an event, and
   ``what_if``; ``posterior`` and ``stepwise_posterior`` (with ``stepwise_table``, and for own
   simulators ``stepwise_own``) are such tables.
-* ``comparison``: posteriors against a reference and each other; ``design``: which events tell
-  models apart.
+* ``comparison``: posteriors against a reference and each other.
 
 ``with_arviz`` has what ArviZ estimates and is given; ``diagnostics`` says how chains went, and
 ``verdict`` whether they can be trusted. ``figures`` draws them, as ``ppl.plot``.

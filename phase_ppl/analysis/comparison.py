@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import total_variation
+from phase_ppl.analysis.estimate import shares, total_variation
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import Vocabulary
@@ -404,8 +404,8 @@ def _of_first(
         tree = tree.isel(simulation=np.flatnonzero(done))
     rows = WEIGHTINGS[post.weights](tree)  # a posterior of each would take long
     codes, weights = Vocabulary(space_of_tree(tree)).completed(rows.values), rows.weights
-    shares = {
-        name: np.bincount(codes[name], weights, len(post.quantities[name] or ())).astype(float)
+    found = {
+        name: shares(codes[name], weights, len(post.quantities[name] or ()))
         for name in marginals_of(post)
     }
     pair = np.nan
@@ -413,4 +413,4 @@ def _of_first(
         wanted = _true_codes(truth)
         true = [codes[name] == wanted[name] for name in post.goals_of.values()]
         pair = float(weights[np.logical_and.reduce(true)].sum())
-    return distances(shares, reference) | {"p_pair": pair} | of_truth(shares, truth)
+    return distances(found, reference) | {"p_pair": pair} | of_truth(found, truth)

@@ -12,19 +12,9 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.estimate import total_variation, worth
 from phase_ppl.analysis.quantities import Vocabulary
-from phase_ppl.analysis.tree import (
-    are_weighted,
-    array,
-    effective_goals,
-    kept_scene,
-    log_weight_of_draws,
-    own_sites,
-    prior_of_goals,
-    space_of_tree,
-    untried,
-)
 from phase_ppl.analysis.verdict import ALONE, of_draws, verdict_lines
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.analysis.with_arviz import MASS, ess, mcse, r_hat
@@ -95,15 +85,15 @@ def diagnostics(
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
     space, labels = words.space, words.space.world.goals
-    accepted, log_weight = stats["accepted"].values.astype(float), log_weight_of_draws(tree)
+    accepted, log_weight = stats["accepted"].values.astype(float), trees.log_weight_of_draws(tree)
     n_chains, n_draws = accepted.shape
     n_frames = tree["observed_data"].sizes["time"]
     if not np.isfinite(log_weight).any():  # under other weights than the draws' own
         log_weight = np.zeros_like(log_weight)
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
-    weighted = are_weighted(tree)
-    goals = effective_goals(tree, "posterior")
+    weighted = trees.are_weighted(tree)
+    goals = trees.effective_goals(tree, "posterior")
     by_goal = {
         name: _by_particle(goals[..., agent], draw_weights, labels)
         for agent, name in enumerate(space.goal_sites)
@@ -162,7 +152,7 @@ def diagnostics(
         "monte_carlo_error": {name: leaders[name]["error"] for name in space.goal_sites},
         "effective_size": effective_size,
         "effective_size_needed": needed if np.isfinite(needed) else None,
-        "untried": untried(tree),
+        "untried": trees.untried(tree),
         "scalars": {
             name: {
                 "r_hat": known(r_hat, values),
@@ -176,7 +166,8 @@ def diagnostics(
         **_simulation_costs(tree, n_frames),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
         "overlapping_frames": overlapping_frames(
-            array(tree, "observed_data", "trajectory"), kept_scene(tree["constant_data"].dataset)
+            trees.array(tree, "observed_data", "trajectory"),
+            trees.kept_scene(tree["constant_data"].dataset),
         ),
     }
     result: dict[str, Any] = plain(record)
@@ -188,7 +179,7 @@ def _without_prior(
 ) -> dict[str, dict[str, Any]]:
     """Return the leaders with what they would have, were all pairs of goals alike beforehand."""
     goals = np.stack([rows.values[name] for name in words.space.goal_sites], axis=1)
-    prior = prior_of_goals(tree, goals.astype(np.int64))
+    prior = trees.prior_of_goals(tree, goals.astype(np.int64))
     if prior is None:
         return {name: {**one, "without_prior": None} for name, one in leaders.items()}
     weights = np.divide(rows.weights, prior, out=np.zeros(len(prior)), where=prior > 0)
@@ -207,8 +198,8 @@ def untried_rivals(
     A rival differs in the landmark of one agent's goal, about the same entity and of the same sign.
     No rows where the file keeps no prior, which says what is possible.
     """
-    space = space_of_tree(tree)
-    tried = effective_goals(tree, "simulations")[~array(tree, "simulations", "failed")]
+    space = trees.space_of_tree(tree)
+    tried = trees.effective_goals(tree, "simulations")[~trees.array(tree, "simulations", "failed")]
     goals = space.world.goals
     leading = tuple(goals.index(leaders[name]["label"]) for name in space.goal_sites)
     rivals = [
@@ -218,7 +209,7 @@ def untried_rivals(
         if _elsewhere(other, goal, agent, space)
     ]
     pairs = np.array(rivals, np.int64).reshape(-1, space.n_agents)
-    prior = prior_of_goals(tree, pairs)
+    prior = trees.prior_of_goals(tree, pairs)
     if prior is None:
         return pairs[:0]
     done = set(map(tuple, tried.tolist()))
@@ -240,8 +231,8 @@ def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> boo
 def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:
     """Return the real quantities of the draws, (chain, draw), a user's own sites last."""
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
-    own = [name for name in own_sites(tree) if posterior[name].dtype.kind == "f"]
-    names = (*space_of_tree(tree).strength_sites, *own)
+    own = [name for name in trees.own_sites(tree) if posterior[name].dtype.kind == "f"]
+    names = (*trees.space_of_tree(tree).strength_sites, *own)
     found = {"log_joint": stats["log_joint"], "total_error": stats["total_error"]}
     found |= {name: posterior[name] for name in names}
     return {name: one.values.astype(float) for name, one in found.items()}
@@ -281,9 +272,8 @@ def _by_particle(
 
 
 def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
-    simulations = tree["simulations"].dataset
+    simulations, completed = tree["simulations"].dataset, trees.completed(tree)
     failed = simulations["failed"].values.astype(bool)
-    completed = simulations["completed"].values.astype(bool) & ~failed
     aborted = ~completed & ~failed
     saved = (n_frames - simulations["frames_simulated"].values[aborted]).sum()
     wanted = n_frames * (~failed).sum()

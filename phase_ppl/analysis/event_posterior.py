@@ -196,19 +196,17 @@ class EventPosterior(Hypotheses):
                 codes[name] = quantity, column[rows], shares(column, table.weights, size)
         drawn = {name: column[rows] for name, column in numbers.items()}
         scene, observed = scene_dataset(self.scene), self.observed()
-        seen: dict[str, Any] = {name: scene[name] for name in ("entity", "coord")}
-        seen["time"] = "time", np.arange(len(observed)) / FRAMES_PER_SECOND, {"units": "s"}
+        time = "time", np.arange(len(observed)) / FRAMES_PER_SECOND, {"units": "s"}
+        seen = {"time": time, "entity": scene["entity"], "coord": scene["coord"]}
         attrs = {name: value for name, value in self._attrs.items() if name != "schema"}
         attrs |= {"weights": self._weighting, "effective_size_kish": worth(table.weights)}
-        return arviz_groups(
-            {
-                "posterior": draws_of(drawn, codes, moving=moving),
-                "observed_data": xr.Dataset({"trajectory": (FRAME, observed)}, seen),
-                "constant_data": scene,
-                **groups,
-            },
-            {**attrs, "draws": how, "loo": NO_LOO},
-        )
+        found = {
+            "posterior": draws_of(drawn, codes, moving=moving),
+            "observed_data": xr.Dataset({"trajectory": (FRAME, observed)}, seen),
+            "constant_data": scene,
+            **groups,
+        }
+        return arviz_groups(found, {**attrs, "draws": how, "loo": NO_LOO})
 
     @property
     def tempering(self) -> str:
@@ -479,7 +477,7 @@ class EventPosterior(Hypotheses):
         own = self._constant.get("log_prior_goals")
         own_goals = None if own is None else np.exp(own.values)
         how = (at, seconds, n, seed, workers, simulator)
-        return simulated(self, own_goals, change if change.words else None, *how)
+        return simulated(self, own_goals, change, *how)
 
     def predict(
         self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None

@@ -14,37 +14,11 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis import estimate
+from phase_ppl.analysis import tree as trees
 from phase_ppl.analysis.diagnostics import Diagnostics, diagnostics
-from phase_ppl.analysis.estimate import (
-    FEW_WHERE_TOLD,
-    LEARNT,
-    MISLED,
-    TOLD,
-    Jackknife,
-    Jackknives,
-    shares,
-    worth,
-)
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary, own_quantity
-from phase_ppl.analysis.tree import (
-    SIMULATED,
-    are_weighted,
-    array,
-    changed_text,
-    check_overlap,
-    check_tree,
-    completed,
-    log_weight_of_draws,
-    reweighted,
-    settings_under,
-    shape_of_draws,
-    simulation_of_draw,
-    space_of_tree,
-    suggestion_agreement,
-    unseen_share,
-    untried,
-)
 from phase_ppl.analysis.weights import (
     WEIGHTINGS,
     chain_groups,
@@ -115,7 +89,7 @@ class Posterior(EventPosterior):
         burn_in: int | None = None,
         scenario: ScenarioFunction | None = None,
     ) -> None:
-        check_tree(tree)
+        trees.check_tree(tree)
         recorded, n_draws = str(tree.attrs["weights"]), tree["posterior"].sizes["draw"]
         self._weights = _FORMERLY.get(recorded, recorded) if weights is None else weights
         check_name("weights", self._weights, WEIGHTINGS)
@@ -128,7 +102,7 @@ class Posterior(EventPosterior):
         self._tree = tree
         self._counted = counted = tree.isel(draw=slice(self._burn_in, None))  # simulations all stay
         rows = WEIGHTINGS[self._weights](counted)
-        words = Vocabulary(space_of_tree(tree), scenario)
+        words = Vocabulary(trees.space_of_tree(tree), scenario)
         columns, known = words.completed(rows.values), dict(words.quantities)
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(counted, site, columns[site])
@@ -145,7 +119,7 @@ class Posterior(EventPosterior):
             weights_without = rows.weights * np.exp(change - change.max(axis=1, keepdims=True))
             self._without_sets = weights_without / weights_without.sum(axis=1, keepdims=True)
 
-    def _jackknife(self, share: float) -> Jackknife | Jackknives | None:
+    def _jackknife(self, share: float) -> estimate.Jackknife | estimate.Jackknives | None:
         """Return what errors come from.
 
         Draws from what the closed loop has read have its error too: the sets of searches disagree,
@@ -153,30 +127,32 @@ class Posterior(EventPosterior):
         """
         over_chains = self._over_chains(share)
         if over_chains is not None and self._attrs.get("adapts"):
-            factor = LEARNT**2 * over_chains.factor
+            factor = estimate.LEARNT**2 * over_chains.factor
             over_chains = dataclasses.replace(over_chains, factor=factor)
         if not self._looked_up:
             return over_chains
         n_sets = len(self._without_sets)
         if over_chains is None or n_sets < 2:
             return None
-        return Jackknives((over_chains, Jackknife(self._without_sets, n_sets - 1.0)))
+        return estimate.Jackknives(
+            (over_chains, estimate.Jackknife(self._without_sets, n_sets - 1.0))
+        )
 
     @functools.cached_property
     def _needed(self) -> float:
         if self._looked_up:
             return super()._needed
-        told = suggestion_agreement(self._tree)
-        if told >= TOLD:
-            return FEW_WHERE_TOLD
+        told = trees.suggestion_agreement(self._tree)
+        if told >= estimate.TOLD:
+            return estimate.FEW_WHERE_TOLD
         # what was tried does not fit any better for being suggested, and most was not tried
-        misled = told < MISLED and self.untried > _MOST_UNTRIED
+        misled = told < estimate.MISLED and self.untried > _MOST_UNTRIED
         return math.inf if misled else super()._needed
 
     @functools.cached_property
     def _unseen(self) -> float:
         # chains come to what they have not seen; a proposal that was fitted need not
-        return unseen_share(self._tree) if self._attrs.get("adapts") else 0.0
+        return trees.unseen_share(self._tree) if self._attrs.get("adapts") else 0.0
 
     @functools.cached_property
     def _luck(self) -> FloatArray | None:
@@ -184,9 +160,9 @@ class Posterior(EventPosterior):
         # be as probable as those for which it did
         if not self._attrs.get("adapts"):
             return None
-        log_weight = log_weight_of_draws(self._counted).ravel()
-        place = simulation_of_draw(self._counted).ravel()
-        log_likelihood = array(self._tree, "simulations", "log_likelihood")[place]
+        log_weight = trees.log_weight_of_draws(self._counted).ravel()
+        place = trees.simulation_of_draw(self._counted).ravel()
+        log_likelihood = trees.array(self._tree, "simulations", "log_likelihood")[place]
         known = (place >= 0) & np.isfinite(log_weight + log_likelihood)
         log_weight = np.where(known, log_weight, -np.inf)
         log_likelihood = np.where(known, log_likelihood, 0.0)
@@ -206,17 +182,19 @@ class Posterior(EventPosterior):
             return super()._most_effective()
         names = [*self._words.space.kept_columns, "sim_seed"]
         stats = self._counted["sample_stats"].dataset
-        columns = {name: array(self._counted, "posterior", name).ravel() for name in names[:-1]}
+        columns = {
+            name: trees.array(self._counted, "posterior", name).ravel() for name in names[:-1]
+        }
         frame = pd.DataFrame({**columns, "sim_seed": stats["sim_seed"].values.ravel()})
         visited = frame.groupby(names, sort=False).ngroup().to_numpy()
-        size = worth(shares(visited, self._rows.weights))
+        size = estimate.worth(estimate.shares(visited, self._rows.weights))
         if len(stats["draw"]) == 1 and "log_evidence" in stats:
             # a population has chosen among its particles all along
             return size / 2
-        if not are_equal(self._rows.weights) or are_weighted(self._counted):
+        if not are_equal(self._rows.weights) or trees.are_weighted(self._counted):
             return size
         level = stats["log_joint"].values.mean(axis=1)
-        arrived = worth(normalised(np.where(np.isfinite(level), level, -np.inf)))
+        arrived = estimate.worth(normalised(np.where(np.isfinite(level), level, -np.inf)))
         return size if arrived >= _ARRIVED * len(level) else min(size, arrived)
 
     @classmethod
@@ -259,16 +237,16 @@ class Posterior(EventPosterior):
 
     @property
     def untried(self) -> float:
-        return untried(self._tree)
+        return trees.untried(self._tree)
 
     def under(self, prior: Callable[..., object]) -> Posterior:
         if self._weights == "likelihood":
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
-        tree = reweighted(self._tree, prior)
+        tree = trees.reweighted(self._tree, prior)
         changed = self._under_weights(self._weights, tree)
-        sizes = worth(changed.table.weights), worth(self.table.weights)
-        check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
-        tree.attrs["settings"] = settings_under(
+        sizes = estimate.worth(changed.table.weights), estimate.worth(self.table.weights)
+        trees.check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
+        tree.attrs["settings"] = trees.settings_under(
             tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]
         )
         return changed
@@ -303,7 +281,7 @@ class Posterior(EventPosterior):
         """Return (simulation,) log prior + log likelihood, -inf where not completed."""
         simulations = self._tree["simulations"].dataset
         values = (simulations["log_prior_effective"] + simulations["log_likelihood"]).values
-        usable = completed(self._tree) & ~np.isnan(values)
+        usable = trees.completed(self._tree) & ~np.isnan(values)
         return np.where(usable, values, -np.inf).astype(np.float64)
 
     def _best_simulation(self) -> int:
@@ -319,15 +297,16 @@ class Posterior(EventPosterior):
         That of :meth:`map` if a chain accepted it. Only trajectories of draws are kept, so
         otherwise that of the draw with the highest log joint. Nothing is simulated again.
         """
-        if "trajectory" not in self._tree[SIMULATED].dataset:
+        if "trajectory" not in self._tree[trees.SIMULATED].dataset:
             return self.observed()  # what was read is conditioned on it, frame by frame
-        is_best = simulation_of_draw(self._tree) == self._best_simulation()
-        draws = array(self._tree, "sample_stats", "log_joint")
+        is_best = trees.simulation_of_draw(self._tree) == self._best_simulation()
+        draws = trees.array(self._tree, "sample_stats", "log_joint")
         chain, draw = np.argwhere(is_best if is_best.any() else draws == draws.max())[0]
-        return np.asarray(array(self._tree, SIMULATED, "trajectory")[chain, draw], np.float64)
+        trajectory = trees.array(self._tree, trees.SIMULATED, "trajectory")
+        return np.asarray(trajectory[chain, draw], np.float64)
 
     def observed(self) -> FloatArray:
-        return np.asarray(array(self._tree, "observed_data", "trajectory"), np.float64)
+        return np.asarray(trees.array(self._tree, "observed_data", "trajectory"), np.float64)
 
     def diagnostics(self) -> Diagnostics:
         """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`.
@@ -364,7 +343,7 @@ class Posterior(EventPosterior):
             name: weights.T @ (codes[name][:, None] == np.arange(len(self.quantities[name] or ())))
             for name in (*self.goals_of.values(), *self.relations_of.values(), *self.scenarios_of)
         }
-        time = array(self._tree, "observed_data", "time")
+        time = trees.array(self._tree, "observed_data", "time")
         return self._along_time(time, tables, hindsight=HINDSIGHT, weights=weighting)
 
     def _simulated(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
@@ -384,7 +363,7 @@ class Posterior(EventPosterior):
 
     @property
     def arviz(self) -> Any:
-        if self._weights == "stratified" or are_weighted(self._counted):
+        if self._weights == "stratified" or trees.are_weighted(self._counted):
             return super().arviz
         if not are_equal(self._rows.weights):  # by their likelihood
             return super().arviz
@@ -410,7 +389,7 @@ class Posterior(EventPosterior):
         Raises:
             InvalidSettingError: the draws have weights, and so are no chains.
         """
-        if are_weighted(self._counted):
+        if trees.are_weighted(self._counted):
             raise InvalidSettingError(
                 f"the draws of this posterior (kernel {self._attrs['kernel']!r}) have weights of "
                 "their own and are no chains: post.arviz has equal draws resampled from them, "
@@ -421,9 +400,9 @@ class Posterior(EventPosterior):
 
     def _as_chains(self, how: str, *, moving: bool = False) -> Any:
         """Return the draws that are counted, chain by chain."""
-        rows = np.arange(len(self._rows.weights)).reshape(shape_of_draws(self._counted))
+        rows = np.arange(len(self._rows.weights)).reshape(trees.shape_of_draws(self._counted))
         groups = {"sample_stats": self._counted["sample_stats"].to_dataset()}
-        simulated = self._counted[SIMULATED].to_dataset()
+        simulated = self._counted[trees.SIMULATED].to_dataset()
         if "beta" in simulated.attrs:  # else the noise of the likelihood is not known
             from phase_ppl.models.likelihood import RadialLikelihood
 
@@ -490,33 +469,33 @@ class Posterior(EventPosterior):
         n, off = self.observed().shape[1], found["best_error_per_frame"]
         fit = f"the best draw stays {off:.2f} units per frame from the observation"
         fit += "" if n == 1 else f" (all {n} entities together)"
-        told = {"prior": changed_text(self.settings), "likelihood": self.tempering, "fit": fit}
-        told["cost"] = _cost(self.cost, found)
+        told = {"prior": trees.changed_text(self.settings), "likelihood": self.tempering}
+        told |= {"fit": fit, "cost": _cost(self.cost, found)}
         lines = [line for name, text in told.items() if text for line in wrapped(name, text)]
         return [*self._answer_lines(), "", *lines]
 
     def _untried(self, name: str) -> frozenset[str]:
         if self._looked_up:
             return frozenset()
-        tried_at_all = np.flatnonzero(~array(self._tree, "simulations", "failed"))
+        tried_at_all = np.flatnonzero(~trees.array(self._tree, "simulations", "failed"))
         tried = self._words.completed(self._simulated(tried_at_all))[name]
         labels = self._quantities[name].categories()
         return frozenset(labels) - {labels[code] for code in np.unique(tried).tolist()}
 
     @property
     def tempering(self) -> str:
-        beta = self._tree[SIMULATED].attrs.get("beta")
+        beta = self._tree[trees.SIMULATED].attrs.get("beta")
         if beta is not None:
             noise = 2 * self.observed().shape[1] / beta
             x0, x1, y0, y1 = self.scene.arena
             far = noise > max(x1 - x0, y1 - y0)
             words = f"beta = {beta:g}, as noise {noise:.0f} units in a frame"
             return f"tempered: {words}, wider than the arena" if far else words
-        counts = self._tree[SIMULATED].attrs.get("frame_weight", 1.0)
+        counts = self._tree[trees.SIMULATED].attrs.get("frame_weight", 1.0)
         return f"the closed loop's, tempered: a frame counts {counts:g}" if counts != 1 else ""
 
     def __repr__(self) -> str:
-        chains, draws = shape_of_draws(self._tree)
+        chains, draws = trees.shape_of_draws(self._tree)
         return f"<Posterior of {self.event_id}: {chains} x {draws} draws, weights {self.weights!r}>"
 
 

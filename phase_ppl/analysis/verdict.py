@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from phase_ppl.analysis.estimate import with_error
 from phase_ppl.analysis.with_arviz import MIN_DRAWS
@@ -47,8 +47,7 @@ DISAGREE: Final = 0.1
 JUDGED: Final = ("trust", "answer", "checks", "next", "verdict")
 """Keys that :func:`judged` makes."""
 
-State = Literal["ok", "doubt", "fail", "unknown"]
-_LOOKS: Final[Mapping[State, tuple[str, str]]] = {
+_LOOKS: Final[Mapping[str, tuple[str, str]]] = {
     "fail": ("x", "#cf222e"),
     "doubt": ("!", "#9a6700"),
     "unknown": ("?", "#57606a"),
@@ -74,7 +73,7 @@ class Check(NamedTuple):
     """One thing that was looked at, to see whether an answer can be trusted."""
 
     name: str
-    state: State  # "fail": do not trust the answer; "doubt": it is not certain
+    state: str  # "fail": do not trust the answer; "doubt": it is not certain
     value: str  # what was found
     limit: str  # what it takes to pass
     says: str = ""  # what it means that it was not passed
@@ -240,8 +239,8 @@ def _enough(found: Record, longer: str) -> Check:
         f"Not enough: the goals rest on {size:.1f} effective simulations; an answer needs "
         f"{needed:g}. Another run may well differ."
     )
-    state: State = "fail" if size < needed else "ok"
-    return Check(name, state, f"{size:.1f} effective", f"{needed:g} or more", says, longer)
+    state, value = "fail" if size < needed else "ok", f"{size:.1f} effective"
+    return Check(name, state, value, f"{needed:g} or more", says, longer)
 
 
 def _by_prior(found: Record) -> Iterator[Check]:
@@ -258,7 +257,7 @@ def _by_prior(found: Record) -> Iterator[Check]:
             "the video decides, up to 1/2 the prior."
         )
         value = f"{min(shown.values())} were goals alike before"
-        state: State = "doubt" if short else "ok"
+        state = "doubt" if short else "ok"
         yield Check("the video decides", state, value, f"above {ALONE}", says)
 
 
@@ -266,20 +265,20 @@ def _tried(found: Record, longer: str) -> Iterator[Check]:
     n, untried = found["untried_rivals"], found["untried"]
     says = f"Never simulated: {n} rival{'s' * (n > 1)} of the leading goals, at another landmark."
     state, value = ("doubt", f"{n} untried") if n else ("ok", "all")
-    yield Check("rivals tried", state, value, "none untried", says, longer)  # type: ignore[arg-type]
+    yield Check("rivals tried", state, value, "none untried", says, longer)
     if untried is not None and found["effective_size_needed"] is not None:  # else it is said
         says = (
             f"Goals with {untried:.2f} of the prior's mass were never simulated to the end, and "
             "count as impossible."
         )
-        few: State = "unknown" if untried >= UNTRIED else "ok"
+        few = "unknown" if untried >= UNTRIED else "ok"
         value, limit = f"{1 - untried:.2f} of the prior", f"{1 - UNTRIED:.2f} or more"
         yield Check("goals simulated", few, value, limit, says)
 
 
 def _accepted(found: Record, longer: str) -> Check:
     rate = found["acceptance_rate"]
-    state: State = "fail" if rate == 0 else "doubt" if rate < STUCK else "ok"
+    state = "fail" if rate == 0 else "doubt" if rate < STUCK else "ok"
     says = (
         f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left the "
         "bottom-up guess."
@@ -305,7 +304,7 @@ def _agreement(found: Record, longer: str) -> Check:
         f"The {n} particles do not agree {'; '.join(split)}. More iterations would tell "
         "real uncertainty from chains that have not mixed."
     )
-    state: State = "doubt" if split else "ok"
+    state = "doubt" if split else "ok"
     return Check(name, state, f"{least:.0%} on each goal", limit, says, longer)
 
 
@@ -349,10 +348,9 @@ def _mixing(found: Record, longer: str) -> Check:
 def _other_leaders(categories: Record) -> Iterator[Check]:
     """Yield for which agent the weighting puts another goal first than the draws do."""
     for name, goals in categories.items():
-        if not name.startswith(_GOAL):
-            continue
         agent, first = name.removeprefix(_GOAL), max(goals, key=lambda g: goals[g]["probability"])
-        if goals[first]["share"] < max(entry["share"] for entry in goals.values()):
+        others = max(entry["share"] for entry in goals.values()) > goals[first]["share"]
+        if name.startswith(_GOAL) and others:
             says = f"The weights put another goal of {agent} first, '{first}'."
             yield Check("weights and draws", "doubt", f"differ on {agent}", "the same goal", says)
 
@@ -364,7 +362,7 @@ def _worth(found: Record, longer: str) -> Check:
         "another run may well differ."
     )
     too_few = ess < FEW and ess * draws < (found["effective_size_needed"] or math.inf)
-    state: State = "doubt" if too_few else "ok"
+    state = "doubt" if too_few else "ok"
     value = f"worth {ess:.0%}, {ess * draws:.1f} of {draws}"
     return Check("weighted draws", state, value, f"{FEW:.0%} or more", says, longer)
 
@@ -393,7 +391,7 @@ def of_reading(found: Record) -> dict[str, Any]:
             f"The {n_sets} {sets} disagree on {_asked(worst)} (standard error "
             f"{errors[worst]:.2f}): use more."
         )
-        state: State = "doubt" if errors[worst] > DISAGREE else "ok"
+        state = "doubt" if errors[worst] > DISAGREE else "ok"
         value = f"error {errors[worst]:.2g}, {n_sets} sets"
         checks.append(Check(f"{name} agree", state, value, f"{DISAGREE:g} or less", says, more))
     elif not own:
@@ -439,6 +437,6 @@ def _expected(found: Record) -> Check:
         f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
         f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
     )
-    state: State = "fail" if share > limit else "ok"
+    state = "fail" if share > limit else "ok"
     value = f"in {1 - share:.0%} of the frames"
     return Check(name, state, value, f"{1 - limit:.0%} or more", says)

@@ -40,18 +40,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import (
-    array,
-    completed,
-    effective_goals,
-    log_weight_of_draws,
-    own_sites,
-    possible_mass,
-    prior_of_goals,
-    shape_of_draws,
-    simulation_of_draw,
-    space_of_tree,
-)
+from phase_ppl.analysis import tree as trees
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 
@@ -106,7 +95,7 @@ def chain_groups(tree: xr.DataTree) -> NDArray[np.int64]:
     Groups are single chains, or where there are more than :data:`MOST_GROUPS` as many groups of
     neighbouring chains, whose sizes differ by 1 at most.
     """
-    n_chains = shape_of_draws(tree)[0]
+    n_chains = trees.shape_of_draws(tree)[0]
     return np.arange(n_chains) * min(n_chains, MOST_GROUPS) // n_chains
 
 
@@ -116,7 +105,7 @@ def halves(tree: xr.DataTree, name: str, rows: Rows) -> tuple[NDArray[np.bool_],
     Only of draws that count equally: those of a chain that still moves away from where it began
     differ by more than chance between the halves. Else, or of a single draw, nothing.
     """
-    if name != "count" or np.ptp(log_weight_of_draws(tree)) > 0:
+    if name != "count" or np.ptp(trees.log_weight_of_draws(tree)) > 0:
         return ()
     draw = rows.index["draw"]
     first, last = int(draw.min()), int(draw.max())
@@ -127,20 +116,20 @@ def halves(tree: xr.DataTree, name: str, rows: Rows) -> tuple[NDArray[np.bool_],
 def count(tree: xr.DataTree) -> Rows:
     """Return all draws, weighted as the kernel says: equally, but for weighted draws."""
     values, index = _draws(tree)
-    return Rows(values, normalised(log_weight_of_draws(tree).reshape(-1)), index)
+    return Rows(values, normalised(trees.log_weight_of_draws(tree).reshape(-1)), index)
 
 
 def likelihood(tree: xr.DataTree) -> Rows:
     """Return all draws, each weighted by its own likelihood."""
     values, index = _draws(tree)
-    simulation = simulation_of_draw(tree).reshape(-1)
+    simulation = trees.simulation_of_draw(tree).reshape(-1)
     if (simulation < 0).any():
         lost = int(np.argmax(simulation < 0))
         raise InvalidEventError(
             f"draw {index['draw'][lost]} of chain {index['chain'][lost]} rests on no completed "
             "simulation of the tree, so its likelihood is unknown"
         )
-    log_likelihood = array(tree, "simulations", "log_likelihood").astype(float)
+    log_likelihood = trees.array(tree, "simulations", "log_likelihood").astype(float)
     return Rows(values, normalised(log_likelihood[simulation]), index)
 
 
@@ -157,7 +146,7 @@ def stratified(tree: xr.DataTree) -> Rows:
     with np.errstate(invalid="ignore"):  # of what failed
         log_weight = strata.log_mass + simulations["log_likelihood"].values
         log_weight = log_weight + _log_reciprocal_proposal(tree)
-    row = np.flatnonzero(completed(tree) & np.isfinite(log_weight))
+    row = np.flatnonzero(trees.completed(tree) & np.isfinite(log_weight))
     if not row.size:
         raise InvalidSettingError("weights 'stratified' need at least one completed simulation")
     weights = truncated(normalised(log_weight[row]), _n_requests(simulations)[row])
@@ -172,7 +161,7 @@ def stratified(tree: xr.DataTree) -> Rows:
 
 def _has_prior(tree: xr.DataTree) -> bool:
     """Whether a tree holds the prior of pairs of goals."""
-    return prior_of_goals(tree, effective_goals(tree, "simulations")[:0]) is not None
+    return trees.prior_of_goals(tree, trees.effective_goals(tree, "simulations")[:0]) is not None
 
 
 class _Strata(NamedTuple):
@@ -194,10 +183,10 @@ def _strata(tree: xr.DataTree) -> _Strata:
     with np.errstate(invalid="ignore"):
         log_ratio = simulations["log_prior"].values - log_proposal
     known = np.flatnonzero(np.isfinite(log_ratio))
-    goals = effective_goals(tree, "simulations")[known]
+    goals = trees.effective_goals(tree, "simulations")[known]
     pairs, pair = np.unique(goals, axis=0, return_inverse=True)
     pair = pair.reshape(-1)
-    prior = prior_of_goals(tree, pairs)
+    prior = trees.prior_of_goals(tree, pairs)
     assert prior is not None, "it was asked for"
     alone = np.bincount(pair, n_requests[known], len(pairs)) >= FEWEST_OF_PAIR
     # rivals are there because of what others came to
@@ -205,7 +194,7 @@ def _strata(tree: xr.DataTree) -> _Strata:
     alone[pair[are_rivals[known]]] = True
     of = np.full(len(log_ratio), -1)
     of[known] = np.where(alone[pair], pair, len(pairs))
-    mass = np.append(prior, max(0.0, possible_mass(tree) - float(prior[alone].sum())))
+    mass = np.append(prior, max(0.0, trees.possible_mass(tree) - float(prior[alone].sum())))
     share = np.zeros(len(log_ratio))
     for number in np.unique(of[known]):
         rows = np.flatnonzero(of == number)
@@ -280,14 +269,14 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
             "this posterior does not hold the likelihood of each frame of its simulations "
             "(simulations/step_log_likelihood); infer it again"
         )
-    if not completed(tree).any():
+    if not trees.completed(tree).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
     by_frame = simulations["step_log_likelihood"].values
     known = np.logical_and.accumulate(~np.isnan(by_frame), axis=1)
     likelihood = np.cumsum(np.where(known, by_frame, 0.0), axis=1)
     if not (has_proposals(tree) and _has_prior(tree)):
-        row, log_weight = simulation_of_draw(tree).ravel(), log_weight_of_draws(tree).ravel()
-        row, log_weight = row[row >= 0], log_weight[row >= 0]
+        row = trees.simulation_of_draw(tree).ravel()
+        log_weight, row = trees.log_weight_of_draws(tree).ravel()[row >= 0], row[row >= 0]
         log_weights = log_weight[:, None] + likelihood[row] - likelihood[row, -1:]
         return "count", row, np.stack([normalised(one) for one in log_weights.T], axis=1)
     log_mass, n_requests = _strata(tree).log_mass, _n_requests(simulations)
@@ -313,14 +302,14 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
 
 def _sites(tree: xr.DataTree) -> list[str]:
     """Return the sites that both draws and simulations give: ours, then a user's own."""
-    own = [name for name in own_sites(tree) if name in tree["simulations"].dataset]
-    return [*space_of_tree(tree).columns, *own]
+    own = [name for name in trees.own_sites(tree) if name in tree["simulations"].dataset]
+    return [*trees.space_of_tree(tree).columns, *own]
 
 
 def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[np.int64]]]:
     posterior = tree["posterior"].dataset
     values = {name: posterior[name].values.reshape(-1) for name in _sites(tree)}
-    n_chains, n_draws = shape_of_draws(tree)
+    n_chains, n_draws = trees.shape_of_draws(tree)
     chain, draw = np.divmod(np.arange(n_chains * n_draws), n_draws)
     return values, {"chain": chain, "draw": draw}
 

@@ -312,7 +312,7 @@ class Change:
 def simulated(
     post: Any,
     own_goals: FloatArray | None,
-    change: Change | None,
+    change: Change,
     at: int | None,
     seconds: float | None,
     n: int,
@@ -322,17 +322,16 @@ def simulated(
 ) -> WhatIf:
     """Return hypotheses drawn from a posterior, simulated from a frame on.
 
-    In a second world with a change, if there is one; all else as of ``do``. Beside PHASE
+    In a second world with the change, if there is one; all else as of ``do``. Beside PHASE
     ``own_goals`` (agent, goal) is the prior of what agents want for themselves.
     """
     observed, scene, settings = post.observed(), post.scene, post.settings
     at, frames = _length(len(observed) - 1, at, seconds)
     whole_number("n", n, _FEWEST)
-    removed = () if change is None else change.removed
     model = settings.get("model", {})
     of_run = model.get("simulator", "joint")
     joint = of_run == "joint" if simulator is None else isinstance(simulator, JointSimulator)
-    if not joint and (at or removed):
+    if not joint and (at or change.removed):
         raise InvalidSettingError(
             f"a frame to go on from and entities to remove need the joint simulator, not {of_run}: "
             "another one always begins at the start, with all entities"
@@ -347,10 +346,10 @@ def simulated(
     drawn, space = _drawn(post, own_goals, n, seed), space_of(scene.world)
     hypotheses = [space.hypothesis(sites) for sites in drawn]
     worlds: list[tuple[Scene, tuple[int, ...], list[Any]]] = [(scene, (), hypotheses)]
-    if change is not None:
+    if change.words:
         walls = {} if change.walls is None else {"walls": change.walls}
         changed = [change.hypothesis(sites) for sites in drawn]
-        worlds.append((dataclasses.replace(scene, **walls), removed, changed))
+        worlds.append((dataclasses.replace(scene, **walls), change.removed, changed))
     followed = settings.get("likelihood", {}).get("tracking")  # of what was read step by step
     tracking = None if followed is None else Tracking(**followed)
     past = reconstructed(scene, observed[: at + 1], tracking) if at else None
@@ -366,13 +365,13 @@ def simulated(
         poses[:, 0][there] = np.broadcast_to(observed[at], poses[:, 0].shape)[there]
     return WhatIf(
         post.event_id,
-        "" if change is None else change.words,
+        change.words,
         at,
         tuple(where for where, _, _ in worlds),
         [h.effective_goals for h in hypotheses],
         poses.reshape(len(worlds), n, *poses.shape[1:]),
-        removed,
-        change is not None and change.is_removal,
+        change.removed,
+        change.is_removal,
     )
 
 

@@ -147,9 +147,9 @@ def test_table_has_means_and_standard_errors_where_there_are_repeats() -> None:
     assert "±0" not in str(c)
 
 
-def test_file_keeps_everything(tmp_path: Path) -> None:
+def test_file_keeps_everything_and_those_of_an_earlier_version_are_read(tmp_path: Path) -> None:
     c = made_up(FOUR)
-    again = Comparison.load(c.save(tmp_path / "c.json"))
+    again = Comparison.load(path := c.save(tmp_path / "c.json"))
     pd.testing.assert_frame_equal(again.runs, c.runs)
     pd.testing.assert_frame_equal(again.curve, c.curve)
     assert (again.settings, str(again)) == (c.settings, str(c))
@@ -157,19 +157,15 @@ def test_file_keeps_everything(tmp_path: Path) -> None:
         Comparison.load(tmp_path / "nowhere.json")
     with pytest.raises(OutputError, match=r"\.json"):
         c.save(tmp_path / "c.nc")
-
-
-def test_a_file_of_an_earlier_version_has_no_r_hat_and_no_proposals(tmp_path: Path) -> None:
-    c = made_up(FOUR)
-    record = json.loads(c.save(path := tmp_path / "c.json").read_text())
+    record = json.loads(path.read_text())
     for name in ("r_hat", "ess_per_second"):
         del record["runs"][name]
     path.write_text(json.dumps(record))
-    again = Comparison.load(path)
-    assert again.runs["r_hat"].isna().all()
+    older = Comparison.load(path)
+    assert older.runs["r_hat"].isna().all()
     assert "R-hat" in str(c)
-    assert not any(heading in str(again) for heading in ("R-hat", "ESS a second", "proposals"))
-    pd.testing.assert_series_equal(again.runs["tv_goals"], c.runs["tv_goals"])
+    assert not any(heading in str(older) for heading in ("R-hat", "ESS a second", "proposals"))
+    pd.testing.assert_series_equal(older.runs["tv_goals"], c.runs["tv_goals"])
 
 
 def test_damaged_file_is_refused(tmp_path: Path) -> None:

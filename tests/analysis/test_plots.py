@@ -112,8 +112,7 @@ def test_every_network_has_its_curves_and_the_epoch_that_was_kept(tmp_path: Path
         drawn = [line for axes in figure.axes for line in axes.lines]
         assert len([line for line in drawn if line.get_marker() == "None"]) == 2 * lines
         kept = [line for line in drawn if line.get_marker() == "o"]
-        assert [line.get_xdata()[0] for line in kept] == [2] * 2 * (lines - 1)
-        assert [line.get_ydata()[0] for line in kept] == [0.5] * 2 * (lines - 1)
+        assert [tuple(line.get_xydata()[0]) for line in kept] == [(2, 0.5)] * 2 * (lines - 1)  # type: ignore[index]
         labels = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
         assert len(labels) == lines
         told = "2 networks, 320 training and 80 validation events"
@@ -121,8 +120,8 @@ def test_every_network_has_its_curves_and_the_epoch_that_was_kept(tmp_path: Path
     alone = {**report(), "members": report()["members"][:1]}
     figure = plots.training_curves(alone, tmp_path / "a b.pdf")
     assert ": 1 network, 320 training" in figure.get_suptitle()
-    assert (tmp_path / "a b.png").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "a b.pdf").read_bytes().startswith(b"%PDF")
+    for ending, begin in (("png", b"\x89PNG"), ("pdf", b"%PDF")):
+        assert (tmp_path / f"a b.{ending}").read_bytes().startswith(begin)
     for name in ("missing/curves.png", "curves.odd"):
         with pytest.raises(OutputError, match=name):
             plots.training_curves(report(), tmp_path / name)

@@ -106,7 +106,7 @@ def _panel(
     ends = []
     for label in labels:
         values = marginal.sel({dim: label}).values
-        within = 0 * values if errors is None else 1.96 * errors.sel({dim: label}).values
+        within = None if errors is None else 1.96 * errors.sel({dim: label}).values
         banded(axes, time, values, within, colours[label], shares=True, zorder=3)
         ends.append((float(values[-1]), label, colours[label]))
     rest = np.clip(1 - marginal.sel({dim: labels}).sum(dim).values, 0, 1)
@@ -163,11 +163,9 @@ def why(
 def _deciding(change: np.ndarray) -> list[int]:
     """Return the frames of the greatest changes, not too near each other, in their order."""
     chosen: list[int] = []
-    for frame in np.argsort(-np.abs(change), kind="stable"):
-        if all(abs(int(frame) - other) >= _APART for other in chosen):
-            chosen.append(int(frame))
-        if len(chosen) == _STILLS:
-            break
+    for frame in np.argsort(-np.abs(change), kind="stable").tolist():
+        if len(chosen) < _STILLS and all(abs(frame - other) >= _APART for other in chosen):
+            chosen.append(frame)
     return sorted(chosen)
 
 
@@ -196,16 +194,13 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     found, named = post.over_time(), titles(post)
-    n = _GOALS // max(2, len(post.goals_of))
-    shown: dict[str, list[str]] = {}
+    n, shown = _GOALS // max(2, len(post.goals_of)), dict[str, list[str]]()
     for name in post.goals_of.values():
-        last = found[name][-1]
-        goals = _leading(found[name], n)
-        shown[name] = sorted(goals, key=lambda goal: -float(last.sel({f"{name}_is": goal})))
+        last = found[name][-1].to_series()
+        shown[name] = sorted(_leading(found[name], n), key=lambda goal: -last[goal])
     shown |= {key: list(RELATIONS) for key in post.relations_of.values()}
-    colours = {
-        name: line_colour(post.scene.world, i) for i, name in enumerate(post.goals_of.values())
-    }
+    world = post.scene.world
+    colours = {name: line_colour(world, i) for i, name in enumerate(post.goals_of.values())}
     rows = [len(labels) + 1.6 for labels in shown.values()]
     height = max(PANEL, 2 * round(_ROW / 2 * sum(rows)))  # films have an even number of lines
     figure = new_figure(PANEL / _PER_INCH, height / _PER_INCH)

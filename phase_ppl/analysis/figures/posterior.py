@@ -149,16 +149,15 @@ def titles(post: Hypotheses) -> dict[str, str]:
 
 def _relation_bars(axes: Axes, post: Hypotheses) -> None:
     """Draw the probabilities of relations and scenarios as groups of bars."""
+    rows: list[Any] = []
     named = {**post.relations_of, **post.scenarios_of}
-    marginals = [post.marginal(name) for name in named.values()]
-    labels = [
-        str(label) if of in _ALONE else f"{of}: {label}"
-        for of, found in zip(named, marginals, strict=True)
-        for label in found[found.dims[0]].values
-    ]
-    values = np.concatenate([found.values for found in marginals])
-    errors = np.concatenate([found["error"].values for found in marginals])
-    bars(axes, labels, values, errors, RELATION_COLOUR, groups=[len(found) for found in marginals])
+    for of, name in named.items():
+        found = post.marginal(name)
+        told = [label if of in _ALONE else f"{of}: {label}" for label in found[name].values]
+        rows += zip(told, found.values, found["error"].values, strict=True)
+    sizes = [len(post.quantities[name] or ()) for name in named.values()]
+    labels, values, errors = map(list, zip(*rows, strict=True))
+    bars(axes, labels, values, errors, RELATION_COLOUR, groups=sizes)
     title = "Relation, and scenario" if post.scenarios_of else "Relations"
     axes.set(title=title, xlabel="posterior probability")
 

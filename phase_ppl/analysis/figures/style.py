@@ -170,15 +170,16 @@ def banded(
     axes: Axes,
     x: ArrayLike,
     y: FloatArray,
-    within: FloatArray,
+    within: FloatArray | None,
     colour: str,
     *,
     shares: bool = False,
     **style: Any,
 ) -> None:
     """Draw a line, and a band of so much to either side of it; of shares up to 0 and 1."""
-    ends = np.array([y - within, y + within])
-    axes.fill_between(x, *(np.clip(ends, 0, 1) if shares else ends), color=colour, alpha=0.16, lw=0)
+    if within is not None:
+        low, high = np.clip([y - within, y + within], *((0, 1) if shares else (None, None)))
+        axes.fill_between(x, low, high, color=colour, alpha=0.16, lw=0)
     axes.plot(x, y, color=colour, lw=1.8, **style)
 
 
