@@ -133,22 +133,6 @@ def of_kind(path: str, value: object, kind: type[T]) -> T:
     return cast("T", value)
 
 
-def require(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T:
-    """Return ``record[name]``, which must be there and of type ``kind``: dict, list, str or int.
-
-    ``where`` is the path of ``record`` in the file, for the error message.
-    """
-    path = f"{where}.{name}" if where else name
-    if name not in record:
-        raise InvalidEventError(f"has no {path}")
-    return of_kind(path, record[name], kind)
-
-
-def optional(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T | None:
-    """Return ``record[name]`` as :func:`require` does, or None where it is missing or null."""
-    return None if record.get(name) is None else require(record, name, kind, where)
-
-
 def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
     """Return the values of an object whose fields must be exactly ``names``, in that order."""
     for name in record:

@@ -283,23 +283,22 @@ class Listing(NamedTuple):
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
-    """Return the events of the file ``path``, each still to be read or checked."""
+    """Return the events of the file ``path``, in memory, each still to be checked."""
     check_hdf5(path)
-    tag = root_attribute(path, "format")
-    if tag == EVENTS_FORMAT:
-        file = Path(path)
-        listed = _listing(file, _state(file))
-        return [
-            (id, functools.partial(event_at, file, listed, index))
-            for index, id in enumerate(listed.ids)
-        ]
-    if tag != EVENT_FORMAT:
-        what = f"format {shown(tag)}" if tag else "no format"
-        raise InvalidEventError(f"has {what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
     with reading():
         dataset = content_of(path)["/"]
-    name = event_id(_text(dataset, "event"))
-    return [(name, functools.partial(_checked_event, dataset))]
+    tag = root_attribute(path, "format")
+    if tag == EVENT_FORMAT:
+        ids, places = [event_id(_text(dataset, "event"))], [Place()]
+    elif tag == EVENTS_FORMAT:
+        ids, places = _listed(dataset)
+    else:
+        what = f"format {shown(tag)}" if tag else "no format"
+        raise InvalidEventError(f"has {what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
+    return [
+        (id, functools.partial(_checked_event, dataset, place))
+        for id, place in zip(ids, places, strict=True)
+    ]
 
 
 def event_bytes(event: Event) -> bytes:
@@ -341,7 +340,8 @@ def checksum(event: Event) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def _checked_event(dataset: xr.Dataset) -> Event:
+def _checked_event(dataset: xr.Dataset, place: Mapping[str, Any]) -> Event:
+    dataset = dataset.isel(place)
     event = event_from_dataset(dataset)
     if _CHECKSUM in dataset and dataset.variables[_CHECKSUM].values.tolist() != checksum(event):
         raise InvalidEventError(
@@ -364,7 +364,7 @@ def event_at(path: Path, listed: Listing, index: int) -> Event:
             left = [dim for dim in dims if not isinstance(place.get(dim), int)]
             variables[name] = xr.Variable(left, value)
         taken = xr.Dataset(variables)
-    return _checked_event(taken)
+    return _checked_event(taken, {})
 
 
 def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:

@@ -153,11 +153,18 @@ def opened(source: str | os.PathLike[str] | BinaryIO) -> h5py.File:
 
 def content_of(source: str | os.PathLike[str] | BinaryIO) -> Groups:
     """Return the groups of a NetCDF 4 file, in memory."""
-    import h5netcdf
+    import h5py
+    import xarray as xr
 
-    with h5netcdf.File(source, "r", decode_vlen_strings=True, **UNLOCKED) as file:
-        inner = {f"/{name}": _group_content(group) for name, group in file.groups.items()}
-        return {_ROOT: _group_content(file)} | inner
+    # times stay plain numbers: "seconds" must not turn into a time type
+    how: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
+    with opened(source) as file:
+        inner = [f"/{name}" for name, one in file.items() if isinstance(one, h5py.Group)]
+    found: Groups = {}
+    for path in (_ROOT, *inner):
+        with xr.open_dataset(source, engine="h5netcdf", group=path, **how) as dataset:
+            found[path] = dataset.load().drop_encoding()
+    return found
 
 
 def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
@@ -178,20 +185,6 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     for dataset in found.values():
         dataset.attrs = {name: _plain(value) for name, value in dataset.attrs.items()}
     return found
-
-
-def _group_content(group: Any) -> xr.Dataset:
-    """Return what a group holds; xarray's reader does the same, but also asks how it is stored."""
-    import xarray as xr
-
-    variables: dict[str, xr.Variable] = {}
-    for name, variable in group.variables.items():
-        values = np.asarray(variable[...])
-        values = values.astype(str) if values.dtype.kind == "O" else values
-        variables[name] = xr.Variable(variable.dimensions, values, dict(variable.attrs))
-    found = xr.Dataset(variables, attrs=dict(group.attrs))
-    # times stay plain numbers: "seconds" must not turn into a time type
-    return xr.decode_cf(found, decode_times=False).drop_encoding()
 
 
 @contextlib.contextmanager

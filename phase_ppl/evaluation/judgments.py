@@ -40,7 +40,7 @@ import msgspec
 import pandas as pd
 
 from phase_ppl.data.authors.videos import parse_name
-from phase_ppl.data.documents import Faults, in_front, read_rows, reading_bytes, require, too_large
+from phase_ppl.data.documents import Faults, in_front, of_kind, read_rows, reading_bytes, too_large
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events
 from phase_ppl.evaluation.metrics import participant_accuracy
@@ -313,8 +313,9 @@ def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:
                 given = dict(msgspec.json.decode(line, type=list[tuple[str, str]]))
             except msgspec.DecodeError:
                 raise InvalidEventError("is no JSON list of [key, value] pairs") from None
-            film = require(given, "video_name", str)
-            relation = checked_answer("relation", require(given, "likert_response", str), PHASE)
+            film = of_kind("video_name", given.get("video_name"), str)
+            answer = of_kind("likert_response", given.get("likert_response"), str)
+            relation = checked_answer("relation", answer, PHASE)
             said = parse_name(film)
             if film.endswith(_CHECK):
                 checks[film] = said.truth is not None and relation == said.truth.relation

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -190,9 +189,8 @@ class World:
             raise InvalidSettingError(f"landmark {name!r} is at {where}")
         half_width, most = number_or_nan(said), min(x1 - x0, y1 - y0) / 4
         if not 0 < half_width <= most:
-            text = shown(said) if math.isnan(half_width) else f"{half_width:g}"
             raise InvalidSettingError(
-                f"landmark {name!r} has the half-width {text}, expected one in (0, {most:g}]"
+                f"landmark {name!r} has the half-width {shown(said)}, expected one in (0, {most:g}]"
             )
         return x, y, half_width
 

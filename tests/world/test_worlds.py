@@ -241,7 +241,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"landmarks": {"home": (40, 4)}},
      "landmark 'home' is at (40, 4), outside the arena x 0..36, y 0..24"),
     ({"landmarks": {"home": (4, math.nan)}}, "landmark 'home'[1] is nan"),
-    ({"landmarks": {"home": (4, 4, 7)}}, "half-width 7, expected one in (0, 6]"),
+    ({"landmarks": {"home": (4, 4, 7)}}, "half-width 7.0, expected one in (0, 6]"),
     ({"landmarks": {"home": (4, 4, 2, 2)}},
      "landmark 'home' is (4, 4, 2, 2), expected (x, y) or (x, y, half the side)"),
     ({"landmarks": [(4, 4)]}, "landmarks=[(4, 4)], expected a mapping of names to (x, y)"),
