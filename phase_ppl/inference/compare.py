@@ -419,21 +419,14 @@ def _halves_of(post: Posterior) -> list[Halves]:
     n_chains = post.tree["posterior"].sizes["chain"]
     if n_chains < 2 or post.weights != "count":
         return []
-    table = post.to_dataframe()
-    labels = {name: post.marginal(name)[name].values for name in marginals(post)}
-    chain = table["chain"].to_numpy()
-    halves: list[Halves] = []
-    for upper in (chain >= n_chains // 2, chain % 2 == 1):
-        shares = []
-        for chosen in (table[~upper], table[upper]):
-            total = max(chosen["weight"].sum(), np.finfo(float).tiny)
-            sums = {
-                name: chosen.groupby(name)["weight"].sum().reindex(labels[name], fill_value=0.0)
-                for name in labels
-            }
-            shares.append({name: values.to_numpy() / total for name, values in sums.items()})
-        halves.append((shares[0], shares[1]))
-    return halves
+
+    def of(chains: slice) -> Marginals:
+        part = post.tree.isel(chain=chains, missing_dims="ignore")
+        return marginals(Posterior(part, post.weights))
+
+    middle = n_chains // 2
+    halves = (slice(middle), slice(middle, None)), (slice(0, None, 2), slice(1, None, 2))
+    return [(of(one), of(other)) for one, other in halves]
 
 
 def error_of(halves: Sequence[Halves]) -> dict[str, float] | None:

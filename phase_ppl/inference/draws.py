@@ -147,35 +147,42 @@ def tree_of(
     by_frame = model.error_likelihood.log_prob(np.where(simulated, errors, 0.0))
     table |= _results(records, table, by_frame.sum(axis=1), model, space)
     index = _records_of_draws(steps, records)
-    n_draws = len(steps)
-    draw_coords = {"chain": np.arange(len(index)), "draw": np.arange(n_draws)}
+    stats = _sample_stats(steps, iterations, records, table, index)
+    explained = np.where(simulated, by_frame, np.nan).astype(np.float64)
+    trajectory = _trajectories(records, index)
+    return _grouped(event, model, sites, table, index, stats, explained, trajectory)
+
+
+def _grouped(
+    event: Event,
+    model: Model,
+    sites: Sequence[str],
+    table: Columns,
+    index: NDArray[np.int64],
+    stats: Mapping[str, Any],
+    step_log_likelihood: NDArray[np.float64],
+    trajectory: NDArray[np.float32] | None = None,
+) -> xr.DataTree:
+    """Return the tree of draws (chain, draw) at rows ``index`` of a table of simulations.
+
+    Of the table's columns ``sites`` are hypotheses; ``stats`` are of draws.
+    """
+    space = space_of_prior(model.prior)
+    draws = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
     time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
-    entities = list(space.world.entities)
-    frame_coords = {"time": time, "entity": entities, "coord": ["x", "y", "angle"]}
+    frame = {"time": time, "entity": list(space.world.entities), "coord": ["x", "y", "angle"]}
+    shown = {} if trajectory is None else {"trajectory": ((*DRAW, *FRAME), trajectory)}
+    explained = {"long_name": "log likelihood of each frame; NaN where not simulated"}
     groups = {
         "posterior": xr.Dataset(
-            {name: _variable(name, DRAW, table[name][index], space) for name in sites}, draw_coords
+            {name: _variable(name, DRAW, table[name][index], space) for name in sites}, draws
         ),
-        "sample_stats": xr.Dataset(
-            _sample_stats(steps, iterations, records, table, index), {**draw_coords, "time": time}
-        ),
-        SIMULATED: xr.Dataset(
-            {"trajectory": ((*DRAW, *FRAME), _trajectories(records, index))},
-            {**draw_coords, **frame_coords},
-            _tempering(model),
-        ),
-        "observed_data": xr.Dataset(
-            {"trajectory": (FRAME, event.observation.trajectory)}, frame_coords
-        ),
+        "sample_stats": xr.Dataset(stats, {**draws, "time": time}),
+        SIMULATED: xr.Dataset(shown, {**draws, **frame} if shown else None, _tempering(model)),
+        "observed_data": xr.Dataset({"trajectory": (FRAME, event.observation.trajectory)}, frame),
         "simulations": xr.Dataset(
             {name: _variable(name, SIMULATION, values, space) for name, values in table.items()}
-            | {
-                "step_log_likelihood": (
-                    (*SIMULATION, "time"),
-                    np.where(simulated, by_frame, np.nan).astype(np.float64),
-                    {"long_name": "log likelihood of each frame; NaN where not simulated"},
-                ),
-            },
+            | {"step_log_likelihood": ((*SIMULATION, "time"), step_log_likelihood, explained)},
             {"time": time},
         ),
         "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
@@ -243,41 +250,16 @@ def table_tree(
         "failed": np.zeros(n, np.bool_),
     }
     stats: dict[str, Any] = {
-        "log_joint": (table["log_prior"] + table["log_likelihood"])[index],
-        "total_error": table["total_error"][index],
-        "frames_simulated": np.zeros(shape, np.int64),
-        "sim_seed": table["seed"][index],
+        "log_joint": (DRAW, (table["log_prior"] + table["log_likelihood"])[index]),
+        "total_error": (DRAW, table["total_error"][index]),
+        "frames_simulated": (DRAW, np.zeros(shape, np.int64)),
+        "sim_seed": (DRAW, table["seed"][index]),
+        "step_error": ((*DRAW, "time"), errors.astype(np.float32)[index]),
     }
-    stats |= {name: drawn[name] for name in _PARTICLE if not np.isnan(drawn[name]).all()}
-    time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
-    coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    frame = {"time": time, "entity": list(space.world.entities), "coord": ["x", "y", "angle"]}
-    tree = xr.DataTree.from_dict(
-        {
-            "posterior": xr.Dataset(
-                {name: _variable(name, DRAW, table[name][index], space) for name in names}, coords
-            ),
-            "sample_stats": xr.Dataset(
-                {name: (DRAW, values) for name, values in stats.items()}
-                | {"step_error": ((*DRAW, "time"), errors.astype(np.float32)[index])},
-                {**coords, "time": time},
-            ),
-            SIMULATED: xr.Dataset(attrs=_tempering(model)),
-            "observed_data": xr.Dataset(
-                {"trajectory": (FRAME, event.observation.trajectory)}, frame
-            ),
-            "simulations": xr.Dataset(
-                {name: _variable(name, SIMULATION, values, space) for name, values in table.items()}
-                | {"step_log_likelihood": ((*SIMULATION, "time"), -errors)},
-                {"time": time},
-            ),
-            "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
-        }
-    )  # fmt: skip
+    stats |= {name: (DRAW, drawn[name]) for name in _PARTICLE if not np.isnan(drawn[name]).all()}
     if without is not None:
-        stats_kept = tree["sample_stats"].to_dataset()
-        by_draw = {"log_likelihood_without": ((*DRAW, "planner_seed"), without.T[index])}
-        tree["sample_stats"] = xr.DataTree(stats_kept.assign(by_draw))
+        stats["log_likelihood_without"] = ((*DRAW, "planner_seed"), without.T[index])
+    tree = _grouped(event, model, names, table, index, stats, -errors)
     counted = 0 if kernel.weighted else burn_in(shape[1])
     tree.attrs = {"event_id": event.id, "weights": "count", "burn_in": counted, "schema": SCHEMA}
     tree.attrs |= attrs

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.draws import SITE, Columns, particles_of, table_tree
-from phase_ppl.inference.run import Data, Length, Run, clock, compiled, compiled_block, make_kernel
+from phase_ppl.inference.run import Data, Length, Run, clock, compiled_chains, make_kernel
 from phase_ppl.inference.sampler import Interrupted, RunOptions, started_again
 from phase_ppl.models import priors
 from phase_ppl.models.density import on_cpu
@@ -182,10 +182,10 @@ def _drawn(
 
     And whether Ctrl-C ended them.
     """
-    start, advance = compiled(run.recipe)[0], compiled_block(run.recipe, _BLOCK)
+    start, advance = compiled_chains(run.recipe, _BLOCK)
     number = int(np.random.SeedSequence(run.seed).generate_state(1)[0])
     try:
-        state = start(random.split(random.key(number), run.chains), data)
+        state = start(data, random.split(random.key(number), run.chains))
     except KeyboardInterrupt:
         raise Interrupted(None) from None
     sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
@@ -199,7 +199,7 @@ def _drawn(
     try:
         with Bar(n, 0, options.progress, "iteration", run.info.name) as bar:
             while done < n and clock() - options.began < seconds:
-                state, states = advance(state, data)
+                state, states = advance(data, state)
                 told.append(particles_of(states))
                 bar.update(min(_BLOCK, n - done))
                 done += _BLOCK
