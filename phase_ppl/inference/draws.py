@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -21,6 +21,9 @@ from phase_ppl.models.roles import kept_prior, log_prior_of_effective, space_of_
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import FRAMES_PER_SECOND, Event
 from phase_ppl.world.space import HypothesisSpace
+
+if TYPE_CHECKING:
+    from phase_ppl.inference.table_run import ReadTable
 
 Columns = dict[str, NDArray[Any]]  # name -> an array with one row per particle, or per simulation
 
@@ -190,26 +193,12 @@ def _grouped(
     return xr.DataTree.from_dict(groups)
 
 
-class Table(Protocol):
-    """What was read, in which every hypothesis can be looked up."""
-
-    def errors_of(self, goals: NDArray[Any], strengths: NDArray[Any]) -> NDArray[np.float64]:
-        """Return (row, time) the errors, nats, of goals (row, 2) and strengths (row, 2)."""
-        ...
-
-    def log_likelihood_without(
-        self, goals: NDArray[Any], strengths: NDArray[Any]
-    ) -> NDArray[np.float64] | None:
-        """Return (set, row) log likelihoods without each set of searches, less those with all."""
-        ...
-
-
 def table_tree(
     event: Event,
     model: Model,
     kernel: KernelInfo,
     steps: Columns,
-    found: Table,
+    found: ReadTable,
     attrs: Mapping[str, Any],
 ) -> xr.DataTree:
     """Return the tree of draws of a run whose simulations were looked up in a table.

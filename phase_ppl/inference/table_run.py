@@ -113,7 +113,7 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
         Interrupted: Ctrl-C, with what was drawn until then.
     """
     check_looked_up(options)
-    found = _Table(read)
+    found = ReadTable(read)
     data = run.data(0)._replace(table=found.lookup(run.recipe.n_frames))
     kernel = make_kernel(run.recipe, data)
     wanted = options.iterations
@@ -176,7 +176,7 @@ def _iterations(length: Length, n_frames: int, n_bytes: int) -> int:
 
 
 def _drawn(
-    run: Run, data: Data, n: int, seconds: float, options: RunOptions, found: _Table
+    run: Run, data: Data, n: int, seconds: float, options: RunOptions, found: ReadTable
 ) -> tuple[Columns, bool]:
     """Return the particles (iteration + 1, chain, ...) of so many iterations, or of fewer.
 
@@ -209,7 +209,7 @@ def _drawn(
     return steps, stopped
 
 
-class _Table:
+class ReadTable:
     """What the closed loop has read, in nats below what explains each frame best.
 
     By effective goals, and by strengths too where a simulator of one's own was asked.

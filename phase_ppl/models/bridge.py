@@ -8,8 +8,8 @@ import itertools
 import math
 import threading
 import weakref
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,17 +37,6 @@ class Request(NamedTuple):
     error_ceiling: Any = np.inf
     log_proposal: Any = np.nan
     log_bound: Any = np.inf
-
-
-class RunsSimulations(Protocol):
-    """What the bridge needs of a runner (:class:`phase_ppl.simulator.runner.Runner`).
-
-    One that never stops a simulation at its ceiling has an attribute ``stops_early`` that is False.
-    """
-
-    def run(
-        self, hypotheses: Sequence[Any], seeds: Sequence[int], error_ceilings: Sequence[float]
-    ) -> list[SimulationResult]: ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -80,7 +69,7 @@ class SimulatorBridge:
     by it again, at no cost. All particles of a vectorised step arrive in one call.
 
     Args:
-        runner: simulates.
+        runner: simulates, as :class:`phase_ppl.simulator.runner.Runner` does.
         n_frames: of the observation.
         space: what values of sites stand for; by default that of PHASE.
         raises: whether an exception leaves at once, through JAX, instead of waiting.
@@ -96,7 +85,7 @@ class SimulatorBridge:
 
     def __init__(
         self,
-        runner: RunsSimulations,
+        runner: Any,
         n_frames: int,
         space: HypothesisSpace | None = None,
         *,

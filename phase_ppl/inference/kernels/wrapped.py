@@ -97,7 +97,7 @@ class UniformKernel(EventKernel):
         keys = jax.vmap(lambda key: random.split(key, 3))(keys)
         # as likely as the prior makes them
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
-        inner = self.start(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
+        inner = self.started_at(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
         found = jax.vmap(self._simulated)(self.points(inner))
         none = jnp.zeros(len(keys), jnp.int32)
         return WrappedState(none, *found, inner, none > 0, none, keys[:, 2])
@@ -120,7 +120,7 @@ class UniformKernel(EventKernel):
         return sites_at(self.program.model, in_steps(jax.nn.sigmoid(point)))
 
     @abstractmethod
-    def start(self, keys: jax.Array, points: jax.Array) -> Any:
+    def started_at(self, keys: jax.Array, points: jax.Array) -> Any:
         """Return the sampler's state at the points (chain, dimension)."""
 
     @abstractmethod
@@ -147,7 +147,7 @@ class Ensemble(UniformKernel):
 
     even_chains = True
 
-    def start(self, keys: jax.Array, points: jax.Array) -> jax.Array:
+    def started_at(self, keys: jax.Array, points: jax.Array) -> jax.Array:
         """Return the points: they are the whole state."""
         chains, dimensions = points.shape
         if chains < 2 * dimensions:
@@ -204,7 +204,7 @@ class SampleAdaptive(UniformKernel):
         """Simulations that the first pool of a particle takes."""
         return _POINTS_PER_SITE * self.dimensions if self._pool is None else self._pool
 
-    def start(self, keys: jax.Array, points: jax.Array) -> Any:
+    def started_at(self, keys: jax.Array, points: jax.Array) -> Any:
         """Simulate pools around the points."""
         state = self._sampler(keys, points)[1]
         # a particle must be somewhere possible, if it knows such a place
