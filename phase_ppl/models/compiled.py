@@ -47,7 +47,7 @@ class Compiled:
 
     def __init__(self, function: Callable[..., Any], identity: str | None = None) -> None:
         self._function, self._identity = function, identity
-        self._jitted = compiled_quickly(tracing()(function))
+        self._jitted: Any = compiled_quickly(tracing()(function))
         self._made: dict[Any, Callable[..., Any]] = {}
 
     def shapes(self, *args: Any) -> Any:
@@ -73,16 +73,17 @@ class Compiled:
         lowered = self._jitted.lower(*args)
         text = lowered.as_text()
         name = _name(f"{self._identity} {kind}" if self._identity else text)
-        keeps = name is not None and folder() is not None and _CALLS_PYTHON not in text
+        keeps = folder() is not None and _CALLS_PYTHON not in text
         if keeps and not self._identity and (known := read(name, args)):
             return known
-        made: Callable[..., Any] = lowered.compile()
-        if keeps:
+        made = lowered.compile()
+        if keeps and name is not None:
             with contextlib.suppress(NotImplementedError, ValueError, pickle.PicklingError):
                 code = serialize_executable.serialize(made)[0]
                 result = jax.tree.map(lambda _: 0, lowered.out_info)
                 write(name, pickle.dumps((code, result)))
-        return made
+        found: Callable[..., Any] = made
+        return found
 
 
 def folder() -> Path | None:

@@ -309,9 +309,9 @@ class BorrowedExecutor:
 
     def submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
         """Begin ``function(thing, *arguments)``, sending the thing, which is loaded once."""
-        task = _do_in_worker, self._token, self._packed, function, arguments
+        known = self._token, self._packed
         try:
-            found = self._executor.submit(*task)
+            found = self._executor.submit(_do_in_worker, *known, function, arguments)
         except Exception as error:  # shut down, or broken
             raise SimulationError(f"the executor takes no more work: {error}") from error
         if not isinstance(found, Future):
