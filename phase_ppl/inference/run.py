@@ -371,23 +371,21 @@ def compiled_chains(recipe: Recipe, length: int) -> tuple[Compiled, Compiled]:
     )
 
 
+@remembered(_KEPT_PROGRAMS)
 def compiled_given(recipe: Recipe) -> Compiled:
     """Return compiled (data, keys, given sites, log drawn, log floors) -> requests (chain,).
 
     Each particle simulates a hypothesis of which some sites are given, the others proposed by
     SIMPLE, whatever the kernel: see ``LocalMH.request_given``.
     """
-    return _compiled_given(recipe._replace(info=KERNELS["local_mh"], options=()))
+    simple = recipe._replace(info=KERNELS["local_mh"], options=())
 
-
-@remembered(_KEPT_PROGRAMS)
-def _compiled_given(recipe: Recipe) -> Compiled:
     def asked(data: Data, *given: Any) -> Any:
-        kernel = make_kernel(recipe, data)
+        kernel = make_kernel(simple, data)
         assert isinstance(kernel, LocalMH), "it is registered by that name"
         return jax.vmap(kernel.request_given)(*given)
 
-    return Compiled(asked, _identity(recipe, "given sites"))
+    return Compiled(asked, _identity(simple, "given sites"))
 
 
 def _identity(recipe: Recipe, what: str) -> str | None:
