@@ -296,7 +296,8 @@ Stages = Literal["starts", "moves"]
 def _stages(recipe: Recipe, of: Stages, data: Data) -> list[Stage]:
     """Return the stages of a start, given keys and None, or of a move, given a state."""
     kernel = make_kernel(recipe, data)
-    if isinstance(kernel, EventKernel):
+    own = (type(kernel).init, type(kernel).sample) != (EventKernel.init, EventKernel.sample)
+    if isinstance(kernel, EventKernel) and not own:
         return kernel.stages(of)
 
     def moved(state: Any) -> Any:
