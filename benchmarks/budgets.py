@@ -25,7 +25,7 @@ import pandas as pd
 
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import RUN_COLUMNS, Comparison, distances
-from phase_ppl.inference.compare import error_of, of_masses, of_pairs
+from phase_ppl.inference.reference import error_of, of_masses, of_pairs
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS
 from tests.inference.toy import few_goals, walkers, walking_event

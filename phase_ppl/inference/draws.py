@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,7 +14,6 @@ from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, 
 from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
-from phase_ppl.models.effective import log_prior_of_hypotheses, strengths_apart
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import kept_prior, log_prior_of_effective, space_of_prior
@@ -33,7 +32,7 @@ weighed where the kernel's proposals have a density (``benchmarks/estimates.py``
 SITE: Final = "z/"  # begins the names of those columns of particles that are sites
 
 
-_PARTICLE: Final = {
+PARTICLE: Final = {
     "accepted": (False, np.bool_),
     "window": (-1, np.int64),
     "log_weight": (0.0, np.float64),
@@ -41,7 +40,7 @@ _PARTICLE: Final = {
 }
 """Column of particles -> its value where a kernel's state has no such field, and its type."""
 
-PARTICLE_COLUMNS: Final = ("sim_seed", *_PARTICLE)
+PARTICLE_COLUMNS: Final = ("sim_seed", *PARTICLE)
 
 
 class Particles(NamedTuple):
@@ -72,7 +71,7 @@ def particles_of(state: Any) -> Columns:
     seed = np.asarray(state.sim_seed).astype(np.int64)
     columns = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
     columns["sim_seed"] = seed
-    for name, (default, dtype) in _PARTICLE.items():
+    for name, (default, dtype) in PARTICLE.items():
         given = getattr(state, name, None)
         values = np.full(seed.shape, default) if given is None else np.asarray(given)
         columns[name] = values.astype(dtype)
@@ -139,7 +138,7 @@ def tree_of(
     space = space_of_prior(model.prior)
     own = [name for name in records[0].sites if name not in space.sites]
     raw = {name: np.array([r.sites[name] for r in records]) for name in (*space.sites, *own)}
-    table = _hypothesis_columns(raw, space)
+    table = hypothesis_columns(raw, space)
     sites = list(table)
     errors = np.array([record.result.errors for record in records])
     simulated = np.isfinite(errors)
@@ -147,156 +146,47 @@ def tree_of(
     by_frame = model.error_likelihood.log_prob(np.where(simulated, errors, 0.0))
     table |= _results(records, table, by_frame.sum(axis=1), model, space)
     index = _records_of_draws(steps, records)
-    n_draws = len(steps)
-    draw_coords = {"chain": np.arange(len(index)), "draw": np.arange(n_draws)}
+    stats = _sample_stats(steps, iterations, records, table, index)
+    explained = np.where(simulated, by_frame, np.nan).astype(np.float64)
+    trajectory = _trajectories(records, index)
+    return grouped(event, model, sites, table, index, stats, explained, trajectory)
+
+
+def grouped(
+    event: Event,
+    model: Model,
+    sites: Sequence[str],
+    table: Columns,
+    index: NDArray[np.int64],
+    stats: Mapping[str, Any],
+    step_log_likelihood: NDArray[np.float64],
+    trajectory: NDArray[np.float32] | None = None,
+) -> xr.DataTree:
+    """Return the tree of draws (chain, draw) at rows ``index`` of a table of simulations.
+
+    Of the table's columns ``sites`` are hypotheses; ``stats`` are of draws.
+    """
+    space = space_of_prior(model.prior)
+    draws = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
     time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
-    entities = list(space.world.entities)
-    frame_coords = {"time": time, "entity": entities, "coord": ["x", "y", "angle"]}
+    frame = {"time": time, "entity": list(space.world.entities), "coord": ["x", "y", "angle"]}
+    shown = {} if trajectory is None else {"trajectory": ((*DRAW, *FRAME), trajectory)}
+    explained = {"long_name": "log likelihood of each frame; NaN where not simulated"}
     groups = {
         "posterior": xr.Dataset(
-            {name: _variable(name, DRAW, table[name][index], space) for name in sites}, draw_coords
+            {name: _variable(name, DRAW, table[name][index], space) for name in sites}, draws
         ),
-        "sample_stats": xr.Dataset(
-            _sample_stats(steps, iterations, records, table, index), {**draw_coords, "time": time}
-        ),
-        SIMULATED: xr.Dataset(
-            {"trajectory": ((*DRAW, *FRAME), _trajectories(records, index))},
-            {**draw_coords, **frame_coords},
-            _tempering(model),
-        ),
-        "observed_data": xr.Dataset(
-            {"trajectory": (FRAME, event.observation.trajectory)}, frame_coords
-        ),
+        "sample_stats": xr.Dataset(stats, {**draws, "time": time}),
+        SIMULATED: xr.Dataset(shown, {**draws, **frame} if shown else None, _tempering(model)),
+        "observed_data": xr.Dataset({"trajectory": (FRAME, event.observation.trajectory)}, frame),
         "simulations": xr.Dataset(
             {name: _variable(name, SIMULATION, values, space) for name, values in table.items()}
-            | {
-                "step_log_likelihood": (
-                    (*SIMULATION, "time"),
-                    np.where(simulated, by_frame, np.nan).astype(np.float64),
-                    {"long_name": "log likelihood of each frame; NaN where not simulated"},
-                ),
-            },
+            | {"step_log_likelihood": ((*SIMULATION, "time"), step_log_likelihood, explained)},
             {"time": time},
         ),
         "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
     }
     return xr.DataTree.from_dict(groups)
-
-
-class Table(Protocol):
-    """What was read, in which every hypothesis can be looked up."""
-
-    def errors_of(self, goals: NDArray[Any], strengths: NDArray[Any]) -> NDArray[np.float64]:
-        """Return (row, time) the errors, nats, of goals (row, 2) and strengths (row, 2)."""
-        ...
-
-    def log_likelihood_without(
-        self, goals: NDArray[Any], strengths: NDArray[Any]
-    ) -> NDArray[np.float64] | None:
-        """Return (set, row) log likelihoods without each set of searches, less those with all."""
-        ...
-
-
-def table_tree(
-    event: Event,
-    model: Model,
-    kernel: KernelInfo,
-    steps: Columns,
-    found: Table,
-    attrs: Mapping[str, Any],
-) -> xr.DataTree:
-    """Return the tree of draws of a run whose simulations were looked up in a table.
-
-    ``steps`` are the particles (iteration, chain, ...). What the tree has as simulations are the
-    hypotheses at which its chains were, in order.
-    """
-    space, n_iterations = space_of_prior(model.prior), len(steps["sim_seed"]) - 1
-    iterations = kept_iterations(n_iterations, kernel)
-    drawn = {name: np.moveaxis(values[list(iterations)], 0, 1) for name, values in steps.items()}
-    shape = drawn["sim_seed"].shape
-    moved = np.ones(shape, np.bool_)
-    sites = sites_of(drawn)
-    if shape[1] > 1:
-        each = [values.reshape(*shape, -1) for values in sites.values()]
-        moved[:, 1:] = np.any([(v[:, 1:] != v[:, :-1]).any(axis=2) for v in each], axis=0)
-    index = np.cumsum(moved.ravel()).reshape(shape) - 1
-    raw = {name: values[moved] for name, values in sites.items()}
-    table = _hypothesis_columns(raw, space)
-    names = list(table)
-    goals = np.stack([table[name] for name in space.goal_sites], axis=1).astype(np.int64)
-    strengths = {name: table[name] for name in space.strength_sites}
-    newtons = np.stack(list(strengths.values()), axis=1)
-    errors, without = found.errors_of(goals, newtons), found.log_likelihood_without(goals, newtons)
-    chain, draw = np.nonzero(moved)
-    n = len(chain)
-    log_prior, effective = _log_priors(model, raw, goals, strengths)
-    table |= {
-        "seed": drawn["sim_seed"][moved].astype(np.int64),
-        "chain": chain,
-        "iteration": np.asarray(iterations)[draw],
-        "log_prior": log_prior,
-        "log_prior_effective": effective,
-        "log_likelihood": -errors.sum(axis=1),
-        "total_error": errors.sum(axis=1),
-        "completed": np.asarray(np.isfinite(errors).all(axis=1)),
-        "frames_simulated": np.zeros(n, np.int64),
-        "failed": np.zeros(n, np.bool_),
-    }
-    stats: dict[str, Any] = {
-        "log_joint": (table["log_prior"] + table["log_likelihood"])[index],
-        "total_error": table["total_error"][index],
-        "frames_simulated": np.zeros(shape, np.int64),
-        "sim_seed": table["seed"][index],
-    }
-    stats |= {name: drawn[name] for name in _PARTICLE if not np.isnan(drawn[name]).all()}
-    time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
-    coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    frame = {"time": time, "entity": list(space.world.entities), "coord": ["x", "y", "angle"]}
-    tree = xr.DataTree.from_dict(
-        {
-            "posterior": xr.Dataset(
-                {name: _variable(name, DRAW, table[name][index], space) for name in names}, coords
-            ),
-            "sample_stats": xr.Dataset(
-                {name: (DRAW, values) for name, values in stats.items()}
-                | {"step_error": ((*DRAW, "time"), errors.astype(np.float32)[index])},
-                {**coords, "time": time},
-            ),
-            SIMULATED: xr.Dataset(attrs=_tempering(model)),
-            "observed_data": xr.Dataset(
-                {"trajectory": (FRAME, event.observation.trajectory)}, frame
-            ),
-            "simulations": xr.Dataset(
-                {name: _variable(name, SIMULATION, values, space) for name, values in table.items()}
-                | {"step_log_likelihood": ((*SIMULATION, "time"), -errors)},
-                {"time": time},
-            ),
-            "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
-        }
-    )  # fmt: skip
-    if without is not None:
-        stats_kept = tree["sample_stats"].to_dataset()
-        by_draw = {"log_likelihood_without": ((*DRAW, "planner_seed"), without.T[index])}
-        tree["sample_stats"] = xr.DataTree(stats_kept.assign(by_draw))
-    counted = 0 if kernel.weighted else burn_in(shape[1])
-    tree.attrs = {"event_id": event.id, "weights": "count", "burn_in": counted, "schema": SCHEMA}
-    tree.attrs |= attrs
-    return tree
-
-
-def _log_priors(
-    model: Model, raw: Columns, goals: NDArray[np.int64], strengths: Columns
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (row,) log priors of hypotheses as they are, and of their effective goals."""
-    log_prior = log_prior_of_hypotheses(model.prior, raw)
-    if not strengths_apart(model.prior):
-        return log_prior, log_prior_of_effective(model.prior, goals, strengths)
-    # of few pairs of goals, as strengths are a factor of their own
-    pairs, of_pair = np.unique(goals, axis=0, return_inverse=True)
-    typical = {name: np.full(len(pairs), values[0]) for name, values in strengths.items()}
-    by_pair = log_prior_of_effective(model.prior, pairs, typical)
-    of_strengths = log_prior_of_hypotheses(model.prior, strengths)
-    return log_prior, by_pair[of_pair.reshape(-1)] + of_strengths - of_strengths[0]
 
 
 def _tempering(model: Model) -> dict[str, float]:
@@ -345,7 +235,7 @@ def _results(
     }
 
 
-def _hypothesis_columns(raw: Mapping[str, NDArray[Any]], space: HypothesisSpace) -> Columns:
+def hypothesis_columns(raw: Mapping[str, NDArray[Any]], space: HypothesisSpace) -> Columns:
     """Return effective and stated goals, company, strengths and own sites as they are stored."""
     effective = space.effective(raw).astype(np.int16)
     columns: Columns = {name: effective[:, i] for i, name in enumerate(space.goal_sites)}
@@ -404,7 +294,7 @@ def _sample_stats(
     errors = np.array([record.result.errors for record in records], np.float32)
     paid = {"long_name": "frames simulated for this iteration's proposal, accepted or not"}
     weight = {"long_name": "log weight of the draw, up to a constant; 0 where all are equal"}
-    drawn = {name: np.stack([step[name] for step in steps], axis=1) for name in _PARTICLE}
+    drawn = {name: np.stack([step[name] for step in steps], axis=1) for name in PARTICLE}
     stats = {
         "log_joint": (DRAW, (table["log_prior"] + table["log_likelihood"])[index]),
         "total_error": (DRAW, table["total_error"][index], {"units": "units of length"}),

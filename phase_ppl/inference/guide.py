@@ -26,8 +26,8 @@ from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
 from phase_ppl.inference.tables import BottomUpTables
+from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import Program, Sites, draw, log_density, remembered, traced
-from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.roles import space_of_prior
 from phase_ppl.models.sites import IMPOSSIBLE, OneOf
 from phase_ppl.world.arrays import FloatArray
@@ -118,7 +118,7 @@ def _prior_of_way(prior: Program) -> FloatArray:
         mean = jax.vmap(probabilities)(keys).mean(axis=0)
         return jnp.log(jnp.maximum(mean, _NEVER_WAY))
 
-    return np.asarray(Hosted(averaged)())
+    return np.asarray(Compiled(averaged)())
 
 
 def _way_distribution(

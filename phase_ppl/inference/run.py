@@ -14,7 +14,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -25,6 +25,7 @@ from phase_ppl.inference.draws import Particles
 from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.amis import Adaptation, Proposal, first_proposal, guide_of
 from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.metropolis import EventKernel, Stage, through
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, info_of
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings
 from phase_ppl.inference.strength import estimator_name
@@ -37,9 +38,9 @@ from phase_ppl.inference.tables import (
     window_count,
 )
 from phase_ppl.models import priors
-from phase_ppl.models.bridge import Record
+from phase_ppl.models.bridge import Record, Request
+from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import remembered, tracing
-from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, Lookup, event_salt
@@ -236,9 +237,9 @@ class Run:
         data = self.data(0, unread=True)
         kernel = make_kernel(self.recipe, data)
         Length.of(kernel, self.info, self.chains, iterations, budget, self.n_frames)
-        init, step = compiled(self.recipe)  # what is traced here is not traced again by the run
+        steps = compiled(self.recipe)  # what is traced here is not traced again by the run
         keys = random.split(random.key(0), self.chains)
-        step.shapes(init.shapes(keys, data), data)
+        steps.shapes("moves", data, steps.shapes("starts", data, keys, None))
 
 
 def check_event(given: object) -> Event:
@@ -289,70 +290,103 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     return info.make(program, **supplies, **dict(options))
 
 
-def _functions(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return the two functions of a recipe: (keys, data) and (state, data) -> state."""
+Stages = Literal["starts", "moves"]
 
-    def init(keys: jax.Array, data: Data) -> Any:
-        return make_kernel(recipe, data).init(keys, 0, None, (), {})
 
-    def step(state: Any, data: Data) -> Any:
-        kernel = make_kernel(recipe, data)
+def _stages(recipe: Recipe, of: Stages, data: Data) -> list[Stage]:
+    """Return the stages of a start, given keys and None, or of a move, given a state."""
+    kernel = make_kernel(recipe, data)
+    own = (type(kernel).init, type(kernel).sample) != (EventKernel.init, EventKernel.sample)
+    if isinstance(kernel, EventKernel) and not own:
+        return kernel.stages(of)
+
+    def moved(state: Any) -> Any:
         if getattr(kernel, "_sample_fn", True) is None:
             # NumPyro's own kernels are made ready by init
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
-    return init, step
+    # one of somebody's, which simulates from within compiled code
+    return [moved] if of == "moves" else [lambda keys, _: kernel.init(keys, 0, None, (), {})]
+
+
+class Steps:
+    """How the particles of a recipe start and move, compiled; :func:`compiled` makes one."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self._recipe = recipe
+        self._compiled: dict[Stages, list[Compiled]] = {}
+
+    def _each(self, of: Stages, data: Data) -> list[Compiled]:
+        if of not in self._compiled:
+            self._compiled[of] = [
+                Compiled(
+                    lambda data, *given, n=number: _stages(self._recipe, of, data)[n](*given),
+                    _identity(self._recipe, f"{of} {number}"),
+                )
+                for number in range(len(_stages(self._recipe, of, data)))
+            ]
+        return self._compiled[of]
+
+    def run(self, of: Stages, answer: Callable[[Request], Any], data: Data, *given: Any) -> Any:
+        """Return the state after a start or a move, with its simulations answered in between."""
+        stages = [functools.partial(one, data) for one in self._each(of, data)]
+        return through(stages, answer, *given)
+
+    def shapes(self, of: Stages, data: Data, *given: Any) -> Any:
+        """Return shapes and types of what :meth:`run` returns; nothing is computed."""
+        n_frames = self._recipe.n_frames
+
+        def answer(request: Request) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct((*request.seed.shape, n_frames), np.float32)
+
+        stages = [functools.partial(one.shapes, data) for one in self._each(of, data)]
+        return through(stages, answer, *given)
+
+
+compiled = remembered(_KEPT_PROGRAMS)(Steps)
 
 
 @remembered(_KEPT_PROGRAMS)
-def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
-    """Return how the particles of a recipe start, and how they go on by a step, compiled."""
-    init, step = _functions(recipe)
-    return Hosted(init, _identity(recipe, "init")), Hosted(step, _identity(recipe, "step"))
-
-
-@remembered(_KEPT_PROGRAMS)
-def compiled_block(recipe: Recipe, length: int) -> Hosted:
-    """Return compiled (state, data) -> the state after so many steps, and those after each.
+def compiled_chains(recipe: Recipe, length: int) -> tuple[Compiled, Compiled]:
+    """Return compiled (data, keys) -> state, and (data, state) -> the last one and all after it.
 
     Where simulations are looked up, so that whole chains can be compiled.
     """
-    _, step = _functions(recipe)
 
-    def block(state: Any, data: Data) -> tuple[Any, Particles]:
+    def start(data: Data, keys: jax.Array) -> Any:
+        return make_kernel(recipe, data).init(keys, 0, None, (), {})
+
+    def block(data: Data, state: Any) -> tuple[Any, Particles]:
+        kernel = make_kernel(recipe, data)
+
         def one(state: Any, _: None) -> tuple[Any, Particles]:
-            state = step(state, data)
+            state = kernel.sample(state, (), {})
             return state, Particles.of(state)
 
         return lax.scan(one, state, length=length)
 
-    return Hosted(block, _identity(recipe, f"block of {length}"))
-
-
-def compiled_given(recipe: Recipe) -> Hosted:
-    """Return compiled (keys, given sites, log drawn, log floors, data) -> errors (chain, time).
-
-    Each particle simulates a hypothesis of which some sites are given, the others proposed by
-    SIMPLE, whatever the kernel: see ``LocalMH.simulate_given``.
-    """
-    return _compiled_given(recipe._replace(info=KERNELS["local_mh"], options=()))
+    return (
+        Compiled(start, _identity(recipe, "start")),
+        Compiled(block, _identity(recipe, f"block of {length}")),
+    )
 
 
 @remembered(_KEPT_PROGRAMS)
-def _compiled_given(recipe: Recipe) -> Hosted:
-    def simulate(
-        keys: jax.Array,
-        given: dict[str, jax.Array],
-        log_drawn: jax.Array,
-        log_floor: jax.Array,
-        data: Data,
-    ) -> Any:
-        kernel = make_kernel(recipe, data)
-        assert isinstance(kernel, LocalMH), "it is registered by that name"
-        return jax.vmap(kernel.simulate_given)(keys, given, log_drawn, log_floor)
+def compiled_given(recipe: Recipe) -> Compiled:
+    """Return compiled (data, keys, given sites, log drawn, log floors) -> requests (chain,).
 
-    return Hosted(simulate, _identity(recipe, "given sites"))
+    Each particle simulates a hypothesis of which some sites are given, the others proposed by
+    SIMPLE, whatever the kernel: see ``LocalMH.request_given``.
+    """
+    simple = recipe._replace(info=KERNELS["local_mh"], options=())
+
+    def asked(data: Data, *given: Any) -> Any:
+        kernel = make_kernel(simple, data)
+        assert isinstance(kernel, LocalMH), "it is registered by that name"
+        return jax.vmap(kernel.request_given)(*given)
+
+    return Compiled(asked, _identity(simple, "given sites"))
 
 
 def _identity(recipe: Recipe, what: str) -> str | None:

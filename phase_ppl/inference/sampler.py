@@ -31,11 +31,19 @@ from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.weights import WEIGHTINGS, log_sum_exp
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.draws import Columns, build_tree, particles_of, sites_of
-from phase_ppl.inference.run import Length, Pace, Run, compiled, compiled_given, make_kernel
+from phase_ppl.inference.run import (
+    Length,
+    Pace,
+    Run,
+    Stages,
+    compiled,
+    compiled_given,
+    make_kernel,
+)
 from phase_ppl.inference.settings import Budget
-from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
+from phase_ppl.models.bridge import Record, Request, SimulatorBridge, request_key
+from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import is_stepped, on_cpu
-from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.roles import drawn_stated
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
@@ -163,7 +171,7 @@ def sample(
     return posterior
 
 
-_split: Final = Hosted(
+_split: Final = Compiled(
     lambda number, chains: random.split(random.key(number), len(chains)), "keys of chains"
 )
 """The keys of chains, whose number is the length of an array: code is compiled for shapes."""
@@ -191,7 +199,7 @@ class Sampler:
         )
         options.check_burn_in(self._length.iterations)
         self._check_memory()
-        self._init, self._step = compiled(run.recipe)
+        self._steps = compiled(run.recipe)
         self._state: Any = None
         self._particles: list[Columns] = []  # the initial ones, and those after every iteration
         self._written = -1
@@ -239,7 +247,7 @@ class Sampler:
                 f"iterations={wanted}, but {saved.path} has {saved.done} already"
             )
         with on_cpu():
-            blank = self._init.shapes(self._keys(), self._data)
+            blank = self._steps.shapes("starts", self._data, self._keys(), None)
         self._state, self._particles = saved.state(blank), list(saved.particles)
         pace = self._pace = Pace(
             self._length, self._options.began, seconds=saved.seconds, recent=saved.recent
@@ -277,7 +285,7 @@ class Sampler:
                 while self._pace.goes_on:
                     bar.reach(self._simulations())
                     bar.expect(self._expected())
-                    self._iterate(lambda: self._step(self._state, self._data))
+                    self._iterate(lambda: self._computed("moves", self._state))
                 bar.reach(self._simulations())
                 self._try_rivals(bar)
                 bar.expect(self._simulations())
@@ -288,11 +296,18 @@ class Sampler:
         runner, limit = self._runner, self._runner.limit
         runner.limit = min(limit, seconds)
         runner.patience = time.perf_counter() + seconds - self._pace.seconds
-        self._iterate(lambda: self._init(self._keys(), self._data))
+        self._iterate(lambda: self._computed("starts", self._keys(), None))
         runner.limit = limit
         if self._run.model.simulator is not None:
             results = [record.result for record in self._bridge.records]
             _check_once(runner, self._run.model.simulator, results)
+
+    def _answer(self, request: Request) -> NDArray[np.float32]:
+        return self._bridge.answer(request, self._run.recipe.n_frames)
+
+    def _computed(self, what: Stages, *given: Any) -> Any:
+        """Return the state after a start, given keys and None, or after a move, given a state."""
+        return self._steps.run(what, self._answer, self._data, *given)
 
     def _iterate(self, compute: Callable[[], Any]) -> None:
         """Do the initial particles, or an iteration, which counts once it is complete."""
@@ -305,8 +320,8 @@ class Sampler:
                 # one that weighs its start would be taken for better than it is
                 if self._completed(state).any() or hasattr(state, "log_weight"):
                     break
-                start = functools.partial(self._init, self._keys(again), self._data)
-                state = self._in_thread(start)
+                keys = self._keys(again)
+                state = self._in_thread(functools.partial(self._computed, "starts", keys, None))
             state = self._all_started(state)
         self._particles.append(particles_of(state))
         self._state = state
@@ -374,7 +389,7 @@ class Sampler:
 
     def _simulate_goals(
         self, goals: NDArray[np.int64], log_floor: NDArray[np.float32], *place: int
-    ) -> Any:
+    ) -> None:
         """Have each particle simulate effective goals (chain, agent)."""
         run, space = self._run, space_of(self._run.event.scene.world)
         usual = np.full(goals.shape, np.mean(STRENGTH_RANGE))
@@ -384,7 +399,7 @@ class Sampler:
         given = dict(zip(names, stated.T.astype(np.int32), strict=True))
         keys = self._keys(self._done, *place)
         drawn = log_drawn.astype(np.float32)
-        return compiled_given(run.recipe)(keys, given, drawn, log_floor, self._data)
+        self._answer(compiled_given(run.recipe)(self._data, keys, given, drawn, log_floor))
 
     def _completed(self, state: Any) -> NDArray[np.bool_]:
         """Return (chain,) whether the initial simulation succeeded."""

@@ -19,15 +19,32 @@ from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.draws import SITE, Columns, particles_of, table_tree
-from phase_ppl.inference.run import Data, Length, Run, clock, compiled, compiled_block, make_kernel
+from phase_ppl.analysis.tree import DRAW, SCHEMA
+from phase_ppl.inference.draws import (
+    PARTICLE,
+    SITE,
+    Columns,
+    burn_in,
+    grouped,
+    hypothesis_columns,
+    kept_iterations,
+    particles_of,
+    sites_of,
+)
+from phase_ppl.inference.registry import KernelInfo
+from phase_ppl.inference.run import Data, Length, Run, clock, compiled_chains, make_kernel
 from phase_ppl.inference.sampler import Interrupted, RunOptions, started_again
 from phase_ppl.models import priors
 from phase_ppl.models.density import on_cpu
-from phase_ppl.models.effective import cells
+from phase_ppl.models.effective import (
+    cells,
+    log_prior_of_hypotheses,
+    strengths_apart,
+)
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import Lookup
+from phase_ppl.models.roles import log_prior_of_effective, space_of_prior
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_memory, shown
 from phase_ppl.world.event import Event, Observation
@@ -113,7 +130,7 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
         Interrupted: Ctrl-C, with what was drawn until then.
     """
     check_looked_up(options)
-    found = _Table(read)
+    found = ReadTable(read)
     data = run.data(0)._replace(table=found.lookup(run.recipe.n_frames))
     kernel = make_kernel(run.recipe, data)
     wanted = options.iterations
@@ -148,7 +165,7 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
         "cost": json.dumps(cost),
         "versions": json.dumps(versions()),
     }
-    tree = table_tree(run.event, run.model, run.info, steps, found, attrs)
+    tree = _table_tree(run.event, run.model, run.info, steps, found, attrs)
     if options.burn_in is not None:
         # of a run that ended early at least the last draw counts
         tree.attrs["burn_in"] = min(options.burn_in, tree["posterior"].sizes["draw"] - 1)
@@ -176,16 +193,16 @@ def _iterations(length: Length, n_frames: int, n_bytes: int) -> int:
 
 
 def _drawn(
-    run: Run, data: Data, n: int, seconds: float, options: RunOptions, found: _Table
+    run: Run, data: Data, n: int, seconds: float, options: RunOptions, found: ReadTable
 ) -> tuple[Columns, bool]:
     """Return the particles (iteration + 1, chain, ...) of so many iterations, or of fewer.
 
     And whether Ctrl-C ended them.
     """
-    start, advance = compiled(run.recipe)[0], compiled_block(run.recipe, _BLOCK)
+    start, advance = compiled_chains(run.recipe, _BLOCK)
     number = int(np.random.SeedSequence(run.seed).generate_state(1)[0])
     try:
-        state = start(random.split(random.key(number), run.chains), data)
+        state = start(data, random.split(random.key(number), run.chains))
     except KeyboardInterrupt:
         raise Interrupted(None) from None
     sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
@@ -199,7 +216,7 @@ def _drawn(
     try:
         with Bar(n, 0, options.progress, "iteration", run.info.name) as bar:
             while done < n and clock() - options.began < seconds:
-                state, states = advance(state, data)
+                state, states = advance(data, state)
                 told.append(particles_of(states))
                 bar.update(min(_BLOCK, n - done))
                 done += _BLOCK
@@ -209,7 +226,84 @@ def _drawn(
     return steps, stopped
 
 
-class _Table:
+def _table_tree(
+    event: Event,
+    model: Model,
+    kernel: KernelInfo,
+    steps: Columns,
+    found: ReadTable,
+    attrs: Mapping[str, Any],
+) -> xr.DataTree:
+    """Return the tree of draws of a run whose simulations were looked up in a table.
+
+    ``steps`` are the particles (iteration, chain, ...). What the tree has as simulations are the
+    hypotheses at which its chains were, in order.
+    """
+    space, n_iterations = space_of_prior(model.prior), len(steps["sim_seed"]) - 1
+    iterations = kept_iterations(n_iterations, kernel)
+    drawn = {name: np.moveaxis(values[list(iterations)], 0, 1) for name, values in steps.items()}
+    shape = drawn["sim_seed"].shape
+    moved = np.ones(shape, np.bool_)
+    sites = sites_of(drawn)
+    if shape[1] > 1:
+        each = [values.reshape(*shape, -1) for values in sites.values()]
+        moved[:, 1:] = np.any([(v[:, 1:] != v[:, :-1]).any(axis=2) for v in each], axis=0)
+    index = np.cumsum(moved.ravel()).reshape(shape) - 1
+    raw = {name: values[moved] for name, values in sites.items()}
+    table = hypothesis_columns(raw, space)
+    names = list(table)
+    goals = np.stack([table[name] for name in space.goal_sites], axis=1).astype(np.int64)
+    strengths = {name: table[name] for name in space.strength_sites}
+    newtons = np.stack(list(strengths.values()), axis=1)
+    errors, without = found.errors_of(goals, newtons), found.log_likelihood_without(goals, newtons)
+    chain, draw = np.nonzero(moved)
+    n = len(chain)
+    log_prior, effective = _log_priors(model, raw, goals, strengths)
+    table |= {
+        "seed": drawn["sim_seed"][moved].astype(np.int64),
+        "chain": chain,
+        "iteration": np.asarray(iterations)[draw],
+        "log_prior": log_prior,
+        "log_prior_effective": effective,
+        "log_likelihood": -errors.sum(axis=1),
+        "total_error": errors.sum(axis=1),
+        "completed": np.asarray(np.isfinite(errors).all(axis=1)),
+        "frames_simulated": np.zeros(n, np.int64),
+        "failed": np.zeros(n, np.bool_),
+    }
+    stats: dict[str, Any] = {
+        "log_joint": (DRAW, (table["log_prior"] + table["log_likelihood"])[index]),
+        "total_error": (DRAW, table["total_error"][index]),
+        "frames_simulated": (DRAW, np.zeros(shape, np.int64)),
+        "sim_seed": (DRAW, table["seed"][index]),
+        "step_error": ((*DRAW, "time"), errors.astype(np.float32)[index]),
+    }
+    stats |= {name: (DRAW, drawn[name]) for name in PARTICLE if not np.isnan(drawn[name]).all()}
+    if without is not None:
+        stats["log_likelihood_without"] = ((*DRAW, "planner_seed"), without.T[index])
+    tree = grouped(event, model, names, table, index, stats, -errors)
+    counted = 0 if kernel.weighted else burn_in(shape[1])
+    tree.attrs = {"event_id": event.id, "weights": "count", "burn_in": counted, "schema": SCHEMA}
+    tree.attrs |= attrs
+    return tree
+
+
+def _log_priors(
+    model: Model, raw: Columns, goals: NDArray[np.int64], strengths: Columns
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (row,) log priors of hypotheses as they are, and of their effective goals."""
+    log_prior = log_prior_of_hypotheses(model.prior, raw)
+    if not strengths_apart(model.prior):
+        return log_prior, log_prior_of_effective(model.prior, goals, strengths)
+    # of few pairs of goals, as strengths are a factor of their own
+    pairs, of_pair = np.unique(goals, axis=0, return_inverse=True)
+    typical = {name: np.full(len(pairs), values[0]) for name, values in strengths.items()}
+    by_pair = log_prior_of_effective(model.prior, pairs, typical)
+    of_strengths = log_prior_of_hypotheses(model.prior, strengths)
+    return log_prior, by_pair[of_pair.reshape(-1)] + of_strengths - of_strengths[0]
+
+
+class ReadTable:
     """What the closed loop has read, in nats below what explains each frame best.
 
     By effective goals, and by strengths too where a simulator of one's own was asked.

@@ -1,4 +1,4 @@
-"""The bridge from compiled inference to the simulator: one host call for all particles."""
+"""The bridge from kernels to the simulator: one call for all particles."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import itertools
 import math
 import threading
 import weakref
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, Protocol
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend import core
 from numpy.typing import NDArray
 
 from phase_ppl.models.density import NO_DENSITY
@@ -26,15 +25,18 @@ from phase_ppl.world.space import HypothesisSpace, space_of
 _Columns = dict[str, NDArray[Any]]
 
 
-class RunsSimulations(Protocol):
-    """What the bridge needs of a runner (:class:`phase_ppl.simulator.runner.Runner`).
+class Request(NamedTuple):
+    """A simulation that is asked for, or an array (...) of them.
 
-    One that never stops a simulation at its ceiling has an attribute ``stops_early`` that is False.
+    Arguments as of :meth:`phase_ppl.models.program.EventProgram.simulate`.
     """
 
-    def run(
-        self, hypotheses: Sequence[Any], seeds: Sequence[int], error_ceilings: Sequence[float]
-    ) -> list[SimulationResult]: ...
+    sites: Mapping[str, Any]
+    log_prior: Any
+    seed: Any
+    error_ceiling: Any = np.inf
+    log_proposal: Any = np.nan
+    log_bound: Any = np.inf
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,20 +62,20 @@ class Record:
 
 
 class SimulatorBridge:
-    """Answers compiled code's requests for simulations, and keeps a record of them.
+    """Answers the requests of kernels for simulations, and keeps a record of them.
 
     A request is a pure function of its arguments, since the seed is one of them; JAX may
     therefore reorder it, and one that was answered by a completed simulation before is answered
     by it again, at no cost. All particles of a vectorised step arrive in one call.
 
     Args:
-        runner: simulates.
+        runner: simulates, as :class:`phase_ppl.simulator.runner.Runner` does.
         n_frames: of the observation.
         space: what values of sites stand for; by default that of PHASE.
         raises: whether an exception leaves at once, through JAX, instead of waiting.
 
     Attributes:
-        handle: number by which compiled code knows this bridge (``EventProgram``).
+        handle: number by which compiled code that calls back knows this bridge.
         records: every simulation so far.
         iteration: what new records are labelled with.
         failure: the last exception that ended a call, if one did. It waits for whoever drives the
@@ -83,7 +85,7 @@ class SimulatorBridge:
 
     def __init__(
         self,
-        runner: RunsSimulations,
+        runner: Any,
         n_frames: int,
         space: HypothesisSpace | None = None,
         *,
@@ -101,21 +103,26 @@ class SimulatorBridge:
         self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
         _open[self.handle] = self
 
-    def answer(self, columns: _Columns, *numbers: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the errors (..., time) that a batch (...) of requests asks for.
+    def answer(self, request: Request, n_frames: int | None = None) -> NDArray[np.float32]:
+        """Return the errors (..., time) of an array (...) of requests, one of particles first.
 
-        The numbers are log_prior, seed, error_ceiling, log_proposal and log_bound of each, as of
-        :meth:`phase_ppl.models.program.EventProgram.simulate`.
+        In arrays of ``n_frames``, by default those of the observation; 0 beyond its end.
         """
+        # NumPy from the first line on: calling JAX from inside compiled code can deadlock
+        sites = {name: np.asarray(values) for name, values in request.sites.items()}
+        batch = np.shape(request.seed)
+        numbers = [np.broadcast_to(np.asarray(one), batch) for one in request[1:]]
+        found = np.full((*batch, self._n_frames), np.inf, np.float32)
         if self.failure is None or self._raises:
             try:
                 with self._one_call:  # chains may run in threads
-                    return self._simulate(columns, *numbers)
+                    found = self._simulate(sites, *numbers)
             except BaseException as error:
                 self.failure = error
                 if self._raises:
                     raise
-        return np.full((*numbers[1].shape, self._n_frames), np.inf, np.float32)
+        beyond = 0 if n_frames is None else n_frames - self._n_frames
+        return np.pad(found, [(0, 0)] * len(batch) + [(0, beyond)])
 
     def remember(self, record: Record) -> None:
         """Keep a simulation; the same request is answered by it from now on, if it completed."""
@@ -125,7 +132,8 @@ class SimulatorBridge:
 
     def _simulate(self, columns: _Columns, *numbers: NDArray[Any]) -> NDArray[np.float32]:
         batch = numbers[1].shape
-        log_prior, seed, ceiling, log_proposal, log_bound = map(np.ravel, numbers)
+        log_prior, seed, *rest = map(np.ravel, numbers)
+        ceiling, log_proposal, log_bound = (one.astype(np.float32) for one in rest)
         if not self._stops_early:  # then every simulation is complete for certain
             ceiling = log_bound = np.full(seed.shape, np.inf, np.float32)
         n_rows = len(seed)
@@ -190,45 +198,28 @@ _handles: Final = itertools.count()
 _open: Final[weakref.WeakValueDictionary[int, SimulatorBridge]] = weakref.WeakValueDictionary()
 
 
-def answered(*arguments: Any, names: tuple[str, ...], n_frames: int) -> NDArray[np.float32]:
-    """Return what a request asks for, on the host; errors beyond the observation's end are 0."""
-    # NumPy from the first line on: calling JAX in here can deadlock
-    handle, *numbers = map(np.asarray, arguments[:6])
-    sites = dict(zip(names, map(np.asarray, arguments[6:]), strict=True))
-    bridge = _open[int(handle.flat[0])]
-    found = bridge.answer(sites, *numbers)
-    padding = [(0, 0)] * (found.ndim - 1) + [(0, n_frames - found.shape[-1])]
-    return np.pad(found, padding)
+def _answered(handle: Any, request: Request, n_frames: int) -> NDArray[np.float32]:
+    return _open[int(np.asarray(handle).flat[0])].answer(request, n_frames)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def request(names: tuple[str, ...], n_frames: int, *given: jax.Array) -> jax.Array:
-    """Return (time,) the errors of a simulation, from inside compiled code.
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def called_back(n_frames: int, handle: jax.Array, request: Request) -> jax.Array:
+    """Return (..., time) what the bridge of a handle answers, from inside compiled code.
 
-    It is asked for with (handle, log_prior, seed, error_ceiling, log_proposal, log_bound, sites).
     All particles of a vectorised program are one call.
     """
-    host = functools.partial(answered, names=names, n_frames=n_frames)
-    errors = jax.ShapeDtypeStruct((*jnp.shape(given[2]), n_frames), np.float32)
-    return jax.pure_callback(host, errors, *given, vmap_method="broadcast_all")
+    errors = jax.ShapeDtypeStruct((*jnp.shape(request.seed), n_frames), np.float32)
+    host = functools.partial(_answered, n_frames=n_frames)
+    return jax.pure_callback(host, errors, handle, request, vmap_method="broadcast_all")
 
 
-@request.defjvp
+@called_back.defjvp
 def no_gradient(*_: Any) -> Any:
     """Refuse to be differentiated."""
     raise InvalidSettingError(
         "a simulation has no gradient, which this sampler asks for: take a kernel of "
         "phase_ppl.kernels, or one without gradients, such as NumPyro's SA or AIES"
     )
-
-
-def asked_for(equation: core.JaxprEqn) -> dict[str, Any] | None:
-    """Return the names of sites and the length with which an equation asks for a simulation.
-
-    None where it does something else.
-    """
-    host: Any = getattr(equation.params.get("callback"), "callback_func", None)
-    return host.keywords if getattr(host, "func", None) is answered else None
 
 
 def request_key(sites: Mapping[str, NDArray[Any]], seed: int) -> tuple[Any, ...]:

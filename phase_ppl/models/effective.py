@@ -21,6 +21,7 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro.infer.inspect import get_dependencies
 
+from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.density import (
     NO_DENSITY,
     Program,
@@ -32,7 +33,6 @@ from phase_ppl.models.density import (
     traced,
     tracing,
 )
-from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray, equal_rows
 from phase_ppl.world.errors import InvalidSettingError
@@ -135,7 +135,7 @@ def _density(prior: Program, names: tuple[str, ...]) -> Callable[[dict[str, jax.
         trace = traced(prior, jax.random.key(0), z)
         return trace_log_density({name: trace[name] for name in names})
 
-    return Hosted(jax.vmap(given))
+    return Compiled(jax.vmap(given))
 
 
 @remembered(_PRIORS_KEPT)
@@ -166,7 +166,7 @@ def _averaged(
         own = {name: jnp.asarray(values) for name, values in options.items()}
         return logsumexp(jax.vmap(given, in_axes=(0, 0, None))(keys, own, z)) - math.log(n_each)
 
-    return Hosted(jax.vmap(marginal))
+    return Compiled(jax.vmap(marginal))
 
 
 def log_prior_of_effective(

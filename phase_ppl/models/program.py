@@ -13,7 +13,7 @@ import numpyro.distributions as dist
 from jax import random
 from numpyro import handlers
 
-from phase_ppl.models.bridge import request
+from phase_ppl.models.bridge import Request, called_back
 from phase_ppl.models.density import NO_DENSITY, Sites, draw, log_density, tracing
 from phase_ppl.models.model import Model
 from phase_ppl.models.roles import space_of_prior
@@ -185,10 +185,19 @@ class EventProgram:
             strengths = jnp.stack([sites[name] for name in self.space.strength_sites])
             errors = self.table.errors(self.effective_goals(sites), strengths)
             return jnp.where(log_prior > NO_DENSITY, errors, jnp.inf)
-        names = tuple(sorted(sites))
-        numbers = (jnp.float32(number) for number in (error_ceiling, log_proposal, log_bound))
-        given = (self.bridge, log_prior, seed, *numbers, *(sites[name] for name in names))
-        return request(names, self.n_frames, *map(jnp.asarray, given))
+        numbers = (error_ceiling, log_proposal, log_bound)
+        asked = Request(dict(sites), log_prior, seed, *map(jnp.float32, numbers))
+        return called_back(self.n_frames, *jax.tree.map(jnp.asarray, (self.bridge, asked)))
+
+    def answer(self, request: Request) -> jax.Array:
+        """Return (..., time) the errors of an array (...) of requests, inside compiled code."""
+
+        def one(request: Request) -> jax.Array:
+            return self.simulate(*request)
+
+        for _ in range(jnp.ndim(request.seed)):
+            one = jax.vmap(one)
+        return one(request)
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
         """Return the seed, int32, with which a proposed hypothesis is simulated.

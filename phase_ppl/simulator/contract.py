@@ -7,7 +7,6 @@ It is a black box: inference sees its frames only.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import dataclasses
 import functools
 import math
@@ -15,9 +14,8 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
@@ -154,19 +152,27 @@ def simulate_one(
     def start() -> Iterable[NDArray[Any]]:
         return simulator(scene, hypothesis.effective(), random_generator(seed))
 
+    ended = threading.Event()
+
+    def over() -> bool:
+        return ended.is_set() or (cancelled is not None and cancelled())
+
     follow = functools.partial(
-        _follow, start, hypothesis, seed, observed_positions, error_ceiling, cancelled
+        _follow, start, hypothesis, seed, observed_positions, error_ceiling, over
     )
     if error_ceiling < 0:
         return follow()
     n_frames = len(observed_positions)
-    return in_time(
-        follow,
-        lambda why: SimulationResult.failed(hypothesis, seed, n_frames, why, limit),
-        limit,
-        stop,
-        deadline,
-    )
+    try:
+        return in_time(
+            follow,
+            lambda why: SimulationResult.failed(hypothesis, seed, n_frames, why, limit),
+            limit,
+            stop,
+            deadline,
+        )
+    finally:
+        ended.set()
 
 
 def too_long(limit: float) -> str:
@@ -183,130 +189,38 @@ def in_time(
     stop: Sequence[Future[Any]],
     deadline: float,
 ) -> Result:
-    """Return what ``work`` returns, as :func:`in_turn` does of many."""
-    if limit == math.inf == deadline and not stop:
-        return work()
-    return next(in_turn([work], lambda _, why: failed(why), lambda: limit, stop, deadline))
+    """Return what ``work`` returns, from a thread where something can end the wait for it.
 
-
-def in_turn(
-    works: Sequence[Callable[[], Result]],
-    failed: Callable[[int, str], Result],
-    limit: Callable[[], float],
-    stop: Sequence[Future[Any]],
-    deadline: float,
-) -> Generator[Result, None, None]:
-    """Yield what each work returns, in order, from a thread where something can end it.
-
-    A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
-    unheeded, and does not keep its process from ending. Another one takes its place.
+    What is given up goes on unheeded, and does not keep its process from ending.
 
     Args:
-        failed: (place, reason) -> the result of a work that has none.
-        limit: asked as each begins: seconds that it may take.
-        stop: whatever of these is done ends all.
-        deadline: time, by ``time.perf_counter``, that ends all.
+        failed: the reason -> what is returned instead, once it took longer than the limit.
+        limit: seconds that it may take.
+        stop: whatever of these is done ends it.
+        deadline: time, by ``time.perf_counter``, that ends it.
     """
-    place = 0
-    while place < len(works):
-        thread = _Turn(works, place, failed, limit)
+    if limit <= 0:
+        return failed(too_long(limit))
+    if limit == math.inf == deadline and not stop:
+        return work()
+    found: Future[Result] = Future()
+
+    def serve() -> None:
         try:
-            while place < len(works) and not thread.is_over(place):
-                with contextlib.suppress(Empty):
-                    result = thread.next_result(min(deadline - time.perf_counter(), _POLL))
-                    place += 1
-                    yield result
-                    continue
-                if any(future.done() for future in stop):
-                    raise Cancelled("the simulation was cancelled")
-                if time.perf_counter() >= deadline:
-                    raise OutOfTime("the time of the run is over")
-        finally:
-            if not thread.has_ended(place):
-                thread.give_up()
-        if place < len(works):
-            place += 1
-            yield failed(place - 1, too_long(thread.limit))
+            found.set_result(work())
+        except BaseException as error:
+            found.set_exception(error)
 
-
-_POLL: Final = 0.02  # seconds after which it is looked whether a work is to be ended
-
-
-class _Turn:
-    """A thread that does one work after the other."""
-
-    def __init__(
-        self,
-        works: Sequence[Callable[[], Any]],
-        first: int,
-        failed: Callable[[int, str], Any],
-        limit: Callable[[], float],
-    ) -> None:
-        self._works, self._failed, self._limit = works, failed, limit
-        self._results: SimpleQueue[tuple[Any, BaseException | None]] = SimpleQueue()
-        self._ending = threading.Lock()  # held while it is ended, lest it ends by itself meanwhile
-        self._done = threading.Event()
-        self._at, self._began, self.limit = first, math.inf, math.inf
-        name = "phase_ppl-simulation"
-        self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
-        self._thread.start()
-
-    def next_result(self, seconds: float) -> Any:
-        """Return the next result or raise what was raised; Empty if there is none in time."""
-        result, error = self._results.get(timeout=max(0.0, seconds))
-        if error is not None:
-            raise error
-        return result
-
-    def is_over(self, place: int) -> bool:
-        """Whether the work of that place takes longer than it may."""
-        if self._at != place:
-            return False
-        return time.perf_counter() - self._began >= self.limit  # -inf before it began
-
-    def _serve(self) -> None:
-        try:
-            for place in range(self._at, len(self._works)):
-                # the limit is read while its work is at this place only
-                self._began, self.limit = math.inf, self._limit()
-                self._at = place
-                try:
-                    if self.limit <= 0:
-                        result = self._failed(place, too_long(self.limit))
-                    else:
-                        self._began = time.perf_counter()
-                        result = self._works[place]()
-                except BaseException as error:
-                    self._results.put((None, error))
-                    break
-                self._results.put((result, None))
-            with self._ending:
-                self._done.set()
-                return
-        except SystemExit:  # it was ended when its work was done
-            return
-
-    def has_ended(self, place: int) -> bool:
-        """Whether it is done, or about to be, if the results before that place were taken."""
-        return place == len(self._works) or self._done.is_set()
-
-    def give_up(self) -> None:
-        """End what it still does."""
-        threading.Thread(target=self._end, daemon=True).start()
-
-    def _end(self) -> None:
-        """End it at its next line of Python.
-
-        That line may be one of a callback, such as of a weak reference, from where nothing gets
-        out: it is tried again.
-        """
-        for patience in (0.05, 0.5, 5.0):
-            with self._ending:
-                if self._done.is_set() or not self._thread.is_alive():
-                    return
-                number = ctypes.c_ulong(self._thread.ident or 0)
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
-            self._done.wait(patience)
+    threading.Thread(target=serve, name="phase_ppl-simulation", daemon=True).start()
+    left = min(limit, deadline - time.perf_counter())
+    wait([found, *stop], None if left == math.inf else max(left, 0.0), FIRST_COMPLETED)
+    if found.done():
+        return found.result()
+    if any(future.done() for future in stop):
+        raise Cancelled("the simulation was cancelled")
+    if time.perf_counter() >= deadline:
+        raise OutOfTime("the time of the run is over")
+    return failed(too_long(limit))
 
 
 def simulate_together(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import enum
 import fcntl
 import math
 import multiprocessing
@@ -79,12 +78,6 @@ class CannotLoad(Exception):
     """What tasks work with cannot be loaded in a worker process; the message says why."""
 
 
-class Unknown(enum.Enum):
-    """Instead of a result: this process does not know yet what the task works with."""
-
-    THING = enum.auto()
-
-
 def _start_worker(things: Mapping[str, bytes], safe_path: bool) -> None:
     """Prepare a worker process of our own for pickled things, by their tokens.
 
@@ -113,16 +106,13 @@ def in_worker() -> bool:
 
 
 def _do_in_worker(
-    token: str, packed: bytes | None, function: Callable[..., Any], arguments: tuple[Any, ...]
+    token: str, packed: bytes, function: Callable[..., Any], arguments: tuple[Any, ...]
 ) -> Any:
-    """Return ``function(thing, *arguments)``, or ``Unknown.THING``."""
+    """Return ``function(thing, *arguments)``; processes of our own know the thing already."""
     with _lock:
         if token not in _loaded:
-            packed = _packed.get(token, packed)
-            if packed is None:
-                return Unknown.THING
             try:
-                thing = pickle.loads(packed)
+                thing = pickle.loads(_packed.get(token, packed))
             except Exception as error:
                 raise CannotLoad(error_text(error)) from None
             if token not in _packed:
@@ -246,9 +236,7 @@ class OwnWorkers:
         due, self._warms_up = self._warms_up, False
         return self.submit(_warm_up, ()) if due else None
 
-    def submit(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], with_thing: bool = False
-    ) -> Future[Any]:
+    def submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
         """Begin ``function(thing, *arguments)``; the workers know the thing."""
         with self._lock:
             if self._closed:
@@ -259,7 +247,7 @@ class OwnWorkers:
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 future: Future[Any] = self._executor.submit(
-                    _do_in_worker, self._token, None, function, arguments
+                    _do_in_worker, self._token, b"", function, arguments
                 )
                 return future
             finally:
@@ -307,7 +295,7 @@ class OwnWorkers:
 class BorrowedExecutor:
     """Somebody else's executor (PEP 3148), such as dask's; it is never shut down.
 
-    It gets ``slots`` tasks at a time, None: all; what they work with is sent where it is not known.
+    It gets ``slots`` tasks at a time, None: all, each with what they work with.
     """
 
     restarts: Final = False
@@ -319,13 +307,11 @@ class BorrowedExecutor:
     def warm_up(self) -> None:
         """Do nothing: its workers do it where they load the thing."""
 
-    def submit(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], with_thing: bool = False
-    ) -> Future[Any]:
-        """Begin ``function(thing, *arguments)``, sending the thing where it is not known."""
-        packed = self._packed if with_thing else None
+    def submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
+        """Begin ``function(thing, *arguments)``, sending the thing, which is loaded once."""
+        known = self._token, self._packed
         try:
-            found = self._executor.submit(_do_in_worker, self._token, packed, function, arguments)
+            found = self._executor.submit(_do_in_worker, *known, function, arguments)
         except Exception as error:  # shut down, or broken
             raise SimulationError(f"the executor takes no more work: {error}") from error
         if not isinstance(found, Future):
@@ -367,11 +353,10 @@ def mapped(
 
 @dataclasses.dataclass(eq=False)
 class _Task(Generic[Job]):
-    """A job on its way: how often it was lost, and whether its worker needs the thing."""
+    """A job on its way, and how often it was lost."""
 
     job: Job
     losses: int = 0
-    with_thing: bool = False
     begun: float = 0.0
 
 
@@ -441,7 +426,7 @@ class Dispatch(Generic[Job]):
             if not source or (self._suspects and self._running):
                 return
             task = source[0]
-            given = self.function, self.arguments(task.job), task.with_thing
+            given = self.function, self.arguments(task.job)
             try:
                 future = self.pool.submit(*given)
             except BrokenExecutor:
@@ -480,10 +465,7 @@ class Dispatch(Generic[Job]):
         """Queue a task again that is worth another try; return whether it is."""
         error = _error_of(future)
         if error is None:
-            task.with_thing = future.result() is Unknown.THING
-            if task.with_thing:
-                self._waiting.appendleft(task)
-            return task.with_thing
+            return False
         if self._hung:  # its pool was stopped for those
             if id(task) not in self._hung:
                 self._waiting.appendleft(task)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import math
 import threading
 import time
@@ -20,7 +19,6 @@ from phase_ppl.simulator.contract import (
     Simulator,
     Statistics,
     in_time,
-    in_turn,
     simulate_one,
     simulate_together,
     too_long,
@@ -124,7 +122,7 @@ class Runner:
             its own, and is a failed result only if that fails as well.
         retries: how often "retry" runs a simulation again; by default 3.
         simulation_seconds: what takes longer is a failed simulation; None: nothing is. One that
-            cannot be ended, as it is in the midst of compiled code, goes on unheeded.
+            hangs within a frame goes on unheeded, of own workers until their processes end.
 
     Attributes:
         on_result: called in this process as each simulation finishes, not before the last retry.
@@ -257,20 +255,13 @@ class Runner:
 
     def _run_here(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
         self._check_cancelled()
-        works = [
-            functools.partial(self._work.simulate, *one, cancelled=self._stop.done)
+        more: dict[str, Any] = {"cancelled": self._stop.done, "stop": [self._stop]}
+        return {
+            one: self._count(
+                self._work.simulate(*one, self._limit(), deadline=self.deadline, **more)
+            )
             for one in requests
-        ]
-        results = in_turn(
-            works,
-            lambda place, reason: self._failed(requests[place], reason),
-            self._limit,
-            [self._stop],
-            self.deadline,
-        )
-        with contextlib.closing(results):
-            counted = [self._count(result) for result in results]
-        return dict(zip(requests, counted, strict=True))
+        }
 
     def _limit(self) -> float:
         """Return the seconds that a simulation may take that begins now."""

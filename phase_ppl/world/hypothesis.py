@@ -392,7 +392,9 @@ class Hypothesis(Printed):
         if "world" not in vars(self):  # while it is unpickled
             raise AttributeError(name)
         what, _, key = name.partition("_")
-        if what not in ("goal", "strength") or key not in self.world.keys:
+        if what not in ("goal", "strength"):  # asked before there is a world, by pickle
+            raise AttributeError(f"a hypothesis has no {name}")
+        if key not in self.world.keys:
             raise AttributeError(f"a hypothesis about {self.world.name!r} has no {name}")
         agent = self.world.keys.index(key)
         if what == "strength":

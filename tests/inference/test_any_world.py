@@ -22,6 +22,7 @@ import phase_ppl as ppl
 from phase_ppl.analysis.comparison import distances, of_truth
 from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.metropolis import through
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.inference.tables import (
     BottomUpTables,
@@ -31,7 +32,7 @@ from phase_ppl.inference.tables import (
 )
 from phase_ppl.models import roles
 from phase_ppl.models.bridge import SimulatorBridge
-from phase_ppl.models.hosted import Hosted
+from phase_ppl.models.compiled import Compiled
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
@@ -165,8 +166,8 @@ def test_simulations_of_given_goals_weigh_as_the_prior_has_them() -> None:
     stated, log_drawn = drawn_stated(prior, goals, strengths)
     names = (*SPACE.goal_sites, SPACE.company_site)
     given = dict(zip(names, stated.T.astype(np.int32), strict=True))
-    simulated = Hosted(jax.vmap(kernel.simulate_given))
-    simulated(random.split(random.key(3), n), given, log_drawn, np.full(n, -np.inf))
+    asked = Compiled(jax.vmap(kernel.request_given))
+    bridge.answer(asked(random.split(random.key(3), n), given, log_drawn, np.full(n, -np.inf)))
     assert bridge.failure is None
     ratio = np.array([one.log_prior - one.log_proposal for one in bridge.records])
     weights = np.exp(ratio - ratio.max()) / np.exp(ratio - ratio.max()).sum()
@@ -234,12 +235,10 @@ def test_draws_visit_roles_as_often_as_the_posterior_says(name: str, steps: int)
     guide = bottom_up_guide(model.prior, model.sites, tables, prior_share=0.1)
     needs = {"guide": guide, "settings": SETTINGS} if kernel_info(name).needs else {}
     made = kernel_info(name).make(EventProgram(model, bridge.handle, N_FRAMES), **needs)
-    # left at each simulation, as in whole runs: what XLA makes of it is kept on disk
-    init = Hosted(lambda keys: made.init(keys, 0, None, (), {}))
-    step = Hosted(lambda state: made.sample(state, (), {}))
-    states = [init(random.split(random.key(0), CHAINS))]
+    starts, moves = ([Compiled(stage) for stage in made.stages(of)] for of in ("starts", "moves"))
+    states = [through(starts, bridge.answer, random.split(random.key(0), CHAINS), None)]
     for _ in range(steps):
-        states.append(step(states[-1]))
+        states.append(through(moves, bridge.answer, states[-1]))
     assert bridge.failure is None
     kept = {site: np.stack([state.z[site] for state in states[51:]]) for site in states[0].z}
     share = np.stack([visited({s: v[:, c] for s, v in kept.items()}) for c in range(CHAINS)])

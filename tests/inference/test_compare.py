@@ -16,7 +16,10 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import distances
 from phase_ppl.inference import entries as entries_module
-from phase_ppl.inference.compare import (
+from phase_ppl.inference.entries import entries
+from phase_ppl.inference.kernels.generic_mh import PriorMH
+from phase_ppl.inference.kernels.smc import SMC
+from phase_ppl.inference.reference import (
     Reference,
     _halves_of,
     enumerate_goals,
@@ -26,9 +29,6 @@ from phase_ppl.inference.compare import (
     plan_enumeration,
     reference_of,
 )
-from phase_ppl.inference.entries import entries
-from phase_ppl.inference.kernels.generic_mh import PriorMH
-from phase_ppl.inference.kernels.smc import SMC
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError

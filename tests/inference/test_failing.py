@@ -18,7 +18,7 @@ import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.inference.compare import enumerate_goals, plan_enumeration
+from phase_ppl.inference.reference import enumerate_goals, plan_enumeration
 from phase_ppl.simulator.contract import random_generator
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.goals import GOALS

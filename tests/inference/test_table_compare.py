@@ -13,8 +13,8 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.comparison import Marginals, distances, marginals
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.inference.compare import POPULATIONS, Reference, reference_of
 from phase_ppl.inference.entries import entries
+from phase_ppl.inference.reference import POPULATIONS, Reference, reference_of
 from phase_ppl.inference.table_run import event_of, model_of
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference.tables import EXACT, NAMES, sampled, skewed

@@ -1,6 +1,6 @@
 """Every kernel that calls itself exact, against enumeration of a toy whose prior is a user's own.
 
-Left out are kernels that are no ``ParticleKernel``, which move in another space than the toy's,
+Left out are kernels that are no ``MetropolisKernel``, which move in another space than the toy's,
 and those that refuse its sites.
 """
 
@@ -18,7 +18,7 @@ from jax import lax, random
 from numpy.typing import NDArray
 
 from phase_ppl.inference.kernels.enumerated_gibbs import SIMS_PER_STEP
-from phase_ppl.inference.kernels.metropolis import ParticleKernel
+from phase_ppl.inference.kernels.metropolis import MetropolisKernel
 from phase_ppl.inference.registry import available_kernels, kernel_info
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.density import compiled_quickly
@@ -155,7 +155,7 @@ def can_be_tested(name: str) -> bool:
     if info.validity != "exact" or not info.factory.__module__.startswith("phase_ppl."):
         return False
     try:
-        return isinstance(kernel(name, 0), ParticleKernel)
+        return isinstance(kernel(name, 0), MetropolisKernel)
     except InvalidSettingError:
         return False
 
@@ -298,27 +298,19 @@ def test_particles_do_not_notice_each_other(name: str) -> None:
     assert_same(fourth, run(name).states, (slice(BLOCK), 4))
 
 
-class Watched(EventProgram):
-    """Keeps how far simulations are to run."""
-
-    ceilings: list[Any]
-
-    def simulate(
-        self, sites: Any, log_prior: Any, seed: Any, error_ceiling: Any = np.inf, *kept: Any
-    ) -> Any:
-        self.ceilings.append(error_ceiling)
-        return super().simulate(sites, log_prior, seed, error_ceiling, *kept)
-
-
 @pytest.mark.parametrize("name", ["local_mh", "mixture", "random_walk_mh", "single_site_mh"])
 def test_a_single_particle_is_stopped_early_only_where_that_is_wanted(name: str) -> None:
-    watched = Watched(model(), 0, N_FRAMES)
     sites = {site: values[0] for site, values in START.items()}
     for early_reject in (True, False):
         single = kernel(name, 0, early_reject=early_reject)
-        single = single.bound_to(watched, lambda window: characters(), SETTINGS)
-        watched.ceilings = []
+        program = EventProgram(model(), 0, N_FRAMES)
+        single = single.bound_to(program, lambda window: characters(), SETTINGS)
         state = jax.eval_shape(functools.partial(single.init, KEYS[0], 0, sites))
         assert jax.eval_shape(single.sample, state) == state
-        stops = [isinstance(ceiling, jax.core.Tracer) for ceiling in watched.ceilings]
-        assert any(stops) == early_reject
+        stops = []
+
+        def proposed(state: Any, single: Any = single, stops: list[bool] = stops) -> None:
+            stops.append(isinstance(single.propose(state)[1].error_ceiling, jax.core.Tracer))
+
+        jax.eval_shape(proposed, state)
+        assert stops == [early_reject]

@@ -115,7 +115,7 @@ class TableRunner:
         over = np.cumsum(errors) > (ceiling if self.stops_early else np.inf)
         frames = int(over.argmax()) + 1 if over.any() else len(errors)
         errors[frames:] = np.inf
-        trajectory = np.zeros((len(errors), 4, 3), np.float32)
+        trajectory = np.zeros((len(errors), 4, 3))
         return SimulationResult(hypothesis, seed, trajectory, errors, frames, not over.any())
 
 
@@ -245,7 +245,7 @@ def walkers(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> I
             on = literal.predicate is Predicate.ON
             target = scene.landmark_centres[literal.target] if on else frame[literal.target, :2]
             way = (target - frame[literal.subject, :2]) * (1 if literal.positive else -1)
-            step = hypothesis.strengths[agent] / 600 * way / max(np.linalg.norm(way), 1.0)
+            step = hypothesis.strengths[agent] / 600 * way / max(float(np.linalg.norm(way)), 1.0)
             frame[literal.subject, :2] += 0.5 * step + rng.normal(0.0, 0.02, 2)
             frame[literal.subject, :2] = np.clip(frame[literal.subject, :2], 6.5, 21.5)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.bridge import Request, SimulatorBridge
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.simulator.contract import SimulationResult
@@ -173,9 +173,8 @@ def test_of_equal_requests_in_a_batch_the_longest_is_run_and_the_first_that_ends
     bridge, n = SimulatorBridge(Stopping(), N_FRAMES), len(ceilings)
     sites = {name: np.asarray(values) for name, values in sites_of(n).items()}
     number = np.arange(1, n + 1, dtype=np.float32)
-    errors = bridge.answer(
-        sites, np.zeros(n, np.float32), np.full(n, 3), np.float32(ceilings), -number, number
-    )
+    zero, three = np.zeros(n, np.float32), np.full(n, 3)
+    errors = bridge.answer(Request(sites, zero, three, np.float32(ceilings), -number, number))
     assert np.isfinite(errors).all() == (max(ceilings) > 12)
     (record,) = bridge.records
     assert record.log_bound == bound
@@ -196,7 +195,7 @@ def test_what_exceeds_its_ceiling_is_complete_only_where_nothing_is_stopped(runn
     bridge = SimulatorBridge(asked, N_FRAMES)
     z = {name: np.asarray(values) for name, values in sites_of(n).items()}
     columns = np.array([[0, 3, 9, 0, 1], [0, 4, 16, 0, 2]], np.float32).T
-    bridge.answer(z, *columns)
+    bridge.answer(Request(z, *columns))
     stops = runner is Counting
     assert [one.result.completed for one in bridge.records] == [not stops, True]
     assert [one.log_bound for one in bridge.records] == ([1, 2] if stops else [np.inf] * 2)
@@ -208,8 +207,7 @@ def test_what_is_asked_twice_counts_alike_in_one_batch_or_in_two() -> None:
         bridge = SimulatorBridge(Counting(), N_FRAMES)
         for n in batches:
             z = {name: np.asarray(values) for name, values in sites_of(n).items()}
-            limits = (np.full(n, limit, np.float32) for limit in (np.inf, -2.0, np.inf))
-            bridge.answer(z, np.zeros(n, np.float32), np.full(n, 3, np.int32), *limits)
+            bridge.answer(Request(z, np.zeros(n), np.full(n, 3, np.int32), log_proposal=-2.0))
         (record,) = bridge.records
         return record.log_again
 

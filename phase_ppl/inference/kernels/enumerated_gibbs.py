@@ -19,7 +19,7 @@ the choice needs no correction.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,7 @@ from jax import random
 
 from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState
 from phase_ppl.inference.registry import register_kernel
+from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import NO_DENSITY
 from phase_ppl.world.scene import PHASE
 from phase_ppl.world.space import HypothesisSpace, space_of
@@ -52,59 +53,69 @@ class EnumeratedGibbs(MetropolisKernel):
     ``early_reject`` is about the second.
     """
 
+    moves = ("goals_asked", "goal_drawn", "accept")
+
     @property
     def sims_per_step(self) -> int:
         """The most that a step takes."""
         return SIMS_PER_STEP if self._program is None else most_simulations(self.program.space)
 
-    def step_one(self, state: MHState) -> MHState:
-        """Draw a goal, then propose another value of one site."""
-        key, key_goal, key_site, key_seed, key_accept = random.split(state.rng_key, 5)
-        drawn = self._goal_drawn(key_goal, state)
-        sites, log_hastings = self.one_site_moved(key_site, drawn.z)
-        move = self.move_to(sites, log_hastings, drawn)
-        new = self.accept_reject(move, drawn, key, key_seed, key_accept)
-        accepted = new.accepted | (drawn.sim_seed != state.sim_seed)
-        return new._replace(accepted=accepted, n_accepted=state.n_accepted + accepted)
-
-    def _goal_drawn(self, key: jax.Array, state: MHState) -> MHState:
-        """Return the state after a draw of one agent's goal; its counters stay."""
+    def goals_asked(self, state: MHState) -> tuple[Any, Request]:
+        """Ask for the simulations (goal,) of all values of one agent's goal."""
         program, space = self.program, self.program.space
-        key_agent, key_value, *keys = random.split(key, 2 + space.n_goals)
+        key, key_goal, *keys_after = random.split(state.rng_key, 5)
+        key_agent, key_value, *keys = random.split(key_goal, 2 + space.n_goals)
         acts_on_own = space.owner == np.arange(space.n_agents)
         log_choice = jnp.asarray(np.where(acts_on_own, 0.0, -np.inf))
         agent = random.categorical(key_agent, log_choice[state.z[space.company_site]])
-        values = jnp.arange(space.n_goals)
         current = jnp.stack([state.z[name] for name in space.goal_sites])[agent]
 
-        def with_goal(value: jax.Array) -> dict[str, jax.Array]:
-            goals = {
-                name: jnp.where(agent == holder, value, state.z[name]).astype(state.z[name].dtype)
-                for holder, name in enumerate(space.goal_sites)
-            }
-            return {**state.z, **goals}
-
-        def simulated(value: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            sites = with_goal(value)
+        def asked(value: jax.Array, key: jax.Array) -> tuple[jax.Array, Request]:
+            sites = self._with_goal(state, agent, value)
             kept = value == current
             log_prior = program.log_prior(sites)
             seed = jnp.where(kept, state.sim_seed, program.simulator_seed(key, sites))
             # nothing is simulated where there is no mass
-            asked = jnp.where(kept, -jnp.inf, log_prior)
-            errors = program.simulate(sites, asked, seed)
-            return log_prior, seed, jnp.where(kept, state.step_error, errors)
+            return log_prior, Request(sites, jnp.where(kept, -jnp.inf, log_prior), seed)
 
-        log_prior, seed, step_error = jax.vmap(simulated)(values, jnp.stack(keys))
+        log_prior, request = jax.vmap(asked)(jnp.arange(space.n_goals), jnp.stack(keys))
+        known = state, agent, current, log_prior, request.seed, key_value, (key, *keys_after)
+        return known, request
+
+    def goal_drawn(self, known: Any, step_error: jax.Array) -> tuple[Any, Request]:
+        """Draw that goal, given the errors (goal, time), and propose another value of a site."""
+        state, agent, current, log_prior, seed, key_value, keys = known
+        program, values = self.program, jnp.arange(self.program.space.n_goals)
+        step_error = jnp.where((values == current)[:, None], state.step_error, step_error)
         by_frame = program.log_likelihood(step_error)
         # relative to errors of 0, so that the large constant of the likelihood cancels
         likeness = (by_frame - program.log_likelihood(jnp.zeros_like(step_error))).sum(axis=1)
         weight = jnp.where(log_prior > NO_DENSITY, log_prior + likeness, -jnp.inf)
         value = random.categorical(key_value, weight)
         value = jnp.where(jnp.isfinite(weight).any(), value, current)  # all failed
-        return state._replace(
-            z=with_goal(value),
+        drawn = state._replace(
+            z=self._with_goal(state, agent, value),
             sim_seed=seed[value],
             log_prior=log_prior[value],
             step_error=step_error[value],
             log_joint=log_prior[value] + by_frame[value].sum(),
         )
+        key, key_site, key_seed, key_accept = keys
+        sites, log_hastings = self.one_site_moved(key_site, drawn.z)
+        move = self.move_to(sites, log_hastings, drawn)
+        proposed, request = self.asked(move, drawn, key, key_seed, key_accept)
+        return (proposed, drawn.sim_seed != state.sim_seed), request
+
+    def accept(self, known: Any, step_error: jax.Array) -> MHState:
+        proposed, changed = known
+        new = super().accept(proposed, step_error)
+        accepted = new.accepted | changed
+        return new._replace(accepted=accepted, n_accepted=proposed.state.n_accepted + accepted)
+
+    def _with_goal(self, state: MHState, agent: jax.Array, value: jax.Array) -> Any:
+        """Return the hypothesis of a state with another goal of an agent."""
+        goals = {
+            name: jnp.where(agent == holder, value, state.z[name]).astype(state.z[name].dtype)
+            for holder, name in enumerate(self.program.space.goal_sites)
+        }
+        return {**state.z, **goals}

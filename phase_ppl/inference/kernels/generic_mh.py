@@ -16,13 +16,16 @@ from phase_ppl.inference.guide import NEVER
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.metropolis import (
     MHState,
+    Move,
     ProposalKernel,
+    Proposed,
     SiteMove,
     chosen,
     log_ratio_known,
 )
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import Program
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, positive_number, shown
@@ -40,7 +43,7 @@ class PriorMH(ProposalKernel):
 
     proposes_from_prior = True
 
-    def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+    def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
         sites = self.program.draw_prior(key)
         return sites, state.log_prior - self.program.log_prior(sites)
 
@@ -53,7 +56,7 @@ class SingleSiteMH(ProposalKernel):
     user's own moves like any other, in whatever hierarchy it stands.
     """
 
-    def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+    def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
         return self.one_site_moved(key, state.z)
 
 
@@ -96,7 +99,7 @@ class RandomWalkMH(ProposalKernel):
         super().__init__(program, early_reject=early_reject)
         self._scale = positive_number("scale", scale)
 
-    def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+    def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
         space = self.program.space
         moves: dict[str, SiteMove] = {}
         if len(space.ways) > 1:
@@ -199,8 +202,8 @@ class MixtureMH(LocalMH):
             )
         self._local_share = float(local_share)
 
-    def step_one(self, state: MHState) -> MHState:
-        """Make one of the two moves."""
+    def propose(self, state: MHState) -> tuple[Proposed, Request]:
+        """Propose one of the two moves."""
         key, key_kind, *keys, key_seed, key_accept = random.split(state.rng_key, 7)
         key_window, key_local, key_site = keys
         local = random.bernoulli(key_kind, self._local_share)
@@ -210,12 +213,14 @@ class MixtureMH(LocalMH):
         sites = chosen(local, sites, one_moved)
         move = self.local_move(window, sites, state)
         of_single = log_ratio_known(move.log_prior, log_hastings, state)
-        after = move.log_after
         move = move._replace(
             log_known=jnp.where(local, move.log_known, of_single),
-            log_after=lambda step_error: jnp.where(local, after(step_error), 0.0),
             log_bound=jnp.where(local, move.log_bound, 0.0),
             window=jnp.where(local, window, -1),
             log_proposal=jnp.where(local, move.log_proposal, jnp.nan),
         )
-        return self.accept_reject(move, state, key, key_seed, key_accept)
+        return self.asked(move, state, key, key_seed, key_accept)
+
+    def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
+        """Return that of a local move; a site is moved back whatever the simulation."""
+        return jnp.where(move.window < 0, 0.0, super().log_after(move, state, step_error))

@@ -38,10 +38,11 @@ from jax.scipy.special import logsumexp
 from numpyro import handlers
 
 from phase_ppl.inference.guide import Mixture
-from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move
+from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move, Proposed
 from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_length
+from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import Program, Sites, draw, log_density, trace_log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import unknown_name
@@ -160,12 +161,12 @@ class LocalMH(MetropolisKernel):
         """Return log Q(sites | whole observation)."""
         return log_density(self.guide, sites, self.n_windows)
 
-    def step_one(self, state: MHState) -> MHState:
-        """Propose from a window that is simulated badly; accept by the rule."""
+    def propose(self, state: MHState) -> tuple[Proposed, Request]:
+        """Propose from a window that is simulated badly."""
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
         window, sites = self.propose_locally(key_window, key_sites, state)
         move = self.local_move(window, sites, state)
-        return self.accept_reject(move, state, key, key_seed, key_accept)
+        return self.asked(move, state, key, key_seed, key_accept)
 
     def propose_locally(
         self, key_window: jax.Array, key_sites: jax.Array, state: MHState
@@ -186,20 +187,24 @@ class LocalMH(MetropolisKernel):
             log_prior,
             memo,
             known,
-            lambda step_error: log_after(rule, window, before, self.log_windows(step_error)),
             log_after_bound(rule, before),
             window,
             logsumexp(log_windows + memo["log_proposal"]),
         )
 
-    def simulate_given(
+    def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
+        """Return log of how probable the reversal is, as far as it depends on the simulation."""
+        before = state.memo["log_proposal"]
+        return log_after(self._rule, move.window, before, self.log_windows(step_error))
+
+    def request_given(
         self,
         key: jax.Array,
         given: dict[str, jax.Array],
         log_drawn: jax.Array,
         log_floor: jax.Array,
-    ) -> jax.Array:
-        """Return (time,) the errors of a hypothesis of which some sites are given.
+    ) -> Request:
+        """Return the simulation of a hypothesis of which some sites are given.
 
         These were drawn with log probability ``log_drawn``, the others are drawn from what the
         whole observation suggests given them; the density of both together is kept with the
@@ -215,8 +220,7 @@ class LocalMH(MetropolisKernel):
         others = {name: site for name, site in trace.items() if name not in given}
         log_prior, log_proposal = program.log_prior(sites), log_drawn + trace_log_density(others)
         seed = program.simulator_seed(key_seed, sites)
-        ceiling = self.error_ceiling(log_floor)
-        return program.simulate(sites, log_prior, seed, ceiling, log_proposal)
+        return Request(sites, log_prior, seed, self.error_ceiling(log_floor), log_proposal)
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:
         """Return (window,) log r(k | e), of the windows that there are."""

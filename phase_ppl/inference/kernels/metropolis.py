@@ -16,9 +16,10 @@ cannot be accepted; the runner stops there. Decisions are the same with and with
 from __future__ import annotations
 
 import copy
+import functools
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, NamedTuple, Self
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ from phase_ppl.inference.guide import Mixture
 from phase_ppl.inference.registry import Validity
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.inference.tables import window_count
+from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import (
     NO_DENSITY,
     Program,
@@ -47,9 +49,19 @@ _SLACK: Final = 0.01
 _RELATIVE_SLACK: Final = 1e-5
 
 
-class EventKernel(MCMCKernel):
-    """Base of our kernels: bound to the model of an event, and moving all particles together.
+Stage = Callable[..., Any]
+"""A pure function of what is known and of the errors of the simulations that were asked for last.
 
+The last of several returns a state, the others what the next has to know and a ``Request``.
+"""
+
+
+class EventKernel(MCMCKernel):
+    """Base of our kernels: bound to the model of an event, and made of stages.
+
+    A start and a move are stages (:data:`Stage`) with simulations in between, so that each stage is
+    compiled, and what simulates is plain Python: ``initial(key, sites or None)``, simulate,
+    ``started(known, errors)``; then ``propose(state)``, simulate, ``accept(known, errors)``.
     Their simulations reach the runner in one call (``chain_method="vectorized"``). States hold
     constrained values, so nothing is replayed after the run; beside what the registry asks for they
     have ``n_accepted``, how many of ``i`` iterations accepted, or could simulate, a hypothesis.
@@ -59,6 +71,14 @@ class EventKernel(MCMCKernel):
 
     sample_field: ClassVar[str] = "z"
     default_fields: ClassVar[tuple[str, ...]] = ("z", "sim_seed", "accepted")
+    starts: ClassVar[tuple[str, ...]] = ("initial", "started")
+    moves: ClassVar[tuple[str, ...]] = ("propose", "accept")
+    """Names of the methods that are the stages of a start, and of a move."""
+    is_population: ClassVar[bool] = False
+    """Whether stages are given all particles together, as these notice each other."""
+    initial_tries: ClassVar[int] = 16
+    """Initial hypotheses drawn per particle, of which the first with prior mass is taken; 1 where
+    the draw is weighed, since the best of several has another density."""
 
     def __init__(
         self,
@@ -113,27 +133,42 @@ class EventKernel(MCMCKernel):
         """
         # JAX takes options only of what is compiled as a whole, not of a part of it
         part = any(isinstance(one, jax.core.Tracer) for one in (rng_key, jnp.zeros(())))
-        start = (jax.jit if part else compiled_quickly)(self._start)
+
+        def started(given: tuple[Any, Any]) -> Any:
+            return through(self.stages("starts"), self.program.answer, *given)
+
+        start = (jax.jit if part else compiled_quickly)(started)
         if is_prng_key(rng_key):
-            return as_batch_of_one(lambda batch: start(*batch), (rng_key, init_params))
-        return start(rng_key, init_params)
+            return as_batch_of_one(start, (rng_key, init_params))
+        return start((rng_key, init_params))
 
     def sample(self, state: Any, model_args: Any = (), model_kwargs: Any = None) -> Any:
         return self._sample_fn(state)
 
     def _sample_fn(self, state: Any) -> Any:
         """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
-        if is_prng_key(state.rng_key):
-            return as_batch_of_one(self._step, state)
-        return self._step(state)
 
-    @abstractmethod
-    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> Any:
-        """Return the initial state of a batch of particles."""
+        def moved(state: Any) -> Any:
+            return through(self.stages("moves"), self.program.answer, state)
 
-    @abstractmethod
-    def _step(self, state: Any) -> Any:
-        """Return the state of a batch of particles after one iteration."""
+        return as_batch_of_one(moved, state) if is_prng_key(state.rng_key) else moved(state)
+
+    def stages(self, of: Literal["starts", "moves"]) -> list[Stage]:
+        """Return the stages of a start or of a move, for all particles together."""
+        *first, last = (getattr(self, name) for name in getattr(self, of))
+        stages = [*first, last if of == "moves" else lambda *given: _strongly_typed(last(*given))]
+        return stages if self.is_population else [functools.partial(for_each, s) for s in stages]
+
+    def initial(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> tuple[Any, Request]:
+        """Return where a particle starts, by default at one of :meth:`initial_sites`."""
+        key, key_sites, key_start = random.split(key, 3)
+        return self.start(key, key_start, self.initial_sites(key_sites) if sites is None else sites)
+
+    def start(
+        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
+    ) -> tuple[Any, Request]:
+        """Return what ``started`` has to know, and the simulation of an initial hypothesis."""
+        raise NotImplementedError
 
     def get_diagnostics_str(self, state: Any) -> str:
         """Return the share of accepted proposals, for NumPyro's progress bar."""
@@ -173,26 +208,7 @@ class EventKernel(MCMCKernel):
             return self.guide.draw(key, jnp.asarray(window))
         return draw(self.guide, key, jnp.asarray(window))
 
-
-class ParticleKernel(EventKernel):
-    """Base of kernels whose particles do not notice each other: how one starts, and moves."""
-
-    initial_tries: ClassVar[int] = 16
-    """Initial hypotheses drawn per particle, of which the first with prior mass is taken; 1 where
-    the draw is weighed, since the best of several has another density."""
-
-    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> Any:
-        def start(key: jax.Array, given: dict[str, jax.Array] | None) -> Any:
-            key, key_sites, key_start = random.split(key, 3)
-            first = self._initial_sites(key_sites) if given is None else given
-            return _strongly_typed(self.start_one(key, key_start, first))
-
-        return for_each(start, keys, sites)
-
-    def _step(self, state: Any) -> Any:
-        return for_each(self.step_one, state)
-
-    def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
+    def initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return the first of some initial hypotheses that has prior mass.
 
         A window may suggest what a user's prior excludes; the last try is from the prior itself.
@@ -213,14 +229,6 @@ class ParticleKernel(EventKernel):
         """Return a hypothesis to start from; by default from the prior."""
         return self.program.draw_prior(key)
 
-    @abstractmethod
-    def start_one(self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]) -> Any:
-        """Simulate the initial hypothesis of one particle; return its state, which has ``key``."""
-
-    @abstractmethod
-    def step_one(self, state: Any) -> Any:
-        """Return the state of one particle after one iteration."""
-
 
 def log_uniform(key: jax.Array) -> jax.Array:
     """Return the log of a uniform random number, never -inf."""
@@ -230,6 +238,14 @@ def log_uniform(key: jax.Array) -> jax.Array:
 def chosen(accepted: jax.Array, new: Any, old: Any) -> Any:
     """Return ``new`` where accepted, else ``old``, for whole trees of arrays."""
     return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
+
+
+def through(stages: Sequence[Stage], answer: Callable[[Request], Any], *given: Any) -> Any:
+    """Return what the stages of an iteration come to, with all that they ask for answered."""
+    for stage in stages[:-1]:
+        known, request = stage(*given)
+        given = known, answer(request)
+    return stages[-1](*given)
 
 
 def for_each(function: Callable[..., Any], *trees: Any) -> Any:
@@ -288,14 +304,21 @@ class Move(NamedTuple):
     memo: dict[str, jax.Array]  # of the hypothesis, see ``MetropolisKernel.memo``
     # the log ratio as far as it is known: all but the likelihoods and ``log_after``
     log_known: jax.Array
-    # errors (time,) of the proposal's simulation -> the rest of the log ratio, for moves that are
-    # reversed with a probability that depends on them
-    log_after: Callable[[jax.Array], jax.Array | float] = lambda step_error: 0.0
     log_bound: jax.Array | float = 0.0  # the most that ``log_after`` can be
     window: jax.Array | int = -1  # see ``MHState``
     # log density of the draw that made the hypothesis, given the state; NaN where it has none, as
     # of a move of a single site
     log_proposal: jax.Array | float = np.nan
+
+
+class Proposed(NamedTuple):
+    """A move whose simulation was asked for."""
+
+    state: MHState  # from where
+    move: Move
+    seed: jax.Array  # of the simulation
+    log_u: jax.Array  # log of the random number that decides
+    key: jax.Array  # of the state to come
 
 
 SiteMove = Callable[[jax.Array, Mapping[str, Any]], tuple[jax.Array, jax.Array | float]]
@@ -331,8 +354,8 @@ def log_ratio(
     return log_known + (proposed - current).sum() + log_after
 
 
-class MetropolisKernel(ParticleKernel):
-    """Base of the family: a subclass makes a :class:`Move` and has :meth:`accept_reject` decide.
+class MetropolisKernel(EventKernel):
+    """Base of the family: a subclass proposes a :class:`Move`, which :meth:`accept` decides on.
 
     With ``early_reject`` a simulation is stopped once it cannot be accepted any more; the chain is
     the same with and without.
@@ -361,14 +384,17 @@ class MetropolisKernel(ParticleKernel):
         """Return the log density of :meth:`propose_initial`; NaN where it is not known."""
         return log_prior
 
-    def start_one(
+    def start(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> MHState:
-        program = self.program
-        seed = program.simulator_seed(key_start, sites)
-        log_prior = program.log_prior(sites)
+    ) -> tuple[Any, Request]:
+        log_prior = self.program.log_prior(sites)
         log_proposal = self.log_initial_proposal(sites, log_prior)
-        step_error = program.simulate(sites, log_prior, seed, np.inf, log_proposal)
+        seed = self.program.simulator_seed(key_start, sites)
+        known = key, sites, seed, log_prior
+        return known, Request(sites, log_prior, seed, log_proposal=log_proposal)
+
+    def started(self, known: Any, step_error: jax.Array) -> MHState:
+        key, sites, seed, log_prior = known
         none = jnp.zeros((), jnp.int32)
         return MHState(
             i=none,
@@ -377,7 +403,7 @@ class MetropolisKernel(ParticleKernel):
             log_prior=log_prior,
             memo=self.memo(sites),
             step_error=step_error,
-            log_joint=log_prior + program.log_likelihood(step_error).sum(),
+            log_joint=log_prior + self.program.log_likelihood(step_error).sum(),
             window=none - 1,
             accepted=jnp.array(False),
             n_accepted=none,
@@ -421,25 +447,34 @@ class MetropolisKernel(ParticleKernel):
             corrections.append(jnp.asarray(correction, jnp.float32))
         return proposed, jnp.stack(corrections)[which]
 
-    def accept_reject(
+    def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
+        """Return what the simulation (time,) adds to the log ratio, beside its likelihood.
+
+        Of moves that are reversed with a probability that depends on it.
+        """
+        return 0.0
+
+    def asked(
         self, move: Move, state: MHState, key: jax.Array, key_seed: jax.Array, key_accept: jax.Array
-    ) -> MHState:
-        """Simulate what a move proposes, and return the state after its acceptance or rejection."""
-        program = self.program
-        seed = program.simulator_seed(key_seed, move.sites)
+    ) -> tuple[Proposed, Request]:
+        """Return a move, and the simulation that decides on it."""
+        seed = self.program.simulator_seed(key_seed, move.sites)
         log_u = log_uniform(key_accept)
-        current = program.log_likelihood(state.step_error)
-        floor = log_u - move.log_known - move.log_bound + current.sum()
-        ceiling: jax.Array | float = np.inf
-        log_bound: jax.Array | float = np.inf
+        request = Request(move.sites, move.log_prior, seed, log_proposal=move.log_proposal)
         if self._early_reject:
+            current = self.program.log_likelihood(state.step_error).sum()
+            floor = log_u - move.log_known - move.log_bound + current
             ceiling, log_bound = self.error_ceiling(floor), log_u - self.lenient(floor)
-        step_error = program.simulate(
-            move.sites, move.log_prior, seed, ceiling, move.log_proposal, log_bound
-        )
-        proposed = program.log_likelihood(step_error)
-        ratio = log_ratio(move.log_known, current, proposed, move.log_after(step_error))
-        accepted = log_u < ratio  # not a number, where both failed: rejected
+            request = request._replace(error_ceiling=ceiling, log_bound=log_bound)
+        return Proposed(state, move, seed, log_u, key), request
+
+    def accept(self, known: Proposed, step_error: jax.Array) -> MHState:
+        """Return the state after the acceptance or rejection of a move."""
+        state, move, seed, log_u, key = known
+        current = self.program.log_likelihood(state.step_error)
+        proposed = self.program.log_likelihood(step_error)
+        after = self.log_after(move, state, step_error)
+        accepted = log_u < log_ratio(move.log_known, current, proposed, after)  # NaN: rejected
         moved = state._replace(
             z=move.sites,
             sim_seed=seed,
@@ -464,13 +499,13 @@ class ProposalKernel(MetropolisKernel):
     """Whether each proposal is a draw from the prior, whatever the state."""
 
     @abstractmethod
-    def propose(
+    def proposed(
         self, key: jax.Array, state: MHState
     ) -> tuple[dict[str, jax.Array], jax.Array | float]:
         """Return a hypothesis z' and Hastings' correction, log q(z | z') - log q(z' | z)."""
 
-    def step_one(self, state: MHState) -> MHState:
+    def propose(self, state: MHState) -> tuple[Proposed, Request]:
         key, key_propose, key_seed, key_accept = random.split(state.rng_key, 4)
-        sites, log_hastings = self.propose(key_propose, state)
+        sites, log_hastings = self.proposed(key_propose, state)
         move = self.move_to(sites, log_hastings, state, self.proposes_from_prior)
-        return self.accept_reject(move, state, key, key_seed, key_accept)
+        return self.asked(move, state, key, key_seed, key_accept)

@@ -16,7 +16,7 @@ L^(1 - t) that is left. The draws are the last population only.
 from __future__ import annotations
 
 import copy
-from typing import Any, Final, Literal, NamedTuple, Self, get_args
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -26,10 +26,11 @@ from jax.scipy.special import logsumexp
 
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.metropolis import ParticleKernel
+from phase_ppl.inference.kernels.metropolis import EventKernel, for_each
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.models.density import Program, Sites, log_density
+from phase_ppl.models.bridge import Request
+from phase_ppl.models.density import Program, log_density
 from phase_ppl.models.likelihood import TrajectoryLikelihood
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, number_or_nan, shown, unknown_name
@@ -56,33 +57,11 @@ class Tempered:
         return jnp.where(self._temperature > 0, highest, jnp.inf)
 
 
-class TemperedProgram(EventProgram):
-    """An event's program with its likelihood raised to a temperature."""
-
-    @classmethod
-    def of(cls, program: EventProgram, temperature: jax.Array) -> Self:
-        """Return the program of the same event at that temperature."""
-        model = copy.copy(program.model)
-        # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
-        object.__setattr__(model, "likelihood", Tempered(program.likelihood, temperature))
-        observed = program.observed if program.is_padded else None
-        where = program.bridge, program.n_frames, program.salt
-        return cls(model, *where, observed, program.table)
-
-    def simulate(
-        self,
-        sites: Sites,
-        log_prior: jax.Array,
-        seed: jax.Array,
-        error_ceiling: jax.Array | float = np.inf,
-        *_: jax.Array | float,
-    ) -> jax.Array:
-        """Return (time,) the errors of a simulation, whose proposal's density is not kept.
-
-        How probable it was that it is not stopped follows from L^t, not from L, so that it cannot
-        be weighed as the simulations of other kernels are.
-        """
-        return super().simulate(sites, log_prior, seed, error_ceiling)
+def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
+    """Return the program of the same event with its likelihood raised to a temperature."""
+    warm = copy.copy(program)
+    warm.likelihood = Tempered(program.likelihood, temperature)
+    return warm
 
 
 def next_temperature(
@@ -172,7 +151,7 @@ class SMCState(NamedTuple):
     weighted=True,
     any_length=True,
 )
-class SMC(ParticleKernel):
+class SMC(EventKernel):
     """Sequential Monte Carlo: a population cooled from the proposal to the posterior.
 
     Args:
@@ -188,7 +167,7 @@ class SMC(ParticleKernel):
     validity = "consistent"
     keeps = "last"
     weighted = True
-    initial_tries = 1
+    is_population = True
 
     def __init__(
         self,
@@ -211,40 +190,43 @@ class SMC(ParticleKernel):
             return LocalMH(program, self.guide, self.settings)
         return PriorMH(program)
 
-    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis from what the whole observation shows."""
-        return self.draw_guide(key, self.n_windows)
+    def initial(self, keys: jax.Array, given: dict[str, jax.Array] | None) -> tuple[Any, Request]:
+        """Draw the population (chain,) from what the whole observation shows."""
 
-    def start_one(
-        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> SMCState:
-        particle = self._mover(self.program).start_one(key, key_start, sites)
-        log_proposal = log_density(self.guide, sites, jnp.asarray(self.n_windows))
-        log_likelihood = self.program.relative_log_likelihood(particle.step_error)
-        log_weight = particle.log_prior - log_proposal + log_likelihood
-        zero = jnp.zeros(())
-        return SMCState(
-            i=particle.i,
-            particle=particle,
-            temperature=zero,
-            log_weight=jnp.where(jnp.isfinite(log_likelihood), log_weight, -jnp.inf),
-            log_evidence=zero,
-            log_evidence_so_far=zero,
-            rng_key=key,
-        )
+        def one(key: jax.Array, sites: dict[str, jax.Array] | None) -> tuple[Any, Request]:
+            key, key_sites, key_start = random.split(key, 3)
+            drawn = self.draw_guide(key_sites, self.n_windows) if sites is None else sites
+            return self._mover(self.program).start(key, key_start, drawn)
 
-    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> SMCState:
-        state: SMCState = super()._start(keys, sites)
+        return for_each(one, keys, given)
+
+    def started(self, known: Any, step_error: jax.Array) -> SMCState:
+        """Weigh the population."""
+
+        def one(known: Any, step_error: jax.Array) -> SMCState:
+            particle = self._mover(self.program).started(known, step_error)
+            log_proposal = log_density(self.guide, particle.z, jnp.asarray(self.n_windows))
+            log_likelihood = self.program.relative_log_likelihood(particle.step_error)
+            log_weight = particle.log_prior - log_proposal + log_likelihood
+            zero = jnp.zeros(())
+            return SMCState(
+                i=particle.i,
+                particle=particle,
+                temperature=zero,
+                log_weight=jnp.where(jnp.isfinite(log_likelihood), log_weight, -jnp.inf),
+                log_evidence=zero,
+                log_evidence_so_far=zero,
+                rng_key=particle.rng_key,
+            )
+
+        state: SMCState = for_each(one, known, step_error)
         # until it is cooled, that of importance sampling
         return state._replace(
             log_evidence=jnp.full_like(state.log_evidence, self._log_mean(state.log_weight))
         )
 
-    def step_one(self, state: SMCState) -> SMCState:
-        return self._sample_fn(state)
-
-    def _step(self, state: SMCState) -> SMCState:
-        """Cool, resample and move the population."""
+    def propose(self, state: SMCState) -> tuple[Any, Request]:
+        """Cool and resample the population, and propose a move of each particle."""
         keys = jax.vmap(lambda key: random.split(key, 3))(state.rng_key)
         log_likelihood = self._log_likelihood(state.particle)
         old = state.temperature[0]
@@ -257,18 +239,28 @@ class SMC(ParticleKernel):
         places = systematic(keys[0, 0], weights)
         particle = jax.tree.map(lambda leaf: leaf[places], state.particle)
         particle = particle._replace(rng_key=keys[:, 1])
-        mover = self._mover(TemperedProgram.of(self.program, temperature))
-        particle = jax.vmap(mover.step_one)(particle)
+        mover = self._mover(tempered(self.program, temperature))
+        proposed, request = jax.vmap(mover.propose)(particle)
+        # how probable it is that a simulation is not stopped follows from L^t, not from L, so that
+        # it cannot be weighed as those of other kernels are
+        unknown = jnp.full_like(weights, np.nan)
+        request = request._replace(log_proposal=unknown, log_bound=jnp.full_like(weights, np.inf))
+        return (state.i + 1, proposed, temperature, so_far, keys[:, 2]), request
 
+    def accept(self, known: Any, step_error: jax.Array) -> SMCState:
+        """Move the population."""
+        i, proposed, temperature, so_far, keys = known
+        mover = self._mover(tempered(self.program, temperature))
+        particle = jax.vmap(mover.accept)(proposed, step_error)
         log_weight = powered(self._log_likelihood(particle), 1 - temperature)
         return SMCState(
-            i=state.i + 1,
+            i=i,
             particle=particle,
-            temperature=jnp.full_like(state.temperature, temperature),
+            temperature=jnp.full_like(so_far, temperature),
             log_weight=log_weight,
             log_evidence=so_far + self._log_mean(log_weight),
             log_evidence_so_far=so_far,
-            rng_key=keys[:, 2],
+            rng_key=keys,
         )
 
     def _log_mean(self, log_weight: jax.Array) -> jax.Array:

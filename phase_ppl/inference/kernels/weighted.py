@@ -16,8 +16,9 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.inference.kernels.metropolis import ParticleKernel, chosen
+from phase_ppl.inference.kernels.metropolis import EventKernel, chosen
 from phase_ppl.inference.registry import register_kernel
+from phase_ppl.models.bridge import Request
 from phase_ppl.models.density import NO_DENSITY, Sites, log_density
 from phase_ppl.models.effective import (
     cells,
@@ -91,7 +92,7 @@ class WeightedState(NamedTuple):
     weighted=True,
     any_length=True,
 )
-class Importance(ParticleKernel):
+class Importance(EventKernel):
     """Importance sampling from the guide's mixture over windows.
 
     Draws are independent, each weighing P(h) L / Q(h). Q is the even mixture of the guide's
@@ -113,29 +114,35 @@ class Importance(ParticleKernel):
         window = random.randint(key_window, (), 0, self.n_windows + 1)
         return self.draw_guide(key_sites, window), window
 
-    def start_one(
+    def start(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> WeightedState:
-        seed, log_weight = self._weighed(key_start, sites)
-        possible = jnp.isfinite(log_weight)
-        return WeightedState.before(key, sites, seed).after(key, sites, seed, log_weight, possible)
+    ) -> tuple[Any, Request]:
+        return self._drawn(None, key, key_start, sites, jnp.asarray(-1, jnp.int32))
 
-    def step_one(self, state: WeightedState) -> WeightedState:
+    def started(self, known: Any, step_error: jax.Array) -> WeightedState:
+        _, key, request, *_ = known
+        before = WeightedState.before(key, request.sites, request.seed)
+        return self.accept((before, *known[1:]), step_error)
+
+    def propose(self, state: WeightedState) -> tuple[Any, Request]:
         """Draw once more, whatever was drawn before."""
         key, key_sites, key_seed = random.split(state.rng_key, 3)
-        sites, window = self._draw(key_sites)
-        seed, log_weight = self._weighed(key_seed, sites)
-        return state.after(key, sites, seed, log_weight, jnp.isfinite(log_weight), window)
+        return self._drawn(state, key, key_seed, *self._draw(key_sites))
 
-    def _weighed(self, key: jax.Array, sites: Sites) -> tuple[jax.Array, jax.Array]:
-        """Simulate a draw; return the seed and the log weight, -inf where it is impossible."""
-        program = self.program
-        seed = program.simulator_seed(key, sites)
-        log_prior = program.log_prior(sites)
-        error = program.simulate(sites, log_prior, seed)
-        log_likelihood = program.relative_log_likelihood(error)
-        log_weight = log_prior - self._log_proposal(sites) + log_likelihood
-        return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)
+    def _drawn(
+        self, state: Any, key: jax.Array, key_seed: jax.Array, sites: Any, window: jax.Array
+    ) -> tuple[Any, Request]:
+        log_prior = self.program.log_prior(sites)
+        request = Request(sites, log_prior, self.program.simulator_seed(key_seed, sites))
+        return (state, key, request, log_prior - self._log_proposal(sites), window), request
+
+    def accept(self, known: Any, step_error: jax.Array) -> WeightedState:
+        """Weigh the draw."""
+        state, key, request, log_ratio, window = known
+        log_weight = log_ratio + self.program.relative_log_likelihood(step_error)
+        log_weight = jnp.where(jnp.isfinite(step_error).all(), log_weight, -jnp.inf)
+        possible = jnp.isfinite(log_weight)
+        return state.after(key, request.sites, request.seed, log_weight, possible, window)
 
     def _log_proposal(self, sites: Sites) -> jax.Array:
         """Return the log density with which a hypothesis is drawn."""
@@ -309,7 +316,7 @@ def _with_mass(
 
 
 @register_kernel("enumerate", validity="consistent", keeps="start", weighted=True, any_length=True)
-class Enumeration(ParticleKernel):
+class Enumeration(EventKernel):
     """Enumeration of all agents' effective goals on a grid of strengths.
 
     Every hypothesis is simulated, one after the other, and weighs P(h) L. As good as its grid of
@@ -331,8 +338,7 @@ class Enumeration(ParticleKernel):
     validity = "consistent"
     keeps = "start"
     weighted = True
-
-    initial_tries = 1
+    is_population = True  # which shares the work
 
     def __init__(
         self,
@@ -372,39 +378,42 @@ class Enumeration(ParticleKernel):
         """Return how many iterations so many particles need after their initial ones."""
         return -(-self.n_simulations // chains) - 1
 
-    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        return self._sites(jnp.zeros((), jnp.int32))
+    def initial(self, keys: jax.Array, _: Any) -> tuple[Any, Request]:
+        """Ask for the first hypotheses of all particles."""
 
-    def start_one(
-        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> WeightedState:
-        """Return a particle before its first hypothesis."""
-        return WeightedState.before(key, sites)
+        def before(key: jax.Array) -> WeightedState:
+            return WeightedState.before(random.split(key, 3)[0], self._sites(jnp.zeros((), int)))
 
-    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> WeightedState:
-        return self._step(super()._start(keys, sites))  # at their first hypotheses, simulated
+        return self.propose(jax.vmap(before)(keys))
 
-    def step_one(self, state: WeightedState) -> WeightedState:
-        """Simulate the next hypothesis of a single particle, which does all of them."""
-        return self._sample_fn(state)
+    def started(self, known: Any, step_error: jax.Array) -> WeightedState:
+        return self.accept(known, step_error)
 
-    def _step(self, state: WeightedState) -> WeightedState:
+    def propose(self, state: WeightedState) -> tuple[Any, Request]:
+        """Ask for the next hypothesis of each particle, if there is one."""
         chains = len(state.i)
-        return jax.vmap(self._simulated)(state, (state.i + 1) * chains + jnp.arange(chains))
+        return jax.vmap(self._asked)(state, (state.i + 1) * chains + jnp.arange(chains))
+
+    def accept(self, known: Any, step_error: jax.Array) -> WeightedState:
+        """Weigh the hypotheses."""
+
+        def weighed(known: Any, error: jax.Array) -> WeightedState:
+            state, key, row, request = known
+            # beside that without any error
+            likeness = self.program.relative_log_likelihood(error)
+            log_weight = jnp.asarray(self._grid.log_prior)[row] + likeness
+            possible = jnp.isfinite(error).all()
+            return state.after(key, request.sites, request.seed, log_weight, possible)
+
+        return jax.vmap(weighed)(known, step_error)
 
     def _sites(self, row: jax.Array) -> dict[str, jax.Array]:
         return {name: jnp.asarray(values)[row] for name, values in self._grid.sites.items()}
 
-    def _simulated(self, state: WeightedState, number: jax.Array) -> WeightedState:
-        """Simulate the hypothesis with this number, if there is one."""
-        program = self.program
+    def _asked(self, state: WeightedState, number: jax.Array) -> tuple[Any, Request]:
         key, key_seed = random.split(state.rng_key)
         row = number % self._grid.size
         sites = self._sites(row)
-        exists = number < self.n_simulations
-        log_prior = jnp.where(exists, program.log_prior(sites), -jnp.inf)
-        seed = program.simulator_seed(key_seed, sites)
-        error = program.simulate(sites, log_prior, seed)
-        # beside that without any error
-        log_weight = jnp.asarray(self._grid.log_prior)[row] + program.relative_log_likelihood(error)
-        return state.after(key, sites, seed, log_weight, jnp.isfinite(error).all())
+        log_prior = jnp.where(number < self.n_simulations, self.program.log_prior(sites), -jnp.inf)
+        request = Request(sites, log_prior, self.program.simulator_seed(key_seed, sites))
+        return (state, key, row, request), request

@@ -24,7 +24,11 @@ from numpyro.infer.ensemble import AIESState, EnsembleSamplerState
 from numpyro.infer.gibbs import DiscreteGibbs, Gibbs, discrete_latent_sites
 from numpyro.infer.mcmc import MCMCKernel
 
-from phase_ppl.inference.kernels.metropolis import EventKernel, ParticleKernel, chosen, log_uniform
+from phase_ppl.inference.kernels.metropolis import (
+    EventKernel,
+    chosen,
+    log_uniform,
+)
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
@@ -68,6 +72,8 @@ class UniformKernel(EventKernel):
     """
 
     validity: ClassVar[str] = "exact"
+    starts, moves = ("begun",), ("moved",)  # samplers simulate from within
+    is_population = True
 
     def __init__(self, program: EventProgram | None = None) -> None:
         super().__init__(program)
@@ -87,16 +93,16 @@ class UniformKernel(EventKernel):
         potential = -self.program.relative_log_likelihood(error) - volume.sum()
         return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE)
 
-    def _start(self, keys: jax.Array, sites: dict[str, jax.Array] | None) -> WrappedState:
+    def begun(self, keys: jax.Array, _: Any) -> WrappedState:
         keys = jax.vmap(lambda key: random.split(key, 3))(keys)
         # as likely as the prior makes them
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
-        inner = self.start(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
+        inner = self.started_at(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
         found = jax.vmap(self._simulated)(self.points(inner))
         none = jnp.zeros(len(keys), jnp.int32)
         return WrappedState(none, *found, inner, none > 0, none, keys[:, 2])
 
-    def _step(self, state: WrappedState) -> WrappedState:
+    def moved(self, state: WrappedState) -> WrappedState:
         keys = jax.vmap(random.split)(state.rng_key)
         inner = self.advance(keys[:, 0], state.inner)
         moved = (self.points(inner) != self.points(state.inner)).any(axis=1)
@@ -114,7 +120,7 @@ class UniformKernel(EventKernel):
         return sites_at(self.program.model, in_steps(jax.nn.sigmoid(point)))
 
     @abstractmethod
-    def start(self, keys: jax.Array, points: jax.Array) -> Any:
+    def started_at(self, keys: jax.Array, points: jax.Array) -> Any:
         """Return the sampler's state at the points (chain, dimension)."""
 
     @abstractmethod
@@ -141,7 +147,7 @@ class Ensemble(UniformKernel):
 
     even_chains = True
 
-    def start(self, keys: jax.Array, points: jax.Array) -> jax.Array:
+    def started_at(self, keys: jax.Array, points: jax.Array) -> jax.Array:
         """Return the points: they are the whole state."""
         chains, dimensions = points.shape
         if chains < 2 * dimensions:
@@ -198,7 +204,7 @@ class SampleAdaptive(UniformKernel):
         """Simulations that the first pool of a particle takes."""
         return _POINTS_PER_SITE * self.dimensions if self._pool is None else self._pool
 
-    def start(self, keys: jax.Array, points: jax.Array) -> Any:
+    def started_at(self, keys: jax.Array, points: jax.Array) -> Any:
         """Simulate pools around the points."""
         state = self._sampler(keys, points)[1]
         # a particle must be somewhere possible, if it knows such a place
@@ -290,7 +296,7 @@ class RandomWalk(MCMCKernel):
 
 
 @register_kernel("gibbs", validity="exact", sims_per_step=4, any_length=True)
-class GibbsKernel(ParticleKernel):
+class GibbsKernel(EventKernel):
     """Gibbs sampling: random walks site by site.
 
     Updates the discrete sites one by one, in random order, then the numbers and the seed. A
@@ -307,6 +313,7 @@ class GibbsKernel(ParticleKernel):
     """
 
     validity = "exact"
+    starts, moves = ("begun",), ("moved",)
 
     def __init__(self, program: EventProgram | None = None, *, step: float = 0.5) -> None:
         super().__init__(program)
@@ -369,9 +376,9 @@ class GibbsKernel(ParticleKernel):
             draws = jax.vmap(lambda key: draw(self.program.model.prior, key))(keys)
             return {name: self._step_size * values.std(axis=0) for name, values in draws.items()}
 
-    def start_one(
-        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> WrappedState:
+    def begun(self, key: jax.Array, given: dict[str, jax.Array] | None) -> WrappedState:
+        key, key_sites, key_start = random.split(key, 3)
+        sites = self.initial_sites(key_sites) if given is None else given
         uniform = random.uniform(key_start)
         start = dict(sites)
         if self.program.model.noise == "fresh":
@@ -382,7 +389,7 @@ class GibbsKernel(ParticleKernel):
         error = self.program.simulate(sites, self.program.log_prior(sites), seed)
         return WrappedState(none, sites, seed, error, inner, none > 0, none, key)
 
-    def step_one(self, state: WrappedState) -> WrappedState:
+    def moved(self, state: WrappedState) -> WrappedState:
         key, key_inner, *key_blocks = random.split(state.rng_key, 4)
         gibbs = self._gibbs()
         gibbs.init(key_inner, 0, state.inner.z, (), {})  # makes it ready; simulates nothing

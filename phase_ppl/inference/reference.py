@@ -1,0 +1,415 @@
+"""What kernels are compared with: a posterior by enumeration, a long run, or a table's own sum.
+
+By enumeration every pair g of effective goals is simulated. Its mass is the mean over strengths
+s ~ P(s) and simulator seeds w of
+
+    P(g | s) L(g, s, w)
+
+which needs a few simulations of each of the pairs that have prior mass, some 1150 under the
+paper's prior, and no Markov chain. Where the log likelihood of a pair varies by several nats from
+seed to seed, the mean of a few of them is a poor estimate of what it stands for: the tables of
+halves of the simulations say how poor.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import random
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.comparison import (
+    DISTANCES,
+    Marginals,
+    distances,
+    marginals,
+)
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.quantities import relation_codes
+from phase_ppl.inference.entries import Entry, Spec, entry_of
+from phase_ppl.inference.settings import Budget, SimpleSettings
+from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
+from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    SimulationError,
+    shown,
+    whole_number,
+)
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
+from phase_ppl.world.scene import PHASE, check_is_phase
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
+PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
+SPLITS: Final = 3  # ways in which the simulations of a pair are parted into halves
+_POOL: Final = 32  # draws of strengths, of which each pair takes a few
+_NO_MASS: Final = -60.0  # log probability below which a pair is not simulated
+
+
+class Enumeration(NamedTuple):
+    """Posterior of the effective goals."""
+
+    probability: FloatArray  # (goal_red, goal_green), sum 1
+    # (split, 2, goal_red, goal_green) the same from either half of the simulations of each pair
+    halves: FloatArray
+    simulations: int  # how many were made
+
+
+class Plan(NamedTuple):
+    """What an enumeration is going to simulate."""
+
+    pairs: NDArray[np.int64]  # (pair, 2) effective goals of red and green that have prior mass
+    strengths: FloatArray  # (draw, 2) newtons, from the prior
+    log_prior: FloatArray  # (pair, draw) log P(pair | strengths)
+
+
+def plan_enumeration(model: Model, seed: int = 0) -> Plan:
+    """Return the pairs of goals that a model's prior allows, with their probabilities."""
+    program = EventProgram(model, 0, 1)
+    keys = random.split(random.key(seed), _POOL)
+    drawn = jax.jit(jax.vmap(program.draw_prior))(keys)
+    strengths = np.stack([np.asarray(drawn[name], float) for name in STRENGTH_SITES], axis=1)
+    possible = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
+    repeated = dict(zip(STRENGTH_SITES, np.tile(strengths.T, len(possible)), strict=True))
+    log_joint = log_prior_of_effective(model.prior, np.repeat(possible, _POOL, axis=0), repeated)
+    log_joint = log_joint.reshape(len(possible), _POOL)
+    log_prior = log_joint - np.logaddexp.reduce(log_joint, axis=0)
+    kept = log_prior.max(axis=1) > _NO_MASS
+    return Plan(possible[kept], strengths, log_prior[kept])
+
+
+def enumerate_goals(
+    event: Event,
+    model: Model,
+    plan: Plan,
+    *,
+    per_pair: int = PER_PAIR,
+    seed: int = 0,
+    workers: int | None = None,
+    executor: Executor | None = None,
+) -> Enumeration:
+    """Return the posterior of the effective goals by simulating all pairs of a plan.
+
+    ``per_pair`` times each, with strengths and a simulator seed of their own; an even number, at
+    most 32.
+    """
+    rng = np.random.default_rng(seed)
+    which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.pairs])
+    hypotheses = [
+        Hypothesis(int(red), int(green), (0, 0), *(float(s) for s in plan.strengths[draw]))
+        for (red, green), draws in zip(plan.pairs, which, strict=True)
+        for draw in draws
+    ]
+    seeds = _seeds(event, model, hypotheses, seed)
+    place = model.build_simulator(), event.scene, event.observation
+    with Runner(*place, workers=workers, executor=executor) as runner:
+        results = runner.run(hypotheses, seeds)
+    errors = np.array([result.errors for result in results])
+    usable = np.array([result.completed for result in results])
+    if not usable.any():
+        raise SimulationError(f"no simulation was completed; the first: {results[0].failure}")
+    by_frame = model.error_likelihood.log_prob(np.where(usable[:, None], errors, 0.0))
+    log_likelihood = np.asarray(by_frame).sum(axis=1)
+    log_mass = np.where(usable, log_likelihood, -np.inf).reshape(which.shape)
+    log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
+    return of_masses(plan.pairs, log_mass)
+
+
+def of_masses(pairs: NDArray[np.int64], log_mass: FloatArray) -> Enumeration:
+    """Return the posterior, whole and from halves, of what was simulated.
+
+    ``log_mass`` is (pair, repeat), -inf where a simulation failed.
+    """
+    weight = np.exp(log_mass - log_mass.max())
+    rng = np.random.default_rng(0)
+    halves = []
+    for split in range(SPLITS):
+        order = rng.permutation(log_mass.shape[1]) if split else np.arange(log_mass.shape[1])
+        halves.append([_table(pairs, weight[:, order[h::2]]) for h in (0, 1)])
+    return Enumeration(_table(pairs, weight), np.array(halves), log_mass.size)
+
+
+def _table(pairs: NDArray[np.int64], weight: FloatArray) -> FloatArray:
+    """Return (goal_red, goal_green) the mean weights of simulations, failed ones 0, of sum 1."""
+    table = np.zeros((N_GOALS, N_GOALS))
+    table[tuple(pairs.T)] = weight.mean(axis=1)
+    total = table.sum()
+    return table / total if total > 0 else table  # of a half in which nothing was completed
+
+
+def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) -> list[int]:
+    """Return the simulator seeds; with fixed noise, those that a kernel would take."""
+    if model.noise == "fresh":
+        drawn = np.random.default_rng([seed, 1]).integers(0, MAX_SEED, len(hypotheses))
+        return [int(value) for value in drawn]
+    salt = event_salt(event.scene, event.observation)
+    program = EventProgram(model, 0, event.observation.n_frames, salt)
+    goals = jnp.array([h.effective_goals for h in hypotheses])
+    strengths = jnp.array([h.strengths for h in hypotheses], jnp.float32)
+    sites = dict(zip(GOAL_SITES, goals.T, strict=True))
+    sites |= dict(zip(STRENGTH_SITES, strengths.T, strict=True))
+    sites[ALPHA_SITE] = jnp.zeros(len(hypotheses), jnp.int32)
+    seeds = jax.jit(jax.vmap(program.simulator_seed, in_axes=(None, 0)))(random.key(0), sites)
+    return [int(value) for value in np.asarray(seeds)]
+
+
+Halves: TypeAlias = tuple[Marginals, Marginals]  # what two halves of the same simulations say
+ENUMERATION: Final = "enumeration"
+NONE: Final = "none"  # in place of a reference: there is none
+LONG: Final = 10  # how many times the budget a reference may take
+LONG_RUN: Final = "smc"  # kernel of the reference where enumeration takes too much
+POPULATIONS: Final = 4  # independent ones of that kernel; how they differ is its error
+_LARGER: Final = 4  # times as many particles as a kernel that is compared
+_FEW: Final = 3  # iterations that a population goes on for at least
+
+
+@dataclasses.dataclass(frozen=True)
+class Reference:
+    """The reference that was asked for: one of these, or none."""
+
+    budget: Budget  # what it may take
+    weights: str  # of the draws of a run
+    given: Posterior | None = None
+    enumeration: bool = False  # whether goals are enumerated, if the budget suffices
+    at_any_cost: bool = False  # whether they are even if it does not
+    kernel: Entry | None = None  # of a run
+    per_pair: int = PER_PAIR  # simulations of each pair of goals, where these are enumerated
+
+    @classmethod
+    def asked_for(
+        cls,
+        reference: Posterior | Spec | None,
+        event: Event,
+        budget: Budget,
+        chains: int,
+        settings: SimpleSettings,
+        weights: str,
+        compared: Sequence[Entry],
+    ) -> Reference:
+        """Return what the argument ``reference`` of a comparison means.
+
+        It is none of the kernels that are compared, which it would favour.
+        """
+        if isinstance(reference, Posterior):
+            if not np.array_equal(reference.observed(), event.observation.trajectory):
+                raise InvalidEventError(
+                    f"the reference is of {reference.event_id}, another event than {event.id}"
+                )
+            return cls(budget, weights, given=reference)
+        if reference == NONE:
+            return cls(budget, weights)
+        given = reference if isinstance(reference, tuple) else (reference, {"per_pair": PER_PAIR})
+        if given[:1] == (ENUMERATION,):
+            what = 'a reference by enumeration (the kernel "enumerate" is another)'
+            check_is_phase(event.scene.world, what)
+            each = _per_pair(given)
+            return cls(budget, weights, enumeration=True, at_any_cost=True, per_pair=each)
+        long = dataclasses.replace(budget, amount=LONG * budget.amount)
+        particles = _particles(long, chains, event.observation.n_frames)
+        spec = (LONG_RUN, {"chains": particles}) if reference is None else reference
+        run = entry_of("reference", spec, chains, settings, own_length=True)
+        same = [
+            one.label
+            for one in compared
+            if one.info.factory is run.info.factory and one.options == run.options
+        ]
+        if same and reference is not None:
+            raise InvalidSettingError(
+                f"the reference is {same[0]!r}, which is compared, and which it would favour: "
+                f"expected {ENUMERATION!r}, {NONE!r}, a posterior or a kernel that is not compared"
+            )
+        if not run.length:
+            run = dataclasses.replace(run, own={**run.own, "budget": long})
+        enumerated = reference is None and event.scene.world == PHASE
+        return cls(long, weights, enumeration=enumerated, kernel=None if same else run)
+
+    def record(self) -> Any:
+        """Return what was asked for, as a file keeps it."""
+        if self.given is not None:
+            digest = hashlib.sha256()
+            for probabilities in marginals(self.given).values():
+                digest.update(probabilities.round(9).tobytes())
+            return {"posterior": digest.hexdigest()[:16]}
+        if self.at_any_cost:
+            more = {} if self.per_pair == PER_PAIR else {"per_pair": self.per_pair}
+            return [ENUMERATION, more] if more else ENUMERATION
+        run = NONE if self.kernel is None else self.kernel.record()
+        return {"enumeration if affordable": True, "else": run} if self.enumeration else run
+
+
+def _particles(budget: Budget, chains: int, n_frames: int) -> int:
+    """Return how many particles each population of the default reference has.
+
+    Where the budget is small no more than can go on for a few iterations.
+    """
+    each = budget.amount / POPULATIONS / (n_frames if budget.unit == "frames" else 1)
+    most = math.inf if budget.unit == "seconds" else each // (1 + _FEW)
+    return int(max(2, min(_LARGER * chains, most)))
+
+
+def _per_pair(reference: tuple[Any, ...]) -> int:
+    """Return what ``("enumeration", {"per_pair": n})`` asks for."""
+    options = reference[1] if len(reference) == 2 else None
+    if not isinstance(options, Mapping) or set(options) != {"per_pair"}:
+        raise InvalidSettingError(
+            f'reference={shown(reference)}, expected ("enumeration", {{"per_pair": n}})'
+        )
+    number = whole_number("per_pair", options["per_pair"])
+    if number % 2 or number > _POOL:
+        raise InvalidSettingError(
+            f"per_pair={number}, expected an even number of at most {_POOL}, for there to be halves"
+        )
+    return number
+
+
+def reference_of(
+    asked: Reference,
+    event: Event,
+    model: Model,
+    read: StepwisePosterior | None,
+    seed: int,
+    workers: int | None,
+    executor: Executor | None = None,
+) -> dict[str, Any]:
+    """Return the reference: ``description``, ``marginals``, ``simulations``, ``error``.
+
+    The last says how far the marginals can be trusted: the total variation between what two halves
+    of the simulations, of the populations or of the chains say; ``tv_goals`` (mean of both agents)
+    and ``tv_relation``. The whole is nearer than this to what it estimates: at half of it
+    where errors are small, and at three quarters where single simulations decide. It knows nothing
+    of what all of them have in common, such as what none has found. None where there are no
+    halves; marginals are None where there is no reference. ``read`` is what the closed loop has
+    read, where its table is what kernels sample: then the reference is exact.
+    """
+
+    def said(
+        description: str,
+        found: Mapping[str, Any] | None,
+        simulations: int,
+        halves: Sequence[Halves],
+        exact: bool = False,
+    ) -> dict[str, Any]:
+        return {
+            "description": description,
+            "marginals": None if found is None else dict(found),
+            "simulations": simulations,
+            "error": dict.fromkeys(DISTANCES, 0.0) if exact else error_of(halves),
+        }
+
+    if asked.enumeration and read is not None:
+        exact = read.with_prior(model.prior)
+        words = "the exact sum over the table that the closed loop has read"
+        return said(words, marginals(exact), 0, [], exact=True)
+    if asked.enumeration:
+        plan, each = plan_enumeration(model, seed), asked.per_pair
+        if asked.at_any_cost or _affordable(plan, asked, event):
+            options: dict[str, Any] = {"seed": seed, "workers": workers, "executor": executor}
+            found = enumerate_goals(event, model, plan, per_pair=each, **options)
+            words = f"enumeration of {len(plan.pairs)} pairs of goals, {each} simulations each"
+            halves = [(of_pairs(one), of_pairs(two)) for one, two in found.halves]
+            return said(words, of_pairs(found.probability), found.simulations, halves)
+    if asked.given is not None:
+        post = asked.given
+        words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
+        return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+    if asked.kernel is None:
+        return said("none", None, 0, [])
+    seeds = np.random.SeedSequence([seed, 2**31]).generate_state(POPULATIONS).tolist()
+    length = ", ".join(str(value) for value in asked.kernel.length.values())
+    words = f"{asked.kernel.info.name}, {length}, weights {asked.weights}"
+
+    def run(entry: Entry, number: int) -> Posterior:
+        of_run = model, asked.budget, number, workers, executor
+        return Posterior(entry.run(event if read is None else read, *of_run).tree, asked.weights)
+
+    if asked.kernel.info.keeps != "last":
+        post = run(asked.kernel, seeds[0])
+        words += "; its error is known as far as its chains have mixed"
+        return said(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+    # chains of one population depend on each other, whole populations do not
+    whole = asked.kernel.length.get("budget", asked.budget)
+    amount = whole.amount / POPULATIONS
+    in_seconds = whole.unit == "seconds"
+    share = dataclasses.replace(whole, amount=amount if in_seconds else max(1, int(amount)))
+    own = asked.kernel.own if "iterations" in asked.kernel.own else {"budget": share}
+    posts = [run(dataclasses.replace(asked.kernel, own=own), number) for number in seeds]
+    evidence = np.array([_log_evidence(post) for post in posts])
+    weight = np.exp(evidence - evidence.max())
+    parts = [marginals(post) for post in posts]
+
+    def together(chosen: Sequence[int]) -> dict[str, FloatArray]:
+        shares = weight[list(chosen)] / weight[list(chosen)].sum()
+        return {
+            name: sum(w * parts[k][name] for w, k in zip(shares, chosen, strict=True))
+            for name in parts[0]
+        }
+
+    pairs = [((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2))]
+    halves = [(together(one), together(two)) for one, two in pairs]
+    simulations = sum(int(post.cost["simulations"]) for post in posts)
+    words += f", as {POPULATIONS} independent populations weighed by their evidence"
+    return said(words, together(range(POPULATIONS)), simulations, halves)
+
+
+def _log_evidence(post: Posterior) -> float:
+    """Return the log evidence that a population has estimated; 0 of a kernel without one."""
+    stats = post.tree["sample_stats"].dataset
+    return float(stats["log_evidence"].values[0, -1]) if "log_evidence" in stats else 0.0
+
+
+def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
+    simulations = len(plan.pairs) * asked.per_pair
+    frames = simulations * event.observation.n_frames
+    needed = {"simulations": simulations, "frames": frames, "seconds": math.inf}
+    return needed[asked.budget.unit] <= asked.budget.amount
+
+
+def of_pairs(probability: FloatArray) -> dict[str, FloatArray]:
+    """Return the marginals of a table (goal_red, goal_green)."""
+    red, green = np.indices(probability.shape)
+    relation = relation_codes(red.ravel(), green.ravel())["relation"]
+    return {
+        "goal_red": probability.sum(axis=1),
+        "goal_green": probability.sum(axis=0),
+        "relation": np.bincount(relation, probability.ravel(), len(RELATIONS)),
+    }
+
+
+def _halves_of(post: Posterior) -> list[Halves]:
+    """Return the marginals of halves of the chains; none with fewer than two."""
+    n_chains = post.tree["posterior"].sizes["chain"]
+    if n_chains < 2 or post.weights != "count":
+        return []
+
+    def of(chains: slice) -> Marginals:
+        part = post.tree.isel(chain=chains, missing_dims="ignore")
+        return marginals(Posterior(part, post.weights))
+
+    middle = n_chains // 2
+    halves = (slice(middle), slice(middle, None)), (slice(0, None, 2), slice(1, None, 2))
+    return [(of(one), of(other)) for one, other in halves]
+
+
+def error_of(halves: Sequence[Halves]) -> dict[str, float] | None:
+    """Return the mean distances between halves, as :func:`reference_of` says."""
+    if not halves:
+        return None
+    apart = [distances(one, other) for one, other in halves]
+    return {name: float(np.mean([one[name] for one in apart])) for name in apart[0]}
