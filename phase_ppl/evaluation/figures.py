@@ -535,7 +535,8 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
         rows = rows[(rows["kind"] == kind) & rows["people"].notna() & rows["probability"].notna()]
         if o.kind != "people" and len(rows):
             places = [(rows[n] / _POINT).round() * _POINT for n in ("people", "probability")]
-            clouds[o] = rows.groupby([rows["event"].map(scenarios).fillna(""), *places]).size()
+            of_event = rows["event"].map(lambda event: scenarios.get(event, ""))
+            clouds[o] = rows.groupby([of_event, *places]).size()
     if not clouds:
         raise NothingToDrawError(f"people judged no {kind} that a model gives probabilities for")
     present = {name for points in clouds.values() for name, _, _ in points.index}

@@ -181,17 +181,18 @@ def paired_difference(
 class Scores:
     """Metrics of several models and their differences, on the same resamples of events.
 
-    What is asked of a model for several pairs is kept for the next.
+    What a model says, and what is asked of it for several pairs, is kept for the next.
     """
 
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
         self._events, self._seed, self._resamples = events, seed, resamples
+        self._said: dict[int, tuple[Mapping[str, Prediction], Answers]] = {}
         self._among_people: dict[tuple[str, ...], dict[Place, Any]] = {}
         self._measures: dict[tuple[tuple[str, ...], bytes], dict[Place, Resampled]] = {}
 
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
         """Return what :func:`evaluate_predictions` does."""
-        answers = Answers.of(predicted(self._events, predictions), predictions)
+        answers = self._answers(predictions)
         ids = tuple(event.id for event in answers.events)
         weights = resampled(len(ids), self._seed, self._resamples)
         scores = {kind: scored(answers, kind) for kind in PREFIX}
@@ -234,13 +235,23 @@ class Scores:
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> tuple[Answers, dict[Place, Measure | None]]:
         """Return what ``one`` says of the events that both predict, and all differences."""
-        events = predicted(predicted(self._events, one), other)
-        first, second = Answers.of(events, one), Answers.of(events, other)
+        first, second = self._answers(one).about(other), self._answers(other).about(one)
         of_one, of_other = self._of(first.where_known(second)), self._of(second.where_known(first))
-        return first, {
-            path: difference(mine.values, of_other[path].values, mine.n, mine.scores is not None)
-            for path, mine in of_one.items()
-        }
+        places: dict[Place, int] = {}  # parts of the metrics stay together
+        for path in of_one:
+            places |= {path[:n]: places.get(path[:n], len(places)) for n in (1, 2)}
+        found = {}
+        for path in sorted(of_one, key=lambda path: (places[path[:1]], places[path[:2]])):
+            mine, theirs = of_one[path], of_other[path]
+            of_shares = mine.scores is not None
+            found[path] = difference(mine.values, theirs.values, mine.n, of_shares)
+        return first, found
+
+    def _answers(self, predictions: Mapping[str, Prediction]) -> Answers:
+        if id(predictions) not in self._said:
+            answers = Answers.of(predicted(self._events, predictions), predictions)
+            self._said[id(predictions)] = predictions, answers
+        return self._said[id(predictions)][1]
 
     def _of(self, answers: Answers) -> dict[Place, Resampled]:
         key = tuple(event.id for event in answers.events), answers.content()

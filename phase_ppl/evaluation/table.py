@@ -98,6 +98,10 @@ def true_scenario(event: Event) -> str | None:
 # --- the table ------------------------------------------------------------------------------------
 
 
+_NAMES: Final = ("event", "kind", "question", "part", "label")
+_NUMBERS: Final = ("votes", "people", "truth", "answer", "probability", "error", "sure", "decided")
+
+
 class Answers:
     """What a model and people say of events, beside what is true.
 
@@ -150,13 +154,14 @@ class Answers:
     def about(self, ids: Collection[str]) -> Answers:
         """Return it about some of the events only."""
         kept = [event for event in self.events if event.id in ids]
-        return Answers(kept, self.rows[self.rows["event"].isin(ids)], self.world)
+        return Answers(kept, self.rows[self.rows["event"].isin([*ids])], self.world)
 
     def where_known(self, other: Answers) -> Answers:
         """Return it without what ``other``, about the same events, does not answer."""
         own = ["answer", "probability"]
         known = other.rows[own].notna().set_axis(self.rows.index)
-        return Answers(self.events, self.rows.assign(**self.rows[own].where(known)))
+        rows = self.rows.assign(**self.rows[own].where(known))
+        return Answers(self.events, rows, self.world)
 
     def array(self, kind: str, column: str, of: type = np.float64) -> FloatArray:
         """Return (event, question, label) a column's values for a kind of questions."""
@@ -181,10 +186,6 @@ class Answers:
     def scenarios(self) -> IntArray:
         """(event,) indices of the true scenarios, -1 where unknown."""
         return places_of_scenarios(map(true_scenario, self.events))
-
-
-_NAMES: Final = ("event", "kind", "question", "part", "label")
-_NUMBERS: Final = ("votes", "people", "truth", "answer", "probability", "error", "sure", "decided")
 
 
 def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
