@@ -158,7 +158,7 @@ class Posterior(EventPosterior):
     def _luck(self) -> FloatArray | None:
         # a simulator with noise comes near the video now and then: goals for which it did not may
         # be as probable as those for which it did
-        if not self._attrs.get("adapts"):
+        if not self._attrs.get("adapts") or "draw" not in self._rows.index:
             return None
         log_weight = trees.log_weight_of_draws(self._counted).ravel()
         place = trees.simulation_of_draw(self._counted).ravel()
