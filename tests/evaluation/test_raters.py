@@ -126,7 +126,7 @@ def test_what_is_no_raters_file_is_named(tmp_path: Path) -> None:
         "{": "is no JSON list of [key, value] pairs",
         "[1, 2]": "is no JSON list of [key, value] pairs",
         "[" * 100_000: "is no JSON list of [key, value] pairs",
-        '[["video_name", "x.mp4"]]': "has no likert_response",
+        '[["video_name", "x.mp4"]]': "likert_response is None, expected a string",
         '[["video_name", 7], ["likert_response", "neutral"]]': "is no JSON list",
         good[4].replace('"friendly"', '"nice"'): "unknown relation 'nice'",
     }.items():
