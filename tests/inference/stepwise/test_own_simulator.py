@@ -19,7 +19,7 @@ from phase_ppl.analysis import stepwise_own
 from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, summed_by_pair
 from phase_ppl.analysis.stepwise_table import table_of
 from phase_ppl.closed_loop import own_simulator
-from phase_ppl.inference.table_run import _Table
+from phase_ppl.inference.table_run import ReadTable
 from phase_ppl.models import roles, sites
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
@@ -341,7 +341,7 @@ def test_what_was_seen_cannot_be_changed_by_a_simulator() -> None:
 
 
 def test_kernels_are_told_what_was_read(exact: ppl.StepwisePosterior) -> None:
-    told = _Table(exact)
+    told = ReadTable(exact)
     hypotheses = [
         Hypothesis(RED_GOALS[0], GREEN_GOALS[0], (1, 0), 310, 590),  # of the levels 300 and 600
         Hypothesis(RED_GOALS[2], GREEN_GOALS[1], (0, 0), 150, 150),
