@@ -350,7 +350,7 @@ def test_kernels_are_told_what_was_read(exact: ppl.StepwisePosterior) -> None:
     goals = np.array([one.effective_goals for one in hypotheses])
     newtons = np.array([one.strengths for one in hypotheses])
     one, other, unread = told.errors_of(goals, newtons).sum(axis=1)
-    of_level = dataclasses.replace(hypotheses[0], strength_red=300, strength_green=600)
+    of_level = Hypothesis(RED_GOALS[0], GREEN_GOALS[0], (1, 0), 300, 600)
     found = log_likelihood(EVENT, of_level) - log_likelihood(EVENT, hypotheses[1])
     assert other - one == pytest.approx(found)
     assert np.isinf(unread)
