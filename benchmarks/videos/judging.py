@@ -24,7 +24,7 @@ from videos.hypotheses import log_mean_exp
 JUDGING_SEED = 5000
 """Apart from the seeds that a run is likely to have met."""
 
-Pair = tuple[int, ...]
+Pair = tuple[int, int]
 
 
 class Task(NamedTuple):
@@ -67,7 +67,8 @@ def model_of(settings: Mapping[str, Any]) -> tuple[str, str, str] | None:
 
 
 def true_pair(event: Event) -> Pair:
-    return common.true_hypothesis(event).effective_goals
+    red, green = common.true_hypothesis(event).effective_goals
+    return red, green
 
 
 @functools.cache

@@ -114,14 +114,6 @@ def effective_table() -> NDArray[np.int32]:
     return table
 
 
-@functools.cache
-def effective_pairs() -> NDArray[np.int64]:
-    """Return (goal_red, goal_green, alpha) the pair of effective goals, 36 red's + green's."""
-    pairs = effective_table() @ np.array([N_GOALS, 1])
-    pairs.setflags(write=False)
-    return pairs
-
-
 STRENGTH: Final = 450.0  # newtons of an agent of which nothing else is said
 
 STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
