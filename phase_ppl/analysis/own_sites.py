@@ -76,7 +76,10 @@ class WithSites(Hypotheses):
         """
         derived = {*self._words.quantities, *self._own}
         sites = [name for name in self._quantities if name not in derived]
-        names = [*self._words.space.kept_columns, *(sites if self.summed else ())]
+        known = [name for name in self._words.space.kept_columns if name in self._rows.values]
+        if len(known) < len(self._words.space.kept_columns):  # stated goals are PHASE's
+            known = list(self._words.quantities)
+        names = [*known, *(sites if self.summed else ())]
         strengths = self.strengths_of.values()
 
         def first_of(names: Sequence[str]) -> IntArray:

@@ -38,7 +38,6 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.picture import wrapped
-from phase_ppl.world.scene import PHASE
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
@@ -125,7 +124,10 @@ class StepwisePosterior(EventPosterior):
                 f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
                 "post.with_prior(prior)"
             )
-        found = with_sites(self._prior, self._table, self._frame, self._words)
+        from phase_ppl.models.roles import bound
+
+        prior = bound(self._prior, self.world)
+        found = with_sites(prior, self._table, self._frame, self._words)
         return found._defining({**self._own, **self._of_sites})
 
     @functools.cached_property
@@ -230,17 +232,17 @@ class StepwisePosterior(EventPosterior):
         return {**self._own, **self._of_sites}
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
-        if self.world == PHASE:
-            return super()._checked(prior)
-        from phase_ppl.models import priors  # of another world they are checked where they are read
+        from phase_ppl.models.model import Model, for_table
+        from phase_ppl.models.roles import as_given
 
-        return priors.named(prior) if isinstance(prior, str) else prior
+        return as_given(for_table(Model(prior=prior).prior, self.world))
 
     def under(self, prior: Callable[..., object]) -> StepwisePosterior:
+        from phase_ppl.models.roles import bound
         from phase_ppl.models.stepwise import stepwise_prior
 
-        table = self._table
-        masses, attrs = stepwise_prior(prior, table.space.world, table.levels)
+        table, world = self._table, self.world
+        masses, attrs = stepwise_prior(bound(prior, world), world, table.levels)
         known = dimensions(table.space)
         found = self._found.assign({name: (known[name], one) for name, one in masses.items()})
         found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}

@@ -257,7 +257,10 @@ class Prior:
         *stated, way = every
         goals = self.space.effective(dict(zip(sites, every, strict=True)))
         log_prior = np.logaddexp.reduce(self.log_prior.reshape(len(way), -1), axis=1)
-        log_prior = np.where((goals >= 0).all(axis=1), log_prior, -np.inf)
+        possible = (goals >= 0).all(axis=1)
+        if np.isfinite(log_prior[~possible]).any():  # somebody could not act
+            log_prior = log_prior - np.logaddexp.reduce(log_prior[possible])
+        log_prior = np.where(possible, log_prior, -np.inf)
         acted_on = np.maximum(goals, 0).astype(np.int64)
         return GoalRows(way, acted_on, np.stack(stated, axis=1), log_prior, np.zeros(len(way)))
 

@@ -26,7 +26,7 @@ from phase_ppl.analysis.stepwise_table import (
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.own_simulator import SimulatorFilter
-from phase_ppl.models.model import Model
+from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on
 from phase_ppl.world.arrays import FloatArray, finite_array
@@ -104,8 +104,8 @@ class Watch:
         self._own = self.model.simulator is not None
         self._weight = likelihood.frame_weight(self._own)
         self._levels = likelihood.tracking.strengths
-        _ = self.model.sites  # refuses a prior that cannot be
-        kept, attrs = stepwise_prior(self.model.prior, scene.world, self._levels)
+        prior = for_table(self.model.prior, scene.world)
+        kept, attrs = stepwise_prior(prior, scene.world, self._levels)
         self._constant: dict[str, Any] = dict(kept)
         self._attrs: dict[str, Any] = dict(attrs)
         self._filter = self._own_filter() if self._own else self._joint_filter()

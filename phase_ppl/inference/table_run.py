@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from jax import random
 from numpy.typing import NDArray
 
