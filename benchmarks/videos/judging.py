@@ -24,7 +24,7 @@ from videos.hypotheses import log_mean_exp
 JUDGING_SEED = 5000
 """Apart from the seeds that a run is likely to have met."""
 
-Pair = tuple[int, int]
+Pair = tuple[int, ...]
 
 
 class Task(NamedTuple):
@@ -67,8 +67,7 @@ def model_of(settings: Mapping[str, Any]) -> tuple[str, str, str] | None:
 
 
 def true_pair(event: Event) -> Pair:
-    red, green = common.true_hypothesis(event).effective_goals
-    return red, green
+    return common.true_hypothesis(event).effective_goals
 
 
 @functools.cache
