@@ -108,6 +108,11 @@ class Run:
         check_event(self.event)
         world, model = self.event.scene.world, self.model
         self.info = info_of(self.kernel)
+        if is_stepwise(model.likelihood) and len(world.agents) > 2:
+            raise InvalidSettingError(
+                "a kernel on what the closed loop has read takes strengths by agent, and of three "
+                f"agents and more, as in {world.name!r}, only some combinations are followed"
+            )
         if is_stepwise(model.likelihood) and self.info.adapts:
             raise InvalidSettingError(
                 f"kernel {self.info.name!r} learns from simulations, and what the closed loop "

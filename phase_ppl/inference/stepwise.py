@@ -64,6 +64,10 @@ class Watch:
             started if a frame takes long enough. The result does not depend on it.
         event_id: name of the event.
 
+    Example:
+        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
+        ``event.observation.trajectory``, ``post = watch.update(frame)``
+
     Raises:
         InvalidSettingError: the model has another likelihood, or a simulator that cannot go on from
             what was seen, or a prior with too many hypotheses for one that can.
@@ -249,21 +253,7 @@ class Watch:
         return read.merge(scene_dataset(scene), combine_attrs="no_conflicts")
 
 
-def watch(
-    scene: Scene,
-    model: Model | None = None,
-    *,
-    seed: int = 0,
-    threads: int | None = None,
-    event_id: str = "",
-) -> Watch:
-    """Return an observer of an event, to be given its frames: all as of :class:`Watch`.
-
-    Example:
-        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
-        ``event.observation.trajectory``, ``post = watch.update(frame)``
-    """
-    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
+watch = Watch
 
 
 # --- the whole video ------------------------------------------------------------------------------

@@ -81,11 +81,6 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
     """
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
-    if len(read.world.agents) > 2:
-        raise InvalidSettingError(
-            "a kernel on what the closed loop has read takes strengths by agent, and of three "
-            f"agents and more, as in {read.world.name!r}, only some combinations are followed"
-        )
     if model is None:
         prior: Any = read.prior
         if prior is None:

@@ -39,11 +39,10 @@ from phase_ppl.models.density import Program, remembered
 from phase_ppl.models.effective import WorldPrior as WorldPrior
 from phase_ppl.models.effective import as_given as as_given
 from phase_ppl.models.effective import space_of_prior as space_of_prior
-from phase_ppl.models.sites import IMPOSSIBLE
+from phase_ppl.models.sites import IMPOSSIBLE, goals, strengths
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown, whole_number
-from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import PHASE, World
@@ -57,25 +56,11 @@ _PRIORS_KEPT: Final = 8
 RolePrior = Callable[[World], object]
 
 
-def goals(world: World) -> None:
-    """Sample the agents' own goals: all that an agent can have are alike."""
-    for agent, name in enumerate(space_of(world).goal_sites):
-        logits = np.full(len(world.goals), IMPOSSIBLE)
-        logits[possible_goals(agent, world)] = 0.0
-        numpyro.sample(name, dist.Categorical(logits=jnp.asarray(logits)))
-
-
 def company(world: World, social: float = SOCIAL) -> None:
     """Sample who helps or hinders whom: anybody with probability ``social``, all ways alike."""
     n = len(hypothesis.all_ways(len(world.agents)))
     probs = [1.0 - social, *[social / (n - 1)] * (n - 1)] if n > 1 else [1.0]
     numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.array(probs)))
-
-
-def strengths(world: World) -> None:
-    """Sample the agents' strengths: uniform on [150, 600] newtons."""
-    for name in space_of(world).strength_sites:
-        numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE))
 
 
 def uniform(world: World, social: float = SOCIAL) -> None:
