@@ -308,7 +308,7 @@ def test_what_is_of_no_use_is_refused(wrong: dict[str, Any], message: str) -> No
         ppl.infer(EXACT, **{**OPTIONS, **wrong})
 
 
-def test_so_are_an_executor_another_likelihood_and_another_world() -> None:
+def test_so_are_an_executor_and_another_likelihood() -> None:
     with (
         ThreadPoolExecutor(1) as executor,
         pytest.raises(InvalidSettingError, match=r"executor=.*is for simulations"),
@@ -321,10 +321,5 @@ def test_so_are_an_executor_another_likelihood_and_another_world() -> None:
     model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood()))
     with pytest.raises(InvalidSettingError, match=r"likelihood=.*the prior only"):
         model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=8)))
-    scene = ppl.worlds.TRIO.random_scene(0)
-    with ppl.watch(scene) as watch:
-        elsewhere = watch.update(scene.start)
-    with pytest.raises(InvalidSettingError, match="as in 'trio', only some combinations"):
-        sampled(elsewhere)
     with pytest.raises(InvalidEventError, match=r"1 frame.*expected at least 2"):
         sampled(EXACT.at(0))
