@@ -267,7 +267,9 @@ def of_truth(task: tuple[Event, int]) -> dict[str, float]:
     with ppl.watch(event.scene, ppl.Model(likelihood=likelihood), seed=seed, threads=1) as watch:
         for frame in event.observation.trajectory:
             watch.take(frame)
-        found = watch.posterior().dataset["log_likelihood"].values.sum(axis=0)
+        frames = watch.posterior().by_frame()
+    assert frames is not None
+    found = frames["log_likelihood"].values.sum(axis=0) / likelihood.frame_weight()
     stepwise = float(found[hypothesis.effective_goals])
     simulated = ppl.simulate(
         event.scene, hypothesis, seed=seed, frames=event.observation.n_frames, overlapping=True

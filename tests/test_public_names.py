@@ -23,7 +23,12 @@ def test_every_public_name_is_there_and_is_what_it_is_called() -> None:
     for name in ppl.__all__:
         found = getattr(ppl, name)
         called = getattr(found, "__name__", name).split(".")[-1]
-        others = {"plot": "figures", "study": "phase_study", "Roles": "Hypothesis"}
+        others = {
+            "plot": "figures",
+            "study": "phase_study",
+            "Roles": "Hypothesis",
+            "watch": "Watch",
+        }
         assert called == others.get(name, name)
     assert {"infer", "Posterior", "render", "plot", "GOALS", "__version__"} <= set(dir(ppl))
     with pytest.raises(AttributeError, match="'phase_ppl' has no attribute 'infers'"):

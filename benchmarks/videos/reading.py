@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.goal_filter import (
     Conduct,
-    PairFilter,
+    GoalFilter,
     Plans,
     SearchSets,
-    frame_log_likelihood,
+    log_likelihoods,
+    policies_of,
+    shift_of,
 )
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
 from phase_ppl.models import priors
@@ -100,14 +102,14 @@ class Kept:
 
     Attributes:
         truth: effective goals of red and green; levels: places of their strengths.
-        steps: per step (plans, wanted, relative density, its highest log density).
+        steps: per step (plans, log density).
         strengths: (step, strength of red, of green) probabilities.
         unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.Reading`.
     """
 
     truth: tuple[int, ...]
     levels: tuple[int, int]
-    steps: list[tuple[list[list[Plans]], NDArray[np.bool_], FloatArray, float]]
+    steps: list[tuple[list[list[Plans]], FloatArray]]
     strengths: FloatArray
     unexplained: FloatArray
     log_peak: FloatArray
@@ -121,13 +123,14 @@ class Kept:
         self, conduct: Conduct, weight: float, planner_seeds: int | None = None
     ) -> FloatArray:
         """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
-        log_mass, found = log_prior().copy(), []
-        for plans, wanted, relative, highest in self.steps:
-            sets = plans[:planner_seeds]
-            now, _ = frame_log_likelihood(sets, wanted, relative, log_mass, conduct)
-            found.append(now + highest)
-            log_mass += weight * found[-1]
-        return np.array(found)
+        log_mass, found = log_prior().ravel(), []
+        for plans, log_density in self.steps:
+            policies, pairs = policies_of(plans[:planner_seeds], conduct)
+            first, (every,) = log_likelihoods(log_density, policies, pairs, 1)
+            (shift,) = shift_of(first, every[None], log_mass)
+            found.append(np.where(np.isnan(every), first + shift, every))
+            log_mass = log_mass + weight * found[-1]
+        return np.array(found).reshape(-1, N_GOALS, N_GOALS)
 
     def scores(self, table: FloatArray, weight: float) -> Scores:
         """Return how a summed table answers.
@@ -192,7 +195,7 @@ class Recorder(SearchSets):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.searched: list[tuple[list[list[Plans]], NDArray[np.bool_]]] = []
+        self.searched: list[list[list[Plans]]] = []
         self.densities: list[FloatArray] = []
         advance = self.hidden.advance
 
@@ -203,13 +206,13 @@ class Recorder(SearchSets):
         self.hidden.advance = advanced  # type: ignore
 
     def plans(self, wanted: Sequence[NDArray[np.bool_]] | None = None) -> list[list[Plans]]:
-        assert wanted is not None
         found = super().plans(wanted)
-        small = [
-            [one._replace(intent_of=one.intent_of.astype(np.int16)) for one in pair]
-            for pair in found
-        ]
-        self.searched.append((small, wanted[0].reshape(N_GOALS, N_GOALS)))
+        self.searched.append(
+            [
+                [one._replace(intent_of=one.intent_of.astype(np.int16)) for one in pair]
+                for pair in found
+            ]
+        )
         return found
 
 
@@ -228,17 +231,15 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     sets = Recorder(
         event.scene, PlannerConfig.fast(), likelihood.tracking, seed, 1, likelihood.planner_seeds
     )
-    goals = PairFilter(sets, likelihood.conduct, likelihood.frame_weight(), log_prior())
+    pairs = np.indices((N_GOALS, N_GOALS)).reshape(2, -1).T, log_prior().ravel()
+    goals = GoalFilter(sets, likelihood.conduct, likelihood.frame_weight(), pairs)
     with contextlib.closing(goals):
         readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began
     unexplained, log_peak = (
         np.array([getattr(one, name) for one in readings]) for name in ("unexplained", "log_peak")
     )
-    steps = [
-        (*found, np.exp(density - density.max()), float(density.max()))
-        for found, density in zip(sets.searched, sets.densities, strict=True)
-    ]
+    steps = list(zip(sets.searched, sets.densities, strict=True))
     levels = [len(likelihood.tracking.strengths)] * 2
     strengths = np.stack([one.strengths.reshape(levels) for one in readings])
     return Kept(truth, levels_of(event), steps, strengths, unexplained, log_peak, seconds)

@@ -7,8 +7,8 @@ Numbers, each built on those before it:
 * ``estimate``: statistics of such a table with their errors; ``query``: questions in words;
   ``definitions``: quantities of one's own.
 * ``hypotheses``: what one can ask a table; ``event_posterior``: what is asked of an event, and
-  ``what_if``; ``posterior`` and ``stepwise_posterior`` (with ``stepwise_table``, and for own
-  simulators ``stepwise_own``) are such tables.
+  ``what_if``; ``posterior`` and ``stepwise_posterior`` (with ``stepwise_table``) are such
+  tables.
 * ``comparison``: posteriors against a reference and each other.
 
 ``with_arviz`` has what ArviZ estimates and is given; ``diagnostics`` says how chains went, and

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.estimate import Jackknife, Jackknives, leaving_out, worth
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.quantities import Quantity, Vocabulary
-from phase_ppl.analysis.stepwise_hypotheses import STATED, STRENGTHS, PhaseTable
+from phase_ppl.analysis.stepwise_table import Table
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray, equal_rows
 
@@ -76,7 +76,10 @@ class WithSites(Hypotheses):
         """
         derived = {*self._words.quantities, *self._own}
         sites = [name for name in self._quantities if name not in derived]
-        names = [*self._words.space.kept_columns, *(sites if self.summed else ())]
+        known = [name for name in self._words.space.kept_columns if name in self._rows.values]
+        if len(known) < len(self._words.space.kept_columns):  # stated goals are PHASE's
+            known = list(self._words.quantities)
+        names = [*known, *(sites if self.summed else ())]
         strengths = self.strengths_of.values()
 
         def first_of(names: Sequence[str]) -> IntArray:
@@ -91,7 +94,7 @@ class WithSites(Hypotheses):
 
 
 def with_sites(
-    prior: Callable[..., object], table: PhaseTable, frame: int, words: Vocabulary
+    prior: Callable[..., object], table: Table, frame: int, words: Vocabulary
 ) -> WithSites:
     """Return the table of hypotheses with the further sites of the prior, given frames so far."""
     from phase_ppl.models import effective
@@ -117,7 +120,7 @@ def with_sites(
 
 
 def _summed(
-    prior: Callable[..., object], values: Values, table: PhaseTable, frame: int
+    prior: Callable[..., object], values: Values, table: Table, frame: int
 ) -> tuple[IntArray, FloatArray, Sites]:
     """Return hypotheses with all values of sites: (row,) which they are, masses, and the sites."""
     from phase_ppl.models.effective import log_masses
@@ -135,7 +138,7 @@ def _summed(
 
 
 def _drawn(
-    prior: Callable[..., object], table: PhaseTable, log_mass: FloatArray
+    prior: Callable[..., object], table: Table, log_mass: FloatArray
 ) -> tuple[IntArray, FloatArray, Sites]:
     """Return draws of hypotheses and sites: (row,) which they are, weights, and the sites."""
     from phase_ppl.models.effective import drawn_beside, further_sites
@@ -146,8 +149,12 @@ def _drawn(
     places = np.searchsorted(cumulative, steps.ravel() * cumulative[-1], side="right")
     places = np.minimum(places, len(cumulative) - 1)
     columns = table.columns(*np.divmod(places, len(table.combinations)))
-    given = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
-    of_table = table.log_prior, np.unravel_index(places, table.log_prior.shape)
+    space, log_prior = table.space, table.prior.log_prior
+    assert log_prior is not None
+    given = {
+        site: columns[kept] for site, kept in zip(space.sites, space.kept_columns, strict=True)
+    }
+    of_table = log_prior, np.unravel_index(places, log_prior.shape)
     drawn, log_weight = drawn_beside(prior, given, *of_table, np.array(table.levels), _SEED)
     sites: Sites = {}
     for name, site in further_sites(prior).items():

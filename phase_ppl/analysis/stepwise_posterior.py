@@ -22,9 +22,7 @@ from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.quantities import ScenarioFunction, Vocabulary
-from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, Table, summed_by_pair
-from phase_ppl.analysis.stepwise_own import OwnTable
-from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, SCHEMAS, PolicyTable, table_of
+from phase_ppl.analysis.stepwise_table import MOST_HYPOTHESES, SCHEMAS, Table, dimensions, table_of
 from phase_ppl.analysis.tree import changed_text, settings_under
 from phase_ppl.analysis.verdict import SURPRISE, UNEXPLAINED, of_reading
 from phase_ppl.analysis.weights import log_sum_exp
@@ -39,9 +37,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND
 from phase_ppl.world.files import existing_file
-from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.picture import wrapped
-from phase_ppl.world.scene import PHASE
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
@@ -95,8 +91,7 @@ class StepwisePosterior(EventPosterior):
         table: Table | None = None,
     ) -> None:
         self._table: Table = table_of(found) if table is None else table
-        self._found = found
-        self._prior = prior if self._table.space.is_phase else None  # further sites are for PHASE
+        self._found, self._prior = self._table.found, prior
         last = self._table.n_frames - 1
         self._frame = last if frame is None else whole_number("frame", frame, 0, last)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
@@ -107,6 +102,7 @@ class StepwisePosterior(EventPosterior):
         if self._table.is_exact:  # there is nothing to leave out
             self._over_sets = Jackknife(rows.weights[None], 0.0)
         rows = dataclasses.replace(rows, values=words.completed(rows.values))
+        found = self._found
         super().__init__(words, found.attrs, found, words.quantities, rows)
 
     @functools.cached_property
@@ -128,8 +124,10 @@ class StepwisePosterior(EventPosterior):
                 f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
                 "post.with_prior(prior)"
             )
-        assert isinstance(self._table, PhaseTable)
-        found = with_sites(self._prior, self._table, self._frame, self._words)
+        from phase_ppl.models.roles import bound
+
+        prior = bound(self._prior, self.world)
+        found = with_sites(prior, self._table, self._frame, self._words)
         return found._defining({**self._own, **self._of_sites})
 
     @functools.cached_property
@@ -206,7 +204,7 @@ class StepwisePosterior(EventPosterior):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read: variables as in :class:`phase_ppl.analysis.stepwise_hypotheses.Table`."""
+        """What was read: see :func:`phase_ppl.analysis.stepwise_table.dimensions`."""
         return self._found
 
     @property
@@ -234,20 +232,19 @@ class StepwisePosterior(EventPosterior):
         return {**self._own, **self._of_sites}
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
-        if self.world == PHASE:
-            return super()._checked(prior)
-        from phase_ppl.models import priors  # of another world they are checked where they are read
+        from phase_ppl.models.model import Model, for_table
+        from phase_ppl.models.roles import as_given
 
-        return priors.named(prior) if isinstance(prior, str) else prior
+        return as_given(for_table(Model(prior=prior).prior, self.world))
 
     def under(self, prior: Callable[..., object]) -> StepwisePosterior:
+        from phase_ppl.models.roles import bound
         from phase_ppl.models.stepwise import stepwise_prior
 
-        table = self._table
-        masses, attrs = stepwise_prior(prior, table.space.world, table.levels)
-        found = self._found.assign(
-            {name: (table.dimensions[name], values) for name, values in masses.items()}
-        )
+        table, world = self._table, self.world
+        masses, attrs = stepwise_prior(bound(prior, world), world, table.levels)
+        known = dimensions(table.space)
+        found = self._found.assign({name: (known[name], one) for name, one in masses.items()})
         found.attrs |= {**attrs, "settings": settings_under(found.attrs["settings"], prior)}
         scenario = self._words.scenario
         changed = StepwisePosterior(found, self._frame, prior=prior, scenario=scenario)
@@ -328,7 +325,7 @@ class StepwisePosterior(EventPosterior):
             "frames": self._frame + 1,
             "planner_seeds": self.planner_seeds,
             "weight": float(found.attrs["weight"]),
-            "samples": getattr(self._table, "samples", None),
+            "samples": self._table.samples,
             "leading": leading,
             "decided": all(one["sure"] for one in leading.values()),
             "surprise_median": float(np.median(surprise[1:])) if known else None,
@@ -411,16 +408,16 @@ class StepwisePosterior(EventPosterior):
         return self._odds(odds, error, event, over)
 
     def by_frame(self) -> xr.Dataset | None:
-        if not isinstance(self._table, PhaseTable):
+        table = self._table
+        if not table.space.is_phase:
             return None
-        found = self._found.isel(time=slice(None, self._frame + 1))
-        goals = ("goal_red", "goal_green")
-        by_pairs = self._table.by_pairs()[: self._frame + 1].reshape(-1, N_GOALS, N_GOALS)
-        log_likelihood = float(found.attrs["weight"]) * by_pairs
-        log_prior = summed_by_pair(found["log_prior"].values)
+        names, n = table.space.goal_sites, self._frame + 1
+        log_likelihood, log_prior = table.by_goals(table.by_points()[:n]), table.prior_of_goals()
+        labels = {key: list(self.world.goals) for key in names}
+        weighed = float(self._found.attrs["weight"]) * log_likelihood
         return xr.Dataset(
-            {"log_likelihood": (("time", *goals), log_likelihood), "log_prior": (goals, log_prior)},
-            {"time": found["time"], **{name: found[name] for name in goals}},
+            {"log_likelihood": (("time", *names), weighed), "log_prior": (names, log_prior)},
+            {"time": self._found["time"][:n], **labels},
         )
 
     def observed(self) -> FloatArray:
@@ -457,7 +454,7 @@ class StepwisePosterior(EventPosterior):
     def _head(self, found: Mapping[str, Any]) -> str:
         seeds = found["planner_seeds"]
         searched = f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
-        if isinstance(self._table, OwnTable):
+        if self._table.own:
             samples, simulator = self._table.samples, self.settings["model"]["simulator"]
             searched = f"by {f'{samples} samples' if samples else 'the density'} of {simulator}"
         return (
@@ -486,12 +483,12 @@ class StepwisePosterior(EventPosterior):
     def _notes(self) -> list[str]:
         """Return what is to be said of hypotheses that were drawn."""
         table = self._table
-        if not isinstance(table, PolicyTable) or not table.sampled:
+        if not table.sampled:
             return []
         n = worth(table.weights(self._frame)[0])
         return wrapped(
             "hypotheses",
-            f"of {table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "
+            f"of {table.prior.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "
             f"{n:.0f} of equal weight: probabilities are Monte-Carlo means with standard errors of "
             f"up to {0.5 / n**0.5:.1g}, beside those shown",
         )

@@ -7,17 +7,17 @@ A policy is known from a search only, which depends on chance, and so do the bel
 starts. Therefore each pi is a mean over several independent sets of beliefs and searches, taken
 inside the logarithm: the log of one noisy policy is too low, and says too much of single frames.
 
-In PHASE that is worked out for every pair of goals. Elsewhere the goals of all agents together are
-too many for a table, but each agent's policy depends on its standpoint only
-(:mod:`phase_ppl.agents.standpoints`), and most standpoints lead to the same intent: so a frame is
-kept as the few policies of each agent, the number of the policy of each standpoint, and the density
-of the frame after every joint action. What that says of hypotheses is worked out where it is asked
+Each agent's policy depends on its standpoint only (:mod:`phase_ppl.agents.standpoints`), and most
+standpoints lead to the same intent: so a frame is kept as the few policies of each agent, the
+number of the policy of each standpoint, and the density of the frame after every joint action.
+What that says of hypotheses is worked out where it is asked
 (:mod:`phase_ppl.analysis.stepwise_table`).
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, NamedTuple
@@ -25,7 +25,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phase_ppl.agents.agent import Policies, RootStatistics
+from phase_ppl.agents.agent import NO_INTENT, Policies, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.agents.world_model import WorldModel
@@ -38,8 +38,7 @@ from phase_ppl.closed_loop.hidden_state import (
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.simulator.joint import scene_in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.names import AGENTS, NOTHING
+from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene
 
 
@@ -47,8 +46,7 @@ class Plans(NamedTuple):
     """One agent's plans at one moment, by one set of beliefs and searches."""
 
     roots: list[RootStatistics]  # of every intent, what its search found
-    # (standpoint,) index of the intent, or ``NO_INTENT``: of a pair of goals where there are two
-    # agents, with other numbers of agents as ``agents.standpoints`` numbers them
+    # (standpoint,) index of the intent, or ``NO_INTENT``; ``agents.standpoints`` numbers them
     intent_of: IntArray
 
 
@@ -162,17 +160,20 @@ class SearchSets:
 
 
 SEARCHED_BY_ALL: Final = 0.99
-"""Mass of the most probable pairs of goals, for which all sets of searches are made; for the rest
-there is the first set alone."""
+"""Mass of the most probable combinations of goals, for which all sets of searches are made; for the
+rest there is the first set alone."""
 
-OfGoals = dict[str, NDArray[Any]]
 _All = Sequence[Sequence[Plans]]  # (set, agent)
 
 
 class Reading(NamedTuple):
     """What one frame says."""
 
-    of_goals: OfGoals  # of what the agents want, by name
+    density: FloatArray  # (joint action,) see :class:`GoalFilter`, and so the next
+    policies: FloatArray
+    policy_of: IntArray
+    shift: FloatArray
+    marginals: FloatArray | None
     strengths: FloatArray  # (combination,) probabilities given the frames so far
     # (agent, action) probabilities of what each agent has just done, whatever its goal
     actions: FloatArray
@@ -183,32 +184,133 @@ class Reading(NamedTuple):
     log_peak: float  # log density of the latter
     searches: int  # searches that were made
 
-    @property
-    def columns(self) -> dict[str, Any]:
-        """What a file keeps of it."""
-        kept = {name: value for name, value in self._asdict().items() if name != "of_goals"}
-        return {**kept, **self.of_goals}
+
+def policies_of(plans: _All, conduct: Conduct) -> tuple[list[FloatArray], list[IntArray]]:
+    """Return (agent) (policy, set, action) different policies, and (agent) (standpoint,) which.
+
+    NaN where a set was not to search; all actions are alike for what nobody can want.
+    """
+    policies, policy_of = [], []
+    for sets in zip(*plans, strict=True):
+        intents = np.stack([one.intent_of for one in sets], axis=1)
+        kinds, number = np.unique(intents, axis=0, return_inverse=True)
+        of_sets = []
+        for place, one in enumerate(sets):
+            found = [conduct.policy(root) for root in one.roots]
+            found.append(np.full(N_ACTIONS, 1 / N_ACTIONS))  # of NO_INTENT, which is -1
+            own = np.array(found)[kinds[:, place]]
+            own[(kinds[:, place] == NO_INTENT) & (kinds[:, 0] != NO_INTENT)] = np.nan
+            of_sets.append(own)
+        policies.append(np.stack(of_sets, axis=1))
+        policy_of.append(number.reshape(-1))
+    return policies, policy_of
+
+
+def log_likelihoods(
+    log_density: FloatArray,
+    policies: Sequence[FloatArray],
+    numbers: Sequence[IntArray],
+    n_tables: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return (row,) log likelihoods of a frame by the first set of searches alone.
+
+    And (table, row) those with all sets, and without each; NaN where not all have searched. A
+    policy is a mean over the sets.
+
+    Args:
+        log_density: (action of the first agent, of the second, ...) of the frame.
+        policies: (agent) (policy, set, action) probabilities, NaN where a set has not searched.
+        numbers: (agent) (row,) which of its policies an agent has.
+        n_tables: of the second result.
+    """
+    highest, every = log_density.max(), range(policies[0].shape[1])
+    place = np.ravel_multi_index(tuple(numbers), [len(own) for own in policies])
+
+    def by(sets: list[int]) -> FloatArray:
+        table = np.exp(log_density - highest)
+        for own in policies:  # the first axis goes, and what it becomes is put last
+            table = np.tensordot(table, own[:, sets].mean(axis=1), axes=(0, 1))
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(table.ravel())[place] + highest)
+
+    left_out = (None, *every)[:n_tables]
+    return by([0]), np.array([by([one for one in every if one != other]) for other in left_out])
+
+
+def shift_of(first: FloatArray, every: FloatArray, log_mass: FloatArray) -> FloatArray:
+    """Return (table,) by how much all sets move the log likelihoods of the first alone.
+
+    A mean over where all have searched, by log masses (row,) before the frame; 0 where none have.
+    """
+    sure = ~np.isnan(every[0]) & np.isfinite(log_mass)
+    if not sure.any():
+        return np.zeros(len(every))
+    share = np.exp(log_mass[sure] - log_mass[sure].max())
+    return np.asarray((every[:, sure] - first[sure]) @ share / share.sum())
 
 
 class GoalFilter:
     """Takes in a video frame by frame; what it says of a frame never changes afterwards.
 
+    A frame is kept as what every agent could have in mind and how probable each joint action makes
+    the frame:
+
+    ``density``
+        (joint action,) log density of the frame after it, the first agent's action most
+        significant.
+    ``policies``
+        (agent, policy, planner_seed, action) probabilities; NaN where an agent has fewer policies
+        than another, and where a set has not searched.
+    ``policy_of``
+        (agent, standpoint) which of its policies.
+    ``shift``
+        (table,) what is to be added to the log likelihood by the first set of searches alone, where
+        not all sets have searched: with all of them, and without each. It is by how much the others
+        have moved that of the rest in the mean: a log of fewer searches is lower, which would speak
+        against whoever is improbable already.
+    ``marginals``
+        (agent, goal) log masses of each agent's goal, the others taken to act as is believed of
+        them: approximate, to draw hypotheses from where they are too many. None without
+        ``log_goals``.
+
     Args:
         sets: beliefs and searches; they go along with the filter, and end with it.
         conduct: how agents act on their plans.
         weight: what a frame counts as evidence.
-        log_prior: log prior masses of goals. With the weight it only says which goals are probable
-            by now.
+        followed: combinations of effective goals (row, agent), and their log prior masses. With the
+            weight these say which are probable by now, for which all sets search. None: they are
+            too many, and all sets search for all.
+        log_goals: (agent, goal) log prior masses of single goals.
 
     ``combinations`` has the strengths that are followed (combination, agent), newtons.
     """
 
     def __init__(
-        self, sets: SearchSets, conduct: Conduct, weight: float, log_prior: FloatArray
+        self,
+        sets: SearchSets,
+        conduct: Conduct,
+        weight: float,
+        followed: tuple[IntArray, FloatArray] | None,
+        log_goals: FloatArray | None = None,
     ) -> None:
         self._sets, self._conduct, self._weight = sets, conduct, weight
-        self._log_mass = log_prior.copy()
         self.combinations = sets.hidden.combinations
+        world = sets.scene.world
+        self._points = [standpoints(agent, world) for agent in range(len(world.agents))]
+        self._n_tables = 1 + (len(sets) if len(sets) > 1 else 0)
+        self._is_followed = followed is not None
+        self._marginals = None if log_goals is None else log_goals.copy()
+        if followed is not None:
+            goals, log_mass = followed
+            self._log_mass = log_mass.copy()
+            self._of_rows = [points.of(goals) for points in self._points]
+        if log_goals is not None:
+            # (agent) (goal,) the first standpoint of each goal, where the others want something
+            # else; -1: the agent cannot have it
+            self._usual = [np.full(len(world.goals), -1) for _ in world.agents]
+            for usual, points in zip(self._usual, self._points, strict=True):
+                for one in reversed(points.groups):
+                    usual[one.own] = one.places[0]
 
     def close(self) -> None:
         self._sets.close()
@@ -217,7 +319,11 @@ class GoalFilter:
         """Return what is known before the first frame: nothing."""
         n, n_agents = self.combinations.shape
         return Reading(
-            self._nothing(len(self._sets)),
+            np.zeros(N_ACTIONS**n_agents),
+            np.full((n_agents, 1, len(self._sets), N_ACTIONS), 1 / N_ACTIONS, np.float32),
+            np.zeros((n_agents, max(one.n for one in self._points)), np.int32),
+            np.zeros(self._n_tables),
+            copy.copy(self._marginals),
             np.full(n, 1.0 / n),
             np.full((n_agents, N_ACTIONS), 1.0 / N_ACTIONS),
             np.full(n_agents, NOTHING, np.int64),
@@ -231,213 +337,67 @@ class GoalFilter:
         log_density = hidden.advance(frame, self._sets.map)
         highest = float(log_density.max())
         relative = np.exp(log_density - highest)
-        of_goals = self._of_goals(plans, log_density, relative)
+        policies, policy_of = policies_of(plans, self._conduct)
+        shift = np.zeros(self._n_tables)
+        if self._is_followed:
+            shift = self._follow(log_density, policies, policy_of)
+        if self._marginals is not None:
+            self._update_marginals(relative, policies, policy_of)
         self._sets.acted(most_probable_actions(log_density))
         axes = range(log_density.ndim)
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         actions /= actions.sum(axis=1, keepdims=True)
-        held, peak = hidden.best().held.copy(), hidden.log_peak
         searched = [len(root.actions) > 1 for each in plans for one in each for root in one.roots]
         return Reading(
-            of_goals, hidden.strengths(), actions, held, peak - highest, peak, sum(searched)
+            log_density.ravel(),
+            stacked(policies).astype(np.float32),  # searches are coarser than single precision
+            stacked(policy_of).astype(np.int32),
+            shift,
+            copy.copy(self._marginals),
+            hidden.strengths(),
+            actions,
+            hidden.best().held.copy(),
+            hidden.log_peak - highest,
+            hidden.log_peak,
+            sum(searched),
         )
 
     def _choose_wanted(self) -> list[BoolArray] | None:
-        """Choose (agent) (standpoint,) those for which all sets search; None: all."""
-        return None
+        """Choose (agent) (standpoint,) those for which all sets search; None: all.
 
-    def _nothing(self, n_sets: int) -> OfGoals:
-        """Return what there is to say of goals before the first frame."""
-        raise NotImplementedError
-
-    def _of_goals(self, plans: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
-        """Return what a frame says, from plans at the moment before and its density.
-
-        Both (action of the first agent, of the second, ...); ``relative`` is over the highest.
+        They are those of the combinations of goals that together have nearly all of the mass.
         """
-        raise NotImplementedError
-
-
-# --- PHASE ----------------------------------------------------------------------------------------
-
-
-class PairFilter(GoalFilter):
-    """Takes in a video of PHASE; ``log_prior`` is (goal_red, goal_green).
-
-    It says of goals:
-
-    ``log_likelihood``
-        (goal_red, goal_green) log density of the frame given those before it and a pair of
-        effective goals, per unit^8 rad^2; -inf where a goal names its own holder.
-    ``log_likelihood_without``
-        (planner_seed, goal_red, goal_green) likewise without each set of searches; empty where
-        there is only one. Single precision: it is for errors only.
-    """
-
-    def _nothing(self, n_sets: int) -> OfGoals:
-        shape = (n_sets if n_sets > 1 else 0, N_GOALS, N_GOALS)
-        return {
-            "log_likelihood": np.zeros(shape[1:]),
-            "log_likelihood_without": np.zeros(shape, np.float32),
-        }
-
-    def _choose_wanted(self) -> list[BoolArray]:
-        """Choose the pairs of goals that together have nearly all of the mass.
-
-        They are kept for what the next frame says. In PHASE a standpoint is a pair of goals.
-        """
-        flat = self._log_mass.ravel()
-        mass = np.exp(flat - flat.max())
+        if not self._is_followed:
+            return None
+        mass = np.exp(self._log_mass - self._log_mass.max())
         order = np.argsort(-mass, kind="stable")
         before = np.cumsum(mass[order]) - mass[order]
-        found = np.zeros(flat.shape, bool)
-        found[order[before < SEARCHED_BY_ALL * mass.sum()]] = True
-        self._probable = found.reshape(self._log_mass.shape)
-        return [found] * len(AGENTS)
+        probable = order[before < SEARCHED_BY_ALL * mass.sum()]
+        wanted = [np.zeros(points.n, bool) for points in self._points]
+        for found, of_rows in zip(wanted, self._of_rows, strict=True):
+            found[of_rows[probable]] = True
+        return wanted
 
-    def _of_goals(self, plans: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
-        likelihood, without = frame_log_likelihood(
-            plans, self._probable, relative, self._log_mass, self._conduct
-        )
-        likelihood += log_density.max()
-        without = (without + log_density.max()).astype(np.float32)
-        self._log_mass += self._weight * likelihood
-        return {"log_likelihood": likelihood, "log_likelihood_without": without}
-
-
-def frame_log_likelihood(
-    plans: _All,
-    wanted: BoolArray,
-    relative: FloatArray,
-    log_mass: FloatArray,
-    conduct: Conduct,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the log likelihoods of the next frame given those before it.
-
-    (goal_red, goal_green) with all sets of searches, and (set, goal_red, goal_green) without each.
-
-    Policies are means over the sets. Where there is only the first, its result is moved by as much
-    as the others moved that of the wanted pairs: a log of fewer searches is lower in the mean,
-    which would speak against whoever is improbable already.
-
-    Args:
-        plans: (set, agent) what the planners make of the moment.
-        wanted: (goal_red, goal_green) pairs for which there are all sets.
-        relative: (A, A) density of the frame after every pair of actions.
-        log_mass: (goal_red, goal_green) before the frame.
-        conduct: how agents act on their plans.
-    """
-    n = len(plans)
-    # (set, agent, goal_red, goal_green, action), 0 where there is no intent
-    policies = np.empty((n, len(AGENTS), N_GOALS, N_GOALS, N_ACTIONS))
-    for place, both in enumerate(plans):
-        for agent, one in enumerate(both):
-            table = np.zeros((len(one.roots) + 1, N_ACTIONS))
-            for row, root in enumerate(one.roots):
-                table[row] = conduct.policy(root)
-            # the last row for NO_INTENT, which is -1
-            policies[place, agent] = table[one.intent_of.reshape(N_GOALS, N_GOALS)]
-    possible = (policies[0].sum(axis=-1) > 0).all(axis=0)
-    alone = np.where(possible, _density(policies[0], relative), 0.0)
-    with np.errstate(divide="ignore"):
-        first = np.log(alone)
-    if n == 1:
-        return first, np.empty((0, N_GOALS, N_GOALS))
-    results = np.tile(first, (1 + n, 1, 1))
-    sure = wanted & possible & np.isfinite(log_mass)
-    if sure.any():
-        share = np.exp(log_mass[sure] - log_mass[sure].max())
-        total = policies[:, :, sure].sum(axis=0)
-        means = [total / n, *((total - own[:, sure]) / (n - 1) for own in policies)]
-        for result, mean in zip(results, means, strict=True):
-            result[sure] = np.log(_density(mean, relative))
-            result[~sure] += share @ (result[sure] - first[sure]) / share.sum()
-    return results[0], results[1:]
-
-
-def _density(policies: FloatArray, relative: FloatArray) -> FloatArray:
-    """Return (...) the density of a frame; policies are (agent, ..., A), ``relative`` (A, A)."""
-    red, green = policies
-    return np.asarray(((red @ relative) * green).sum(axis=-1))
-
-
-# --- any other world ------------------------------------------------------------------------------
-
-
-class PolicyFilter(GoalFilter):
-    """Takes in a video of any world; ``log_prior`` is (agent, goal).
-
-    It says of goals:
-
-    ``density``
-        (joint action,) log density of the frame after it, the first agent's action most
-        significant.
-    ``policies``
-        (agent, policy, planner_seed, action) probabilities; NaN where an agent has fewer policies
-        than another.
-    ``policy_of``
-        (agent, standpoint) which of its policies.
-    ``marginals``
-        (agent, goal) log masses of each agent's goal, the others taken to act as is believed of
-        them: approximate, to draw hypotheses from where they are too many.
-    """
-
-    def __init__(
-        self, sets: SearchSets, conduct: Conduct, weight: float, log_prior: FloatArray
-    ) -> None:
-        super().__init__(sets, conduct, weight, log_prior)
-        world = sets.scene.world
-        self._points = [standpoints(agent, world) for agent in range(len(world.agents))]
-        # (agent) (goal,) the first standpoint of each goal, where the others want something else;
-        # -1: the agent cannot have it
-        self._usual = [np.full(len(world.goals), -1) for _ in world.agents]
-        for usual, points in zip(self._usual, self._points, strict=True):
-            for one in reversed(points.groups):
-                usual[one.own] = one.places[0]
-
-    def _nothing(self, n_sets: int) -> OfGoals:
-        n = len(self._points)
-        return {
-            "density": np.zeros(N_ACTIONS**n),
-            "policies": np.full((n, 1, n_sets, N_ACTIONS), 1 / N_ACTIONS, np.float32),
-            "policy_of": np.zeros((n, max(one.n for one in self._points)), np.int32),
-            "marginals": self._log_mass.copy(),
-        }
-
-    def _of_goals(self, plans: _All, log_density: FloatArray, relative: FloatArray) -> OfGoals:
-        policies, policy_of = self._policies(plans)
-        self._update_marginals(relative, policies, policy_of)
-        return {
-            "density": log_density.ravel(),
-            # searches are coarser than single precision
-            "policies": stacked(policies).astype(np.float32),
-            "policy_of": stacked(policy_of).astype(np.int32),
-            "marginals": self._log_mass.copy(),
-        }
-
-    def _policies(self, plans: _All) -> tuple[list[FloatArray], list[IntArray]]:
-        """Return each agent's different policies, and which of them each standpoint has."""
-        policies, policy_of = [], []
-        for sets in zip(*plans, strict=True):
-            intents = np.stack([one.intent_of for one in sets], axis=1)
-            kinds, number = np.unique(intents, axis=0, return_inverse=True)
-            of_sets = []
-            for place, one in enumerate(sets):
-                found = [self._conduct.policy(root) for root in one.roots]
-                found.append(np.full(N_ACTIONS, 1 / N_ACTIONS))  # of NO_INTENT, which is -1
-                of_sets.append(np.array(found)[kinds[:, place]])
-            policies.append(np.stack(of_sets, axis=1))
-            policy_of.append(number.reshape(-1))
-        return policies, policy_of
+    def _follow(
+        self, log_density: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]
+    ) -> FloatArray:
+        """Take in what a frame says of the goals that are followed; return the shift."""
+        numbers = [of[rows] for of, rows in zip(policy_of, self._of_rows, strict=True)]
+        first, every = log_likelihoods(log_density, policies, numbers, self._n_tables)
+        shift = shift_of(first, every, self._log_mass)
+        so_far = np.where(np.isnan(every[0]), first + shift[0], every[0])
+        self._log_mass += self._weight * so_far
+        return shift
 
     def _update_marginals(
         self, relative: FloatArray, policies: list[FloatArray], policy_of: list[IntArray]
     ) -> None:
+        assert self._marginals is not None
         of_goals, believed = [], []
         for table, numbers, usual, log_mass in zip(
-            policies, policy_of, self._usual, self._log_mass, strict=True
+            policies, policy_of, self._usual, self._marginals, strict=True
         ):
-            mean = table.mean(axis=1)[numbers[usual]]
+            mean = np.nanmean(table, axis=1)[numbers[usual]]
             mass = np.exp(log_mass - log_mass.max())
             of_goals.append(mean)
             believed.append(mass @ mean / mass.sum())
@@ -446,7 +406,7 @@ class PolicyFilter(GoalFilter):
             for other in range(len(believed) - 1, -1, -1):
                 if other != agent:
                     left = np.tensordot(left, believed[other], axes=(other, 0))
-            self._log_mass[agent] += self._weight * np.log(mean @ left)
+            self._marginals[agent] += self._weight * np.log(mean @ left)
 
 
 class Growing:
@@ -496,7 +456,7 @@ def warm_up() -> None:
     """Compile the kernels that filtering a video needs, or load them from the cache on disk."""
     scene = scene_in_reach()
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
-    sets, flat = SearchSets(scene, planner, tracking), np.zeros((N_GOALS, N_GOALS))
-    with contextlib.closing(PairFilter(sets, Conduct(1.0, 1.0), 1.0, flat)) as goals:
+    sets, followed = SearchSets(scene, planner, tracking), (np.array([[0, 1]]), np.zeros(1))
+    with contextlib.closing(GoalFilter(sets, Conduct(1.0, 1.0), 1.0, followed)) as goals:
         for _ in range(2):
             goals.read(scene.start)

@@ -91,11 +91,6 @@ class OwnReading(NamedTuple):
     unexplained: float  # nats by which it is less probable than on the nearest sample; or NaN
     calls: int  # of the simulator
 
-    @property
-    def columns(self) -> dict[str, Any]:
-        """What a file keeps of it."""
-        return self._asdict()
-
 
 class SimulatorFilter:
     """Takes in a video frame by frame; what it says of a frame never changes afterwards.

@@ -54,7 +54,6 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
-from phase_ppl.world.scene import check_is_phase
 
 _KEPT_PROGRAMS: Final = 16
 _OURS: Final = "phase_ppl."
@@ -109,13 +108,16 @@ class Run:
         check_event(self.event)
         world, model = self.event.scene.world, self.model
         self.info = info_of(self.kernel)
-        if is_stepwise(model.likelihood):
-            check_is_phase(world, f"kernel {self.info.name!r} on the closed loop's table")
-            if self.info.adapts:
-                raise InvalidSettingError(
-                    f"kernel {self.info.name!r} learns from simulations, and what the closed loop "
-                    "has read takes none: it is summed exactly; take 'importance'"
-                )
+        if is_stepwise(model.likelihood) and len(world.agents) > 2:
+            raise InvalidSettingError(
+                "a kernel on what the closed loop has read takes strengths by agent, and of three "
+                f"agents and more, as in {world.name!r}, only some combinations are followed"
+            )
+        if is_stepwise(model.likelihood) and self.info.adapts:
+            raise InvalidSettingError(
+                f"kernel {self.info.name!r} learns from simulations, and what the closed loop "
+                "has read takes none: it is summed exactly; take 'importance'"
+            )
         self.model = model.for_sampling().in_world(world)
         self.settings = self.settings.settled(world)
         self.chains = whole_number("chains", self.chains)

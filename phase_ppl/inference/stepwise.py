@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 import time
@@ -14,19 +15,18 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 import phase_ppl
-from phase_ppl.analysis.stepwise_hypotheses import STRENGTHS, Table, summed_by_pair
-from phase_ppl.analysis.stepwise_own import to_read
-from phase_ppl.analysis.stepwise_table import kind_of_table, table_of
-from phase_ppl.analysis.tree import scene_dataset
-from phase_ppl.closed_loop.goal_filter import (
-    GoalFilter,
-    Growing,
-    PairFilter,
-    PolicyFilter,
-    SearchSets,
+from phase_ppl.analysis.stepwise_table import (
+    SCHEMA,
+    Prior,
+    Table,
+    dimensions,
+    labels,
+    table_of,
 )
+from phase_ppl.analysis.tree import scene_dataset
+from phase_ppl.closed_loop.goal_filter import GoalFilter, Growing, SearchSets
 from phase_ppl.closed_loop.own_simulator import SimulatorFilter
-from phase_ppl.models.model import Model, checked_sites
+from phase_ppl.models.model import Model, for_table
 from phase_ppl.models.stepwise import StepwiseLikelihood, stepwise_prior
 from phase_ppl.simulator.contract import LOG_PROB_NEXT, NEXT_FRAMES, goes_on
 from phase_ppl.world.arrays import FloatArray, finite_array
@@ -39,7 +39,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.event import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.progress import counted, is_shown
-from phase_ppl.world.scene import PHASE, Scene, check_inside
+from phase_ppl.world.scene import Scene, check_inside
 from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
@@ -63,6 +63,10 @@ class Watch:
         threads: searches at a time; with a simulator of one's own, processes at most, which are
             started if a frame takes long enough. The result does not depend on it.
         event_id: name of the event.
+
+    Example:
+        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
+        ``event.observation.trajectory``, ``post = watch.update(frame)``
 
     Raises:
         InvalidSettingError: the model has another likelihood, or a simulator that cannot go on from
@@ -101,40 +105,41 @@ class Watch:
         self._counts: Counter[str] = Counter()
         self._table: Table | None = None
         self._torn = False  # a frame was begun and not finished
-        tracking, in_phase = likelihood.tracking, scene.world == PHASE
-        if in_phase:
-            checked_sites(self.model.prior)
-        masses, attrs = stepwise_prior(self.model.prior, scene.world, tracking.strengths)
-        self._constant: dict[str, Any] = dict(masses)
-        self._attrs: dict[str, Any] = dict(attrs)
         self._own = self.model.simulator is not None
         self._weight = likelihood.frame_weight(self._own)
-        self._filter = self._own_filter() if self._own else self._joint_filter(in_phase)
-        self._keep(self._filter.at_start().columns)
+        self._levels = likelihood.tracking.strengths
+        prior = for_table(self.model.prior, scene.world)
+        kept, attrs = stepwise_prior(prior, scene.world, self._levels)
+        self._constant: dict[str, Any] = dict(kept)
+        self._attrs: dict[str, Any] = dict(attrs)
+        self._filter = self._own_filter() if self._own else self._joint_filter()
+        self._keep(self._filter.at_start()._asdict())
 
-    def _joint_filter(self, in_phase: bool) -> GoalFilter:
-        likelihood, prior, of = self._likelihood, self._constant, self._scene
+    def _prior(self, combinations: FloatArray) -> Prior:
+        self._constant["combinations"] = combinations
+        return Prior(space_of(self._scene.world), self._constant, combinations)
+
+    def _joint_filter(self) -> GoalFilter:
+        likelihood, of = self._likelihood, self._scene
         sets = SearchSets(
             *(of, self.model.planner_config(), likelihood.tracking, self._seed, self.threads),
             likelihood.planner_seeds,
         )
-        kind = PairFilter if in_phase else PolicyFilter
-        of_goals = summed_by_pair(prior["log_prior"]) if in_phase else prior["log_prior_goals"]
-        found = kind(sets, likelihood.conduct, self._weight, of_goals)
-        prior["combinations"] = found.combinations
-        return found
+        followed = self._prior(sets.hidden.combinations).followed()
+        log_goals = self._constant.get("log_prior_goals")
+        return GoalFilter(sets, likelihood.conduct, self._weight, followed, log_goals)
 
     def _own_filter(self) -> SimulatorFilter:
-        tracking, space = self._likelihood.tracking, space_of(self._scene.world)
-        asked = to_read(space, self._constant, tracking.strengths)
-        self._constant |= {"combinations": asked.combinations, "goals": asked.goals}
+        levels = itertools.product(self._levels, repeat=len(self._scene.world.agents))
+        asked = self._prior(np.array(list(levels))).to_read()
+        self._constant["goals"] = asked.goals
         found = SimulatorFilter(
             self.model.simulator,
             self._scene,
-            asked.hypotheses(space),
+            asked.hypotheses(),
             asked.chosen,
             self._frames,
-            tracking,
+            self._likelihood.tracking,
             samples=self._likelihood.samples,
             seed=self._seed,
             workers=self.threads,
@@ -175,7 +180,7 @@ class Watch:
             )
         if self._frames:
             self._torn = True
-            self._keep(self._filter.read(pose).columns)
+            self._keep(self._filter.read(pose)._asdict())
         self._columns["trajectory"].add(pose)
         self._frames.append(pose)
         self._torn = False
@@ -185,7 +190,7 @@ class Watch:
         for name, value in columns.items():
             if name in _COUNTED:
                 self._counts[name] += value
-            else:
+            elif value is not None:
                 self._columns[name].add(value)
 
     def update(self, frame: ArrayLike) -> StepwisePosterior:
@@ -207,11 +212,10 @@ class Watch:
         return StepwisePosterior(found, prior=self.model.prior, table=self._table)
 
     def dataset(self) -> xr.Dataset:
-        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_hypotheses`)."""
+        """Return what the frames so far say (:mod:`phase_ppl.analysis.stepwise_table`)."""
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
         scene, likelihood, n = self._scene, self._likelihood, len(self._frames)
-        kind = kind_of_table(scene.world, self._own)
         settings = {
             "model": self.model.fingerprint(),
             "likelihood": {**likelihood.to_dict(), "weight": self._weight},
@@ -227,18 +231,17 @@ class Watch:
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
             "threads": self.threads,
         }
-        found = dict(self._constant)
+        found, space = dict(self._constant), space_of(scene.world)
+        known = dimensions(space)
         for name, column in self._columns.items():
-            found[name] = np.moveaxis(column.first(n), 0, kind.dimensions[name].index("time"))
-        coords: dict[str, Any] = dict(kind.labels(scene.world))
-        if scene.world == PHASE:
-            levels = list(likelihood.tracking.strengths)
-            if not self._own:
-                found["strengths"] = found["strengths"].reshape(-1, len(levels), len(levels))
-            coords |= {name: levels for name in STRENGTHS}
+            found[name] = np.moveaxis(column.first(n), 0, known[name].index("time"))
+        variables = {name: (known[name], values) for name, values in found.items()}
+        used = {dim for dims, _ in variables.values() for dim in dims}
+        every = labels(space, self._levels).items()
+        coords: dict[str, Any] = {name: told for name, told in every if name in used}
         coords["time"] = "time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}
         attrs = {
-            "schema": kind.schema,
+            "schema": SCHEMA,
             **self._attrs,
             "event_id": self._event_id,
             "weight": self._weight,
@@ -246,26 +249,11 @@ class Watch:
             "cost": json.dumps(cost),
             "version": phase_ppl.__version__,
         }
-        variables = {name: (dims, found[name]) for name, dims in kind.dimensions.items()}
         read = xr.Dataset(variables, coords, attrs)
         return read.merge(scene_dataset(scene), combine_attrs="no_conflicts")
 
 
-def watch(
-    scene: Scene,
-    model: Model | None = None,
-    *,
-    seed: int = 0,
-    threads: int | None = None,
-    event_id: str = "",
-) -> Watch:
-    """Return an observer of an event, to be given its frames: all as of :class:`Watch`.
-
-    Example:
-        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
-        ``event.observation.trajectory``, ``post = watch.update(frame)``
-    """
-    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
+watch = Watch
 
 
 # --- the whole video ------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.stepwise_table import Table, table_of
 from phase_ppl.analysis.tree import DRAW, SCHEMA
 from phase_ppl.inference.draws import (
     PARTICLE,
@@ -48,11 +49,8 @@ from phase_ppl.models.roles import log_prior_of_effective, space_of_prior
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, check_memory, shown
 from phase_ppl.world.event import Event, Observation
-from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.identity import qualified_name, stable, versions
 from phase_ppl.world.progress import Bar
-from phase_ppl.world.scene import PHASE, check_is_phase
-from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -83,7 +81,6 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
     """
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
-    check_is_phase(read.world, "a kernel on what the closed loop has read")
     if model is None:
         prior: Any = read.prior
         if prior is None:
@@ -310,24 +307,35 @@ class ReadTable:
     """
 
     def __init__(self, read: StepwisePosterior) -> None:
-        found: xr.Dataset = read.dataset.isel(time=slice(None, read.frame + 1))
-        weight, levels = float(found.attrs["weight"]), found["strength_red"].values
-        own = found["goals"].values if "goals" in found else None
-        likelihood = _by_goals(found["log_likelihood"].values, own, len(levels))
+        table = table_of(read.dataset.isel(time=slice(None, read.frame + 1)))
+        weight = float(table.found.attrs["weight"])
+        frames = np.array([table.of_frame(t)[0] for t in range(table.n_frames)])
+        likelihood = self._by_goals(frames, table)
         best = likelihood.max(axis=tuple(range(1, likelihood.ndim)))
         self._frames = weight * (best.reshape(-1, *[1] * (likelihood.ndim - 1)) - likelihood)
-        self._edges = cells(levels)[1:-1]
-        self._strengths = np.zeros((len(levels), len(levels)))
-        if own is None:
-            with np.errstate(divide="ignore"):
-                strengths = np.log(found["strengths"].values[-1])
-            self._strengths = strengths.max() - strengths
+        self._edges = cells(np.array(table.levels))[1:-1]
+        strengths = np.log(table.of_strengths(table.n_frames - 1))
+        n = len(table.levels)
+        self._strengths = (strengths.max() - strengths).reshape((n,) * table.space.n_agents)
+        self._space = table.space
         self._change: FloatArray | None = None
-        if own is None or found.attrs["samples"]:  # a density of one's own is exact
-            without = found["log_likelihood_without"].values.sum(axis=1)
-            without = weight * (_by_goals(without, own, len(levels)) - best.sum())
+        if not table.is_exact:  # a density of one's own is
+            without = table.summed(table.n_frames - 1)[1:]
+            without = weight * (self._by_goals(without, table) - best.sum())
             with np.errstate(invalid="ignore"):  # of what is impossible with and without
                 self._change = np.nan_to_num(without + self._frames.sum(axis=0), neginf=-np.inf)
+
+    def _by_goals(self, values: FloatArray, table: Table) -> FloatArray:
+        """Return log likelihoods (..., goal, ..., level, ...) by agent, of (..., point, ...).
+
+        -inf of what was not asked; levels where strengths were read along with goals.
+        """
+        values = np.where(np.isnan(values), -np.inf, values)
+        if not table.own:
+            return table.by_goals(values)
+        levels = (len(table.levels),) * table.space.n_agents
+        found = np.moveaxis(table.by_goals(np.moveaxis(values, -1, 1)), 1, -1)
+        return found.reshape(*found.shape[:-1], *levels)
 
     def lookup(self, n_frames: int) -> Lookup:
         """Return it for compiled code, with room for so many frames; none beyond the last."""
@@ -339,13 +347,13 @@ class ReadTable:
 
     def errors(self, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
         """Return (row, time) the errors, nats, of columns of particles."""
-        space = space_of(PHASE)
+        space = self._space
         raw = {name: sites[f"{SITE}{name}"] for name in space.sites}
         strengths = np.stack([raw[name] for name in space.strength_sites], axis=1)
         return self.errors_of(space.effective(raw), strengths)
 
     def errors_of(self, goals: NDArray[Any], strengths: NDArray[Any]) -> FloatArray:
-        """Return (row, time) the errors, nats, of goals (row, 2) and strengths (row, 2)."""
+        """Return (row, time) the errors, nats, of (row, agent) goals and strengths."""
         errors = self._frames[:, *self._place(goals, strengths, self._frames.ndim - 1)].T.copy()
         errors[:, 0] += self._strengths[*np.searchsorted(self._edges, strengths).T]
         return errors
@@ -365,17 +373,3 @@ class ReadTable:
     def _place(self, goals: NDArray[Any], strengths: NDArray[Any], n: int) -> Any:
         """Return where goals, or goals with strengths, are in a table of so many dimensions."""
         return [*goals.T, *np.searchsorted(self._edges, strengths).T][:n]
-
-
-def _by_goals(values: FloatArray, goals: NDArray[Any] | None, n_levels: int) -> FloatArray:
-    """Return log likelihoods (..., goal_red, goal_green, level, level) of some pairs of goals.
-
-    Given (..., pair, combination of levels), with the goals (pair, 2); -inf of what was not asked.
-    Without pairs, values are by goals already.
-    """
-    if goals is None:
-        return values
-    found = np.full((*values.shape[:-2], N_GOALS, N_GOALS, n_levels, n_levels), -np.inf)
-    known = np.where(np.isnan(values), -np.inf, values)
-    found[..., goals[:, 0], goals[:, 1], :, :] = known.reshape(*known.shape[:-1], n_levels, -1)
-    return found

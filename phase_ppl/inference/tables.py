@@ -48,7 +48,7 @@ from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_hypotheses import GoalRows, Table
+    from phase_ppl.analysis.stepwise_table import GoalRows, Table
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""

@@ -9,6 +9,7 @@ masses (:func:`prior_table`).
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -33,11 +34,13 @@ from phase_ppl.models.density import (
     traced,
     tracing,
 )
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray, equal_rows
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, effective_table
+from phase_ppl.world.hypothesis import STRENGTH_RANGE, effective_table
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import HypothesisSpace, space_of
 
 _CHUNK = 4096
 _LEAST_DRAWS = 64  # of sites of a user's own, over which what depends on them is averaged
@@ -50,6 +53,28 @@ _NODES = 4  # at which a continuous prior is evaluated in the cell of each level
 _NODES_VARYING = 40  # at which masses are summed up where the density varies, a multiple
 _STATED_SITES = (*GOAL_SITES, ALPHA_SITE)
 Values = tuple[tuple[str, tuple[float, ...]], ...]  # sites with all the values that each can take
+
+
+@dataclasses.dataclass(frozen=True)
+class WorldPrior:
+    """A NumPyro program of a world, bound to one."""
+
+    given: Callable[..., Any]  # by the user: a program of a world, or a ready-made prior of PHASE
+    program: Callable[[World], Any]  # that it stands for
+    world: World
+
+    def __call__(self) -> None:
+        self.program(self.world)
+
+
+def as_given(prior: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a prior as the user gave it, without its world."""
+    return prior.given if isinstance(prior, WorldPrior) else prior
+
+
+def space_of_prior(prior: object) -> HypothesisSpace:
+    """Return the hypotheses that a prior is over: those of PHASE, unless it is bound to a world."""
+    return space_of(prior.world if isinstance(prior, WorldPrior) else PHASE)
 
 
 @functools.cache
@@ -109,7 +134,7 @@ def upstream(prior: Program) -> dict[str, set[str]]:
 
 def strengths_apart(prior: Program) -> bool:
     """Whether a prior's strengths depend on no other sites, and no others on them."""
-    apart = set(STRENGTH_SITES)
+    apart = set(space_of_prior(prior).strength_sites)
     return all(
         others <= apart if name in apart else not others & apart
         for name, others in upstream(prior).items()
@@ -253,30 +278,28 @@ def prior_table(prior: Program, levels: tuple[float, ...], own: Values = ()) -> 
     continuous prior is integrated over them (:func:`nodes_of`): roughly, at ``_NODES`` strengths a
     cell, only where goals, alpha or further sites decide how strengths are distributed.
 
-    Dimensions are (stated_goal_red, stated_goal_green, alpha, *own, strength_red, strength_green).
-    Levels of strength are in newtons, ascending; ``own`` are further sites of the prior, with all
-    the values that each can take.
+    Dimensions are those of the sites of a hypothesis in its world, with ``own`` before the
+    strengths: further sites of the prior, with all the values that each can take. Levels of
+    strength are in newtons, ascending.
     """
-    strengths = np.array(levels)
+    space, strengths = space_of_prior(prior), np.array(levels)
     trace = traced(prior, jax.random.key(0))
     apart = strengths_apart(prior)
     of_example = _NODES_VARYING if apart else _NODES
     nodes = [
         nodes_of(trace[name]["fn"], cells(strengths), of_example if upstream(prior)[name] else None)
-        for name in STRENGTH_SITES
+        for name in space.strength_sites
     ]
-    stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
-        ALPHA_SITE: np.arange(len(ALPHAS))
-    }
+    stated = {name: np.arange(n) for name, n in space.limits.items()}
     stated |= {name: np.array(values) for name, values in own}
-    forces = {name: values for name, (values, _) in zip(STRENGTH_SITES, nodes, strict=True)}
+    forces = {name: values for name, (values, _) in zip(space.strength_sites, nodes, strict=True)}
     if apart:  # a thousand times fewer densities
-        densities = _densities(prior, stated)[..., None, None] + _densities(prior, forces)
+        densities = np.add.outer(_densities(prior, stated), _densities(prior, forces))
     else:
         densities = _densities(prior, stated | forces)
     densities[densities <= NO_DENSITY] = -np.inf
     with np.errstate(divide="ignore"):  # of cells beyond the support
-        densities += np.log(nodes[0][1])[:, None] + np.log(nodes[1][1])
+        densities += functools.reduce(np.add.outer, [np.log(newtons) for _, newtons in nodes])
     highest = densities.max()
     if not np.isfinite(highest):
         raise InvalidSettingError("the prior gives no mass to any hypothesis")
@@ -357,7 +380,7 @@ that tables are large."""
 def further_sites(prior: Program) -> dict[str, Site]:
     """Return the sites of a prior that are single numbers and none of a hypothesis."""
     found = single_sites(prior)
-    return {name: site for name, site in found.items() if name not in HYPOTHESIS_SITES}
+    return {name: site for name, site in found.items() if name not in space_of_prior(prior).sites}
 
 
 def enumerable(prior: Program) -> Values | None:
@@ -371,13 +394,14 @@ def enumerable(prior: Program) -> Values | None:
 
 
 def log_masses(prior: Program, levels: FloatArray, values: Values) -> FloatArray:
-    """Return log prior masses (goal_red, goal_green, alpha, strength_red, strength_green, value).
+    """Return log prior masses of hypotheses, an axis for each site, and values of further sites.
 
     The last axis has all combinations of the further sites' values, the last site's fastest.
     """
     table = prior_table(prior, tuple(np.asarray(levels).tolist()), values)
-    n = len(values)
-    table = np.moveaxis(table, (-2, -1), (3, 4))
+    n, before = len(values), len(space_of_prior(prior).limits)
+    further = range(before, before + n)
+    table = np.moveaxis(table, further, range(-n, 0))
     return table.reshape(*table.shape[: table.ndim - n], -1)
 
 
@@ -398,23 +422,24 @@ def drawn_beside(
     Args:
         prior: NumPyro program.
         hypotheses: site of a hypothesis -> (row,) codes; strengths are not read.
-        log_prior: table of log masses (goal_red, goal_green, alpha, strength_red, strength_green).
+        log_prior: table of log masses, an axis for each site.
         places: of the rows in that table.
         levels: (n,) of strength, each of which stands for its cell.
         seed: of the draws.
     """
-    n = len(places[0])
+    n, space = len(places[0]), space_of_prior(prior)
     given: dict[str, NDArray[Any]] = {
-        name: np.asarray(hypotheses[name], np.int32) for name in (*GOAL_SITES, ALPHA_SITE)
+        name: np.asarray(hypotheses[name], np.int32) for name in space.limits
     }
+    n_codes = len(given)
     if strengths_apart(prior):
-        flat = log_prior.reshape(*log_prior.shape[:3], -1)
-        log_own = np.logaddexp.reduce(flat, axis=-1)[places[:3]]
+        flat = log_prior.reshape(*log_prior.shape[:n_codes], -1)
+        log_own = np.logaddexp.reduce(flat, axis=-1)[places[:n_codes]]
         log_volume: FloatArray | float = 0.0
     else:
         rng = np.random.default_rng(seed)
         log_own, log_volume = log_prior[places], np.zeros(n)
-        for name, place in zip(STRENGTH_SITES, places[3:], strict=True):
+        for name, place in zip(space.strength_sites, places[n_codes:], strict=True):
             given[name], log_width = _within(single_sites(prior)[name], levels, place, rng)
             log_volume = log_volume + log_width
     names = tuple(further_sites(prior))

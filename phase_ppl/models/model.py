@@ -29,19 +29,19 @@ from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLike
 from phase_ppl.models.roles import (
     WorldPrior,
     as_given,
+    bound,
     in_one_line,
     is_of_any_world,
     masses_of,
     refused,
-    role_prior,
     space_of_prior,
 )
 from phase_ppl.models.sites import HYPOTHESIS_SITES
 from phase_ppl.simulator.contract import goes_on
 from phase_ppl.world.errors import InvalidSettingError, check_name, shown
 from phase_ppl.world.identity import qualified_name, source_hash
-from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.space import HypothesisSpace
+from phase_ppl.world.scene import World
+from phase_ppl.world.space import HypothesisSpace, space_of
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
@@ -134,17 +134,13 @@ class Model:
             InvalidSettingError: the prior is of PHASE and the world another, or the reverse, or it
                 cannot work.
         """
-        prior: Program = as_given(self.prior)
-        if world == PHASE:
-            if is_of_any_world(prior):
-                wanted = f"in PHASE one takes none and samples {', '.join(HYPOTHESIS_SITES)}"
-                raise refused(qualified_name(prior), f"takes a world as its argument: {wanted}")
-            return self
+        prior: Any = bound(self.prior, world)
         likelihood = self.likelihood
+        if not isinstance(prior, WorldPrior):
+            return self
         if type(likelihood) is RadialLikelihood:
             likelihood = dataclasses.replace(likelihood, n_entities=len(world.entities))
-        bound: Any = WorldPrior(prior, role_prior(prior, world), world)
-        return dataclasses.replace(self, prior=bound, likelihood=likelihood)
+        return dataclasses.replace(self, prior=prior, likelihood=likelihood)
 
     def for_reading(self) -> Model:
         """Return the model with the likelihood by which the closed loop reads a video.
@@ -255,10 +251,21 @@ _NOT_POSITIVE: Final = -np.logspace(-3, 6, 91, dtype=np.float32)
 _FAR: Final = 100  # how far from the allowed codes others are looked for
 
 
+def for_table(prior: Any, world: World) -> Program:
+    """Return a model's prior bound to a world, checked where it can be a table of all there."""
+    own = bound(prior, world)
+    if isinstance(own, WorldPrior) and space_of(world).is_listed:
+        checked_sites(own, True)
+    return own
+
+
 @remembered(_REMEMBERED)
 @on_cpu()
-def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
-    """Return the latent sites of a prior with their shapes."""
+def checked_sites(prior: Program, as_table: bool = False) -> dict[str, tuple[int, ...]]:
+    """Return the latent sites of a prior with their shapes.
+
+    As a table of all hypotheses sites may depend on each other in any world.
+    """
     if not callable(prior):
         raise InvalidSettingError(
             f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "
@@ -268,7 +275,7 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     name = getattr(given, "__name__", shown(given))
     if priors.name_of(given):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
-    if isinstance(prior, WorldPrior):
+    if isinstance(prior, WorldPrior) and not as_table:
         masses_of(prior)
     try:
         trace = traced(prior, random.key(0))

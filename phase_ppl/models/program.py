@@ -49,17 +49,18 @@ class Lookup(NamedTuple):
     explains it better. A strength counts as the nearest level that was followed.
     """
 
-    # (time, goal_red, goal_green) nats, or by levels of strength too; inf: impossible
+    # (time, goal of the first agent, of the second, ...) nats, or by levels of strength too; inf:
+    # impossible
     frames: jax.Array
-    strengths: jax.Array  # (level, level) nats, of the first frame
+    strengths: jax.Array  # (level of the first agent, ...) nats, of the first frame
     edges: jax.Array  # (level - 1,) newtons, between the levels
 
     def errors(self, goals: jax.Array, strengths: jax.Array) -> jax.Array:
-        """Return (time,) errors of effective goals (2,) with strengths (2,) in newtons."""
-        red, green = jnp.searchsorted(self.edges, strengths)
-        found = self.frames[:, goals[0], goals[1]]
-        found = found if found.ndim == 1 else found[:, red, green]
-        return found.at[0].add(self.strengths[red, green])
+        """Return (time,) errors of effective goals (agent,) with strengths (agent,) in newtons."""
+        levels = tuple(jnp.searchsorted(self.edges, strengths))
+        found = self.frames[:, *goals]
+        found = found if found.ndim == 1 else found[:, *levels]
+        return found.at[0].add(self.strengths[levels])
 
 
 class EventProgram:

@@ -3,7 +3,8 @@
 A program samples ``goal_<agent>`` (an index into ``world.goals``), ``company`` (an index into
 :func:`phase_ppl.world.hypothesis.all_ways`: who helps or hinders whom) and ``strength_<agent>``
 (newtons), with the agents' ``world.keys``. The goal of an agent that helps or hinders is not used.
-These sites must be independent of each other::
+These sites must be independent of each other, unless the closed loop reads a world in which a
+prior can be a table of all hypotheses, as it is in PHASE::
 
     def alone(world):
         phase_ppl.roles.goals(world)
@@ -12,14 +13,13 @@ These sites must be independent of each other::
 
     phase_ppl.Model(prior=alone, likelihood=phase_ppl.StepwiseLikelihood())
 
-Bound to a world, such a prior is a :class:`WorldPrior`. In PHASE sites may depend on each other, so
-that sums are over tables of all stated hypotheses (:mod:`phase_ppl.models.effective`); elsewhere a
-mass is a sum over ways to help or hinder of products, and tables of all goals are not needed.
+Bound to a world, such a prior is a :class:`WorldPrior`. Tables are made by
+:mod:`phase_ppl.models.effective`; without one a mass is a sum over ways to help or hinder of
+products.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -36,15 +36,17 @@ from scipy.special import softmax
 
 from phase_ppl.models import density, effective, priors
 from phase_ppl.models.density import Program, remembered
-from phase_ppl.models.sites import IMPOSSIBLE
+from phase_ppl.models.effective import WorldPrior as WorldPrior
+from phase_ppl.models.effective import as_given as as_given
+from phase_ppl.models.effective import space_of_prior as space_of_prior
+from phase_ppl.models.sites import IMPOSSIBLE, goals, strengths
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown, whole_number
-from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.space import COMPANY_SITE, HypothesisSpace, space_of
+from phase_ppl.world.space import COMPANY_SITE, space_of
 
 __all__ = ["company", "draw", "goals", "strengths", "uniform"]
 
@@ -54,25 +56,11 @@ _PRIORS_KEPT: Final = 8
 RolePrior = Callable[[World], object]
 
 
-def goals(world: World) -> None:
-    """Sample the agents' own goals: all that an agent can have are alike."""
-    for agent, name in enumerate(space_of(world).goal_sites):
-        logits = np.full(len(world.goals), IMPOSSIBLE)
-        logits[possible_goals(agent, world)] = 0.0
-        numpyro.sample(name, dist.Categorical(logits=jnp.asarray(logits)))
-
-
 def company(world: World, social: float = SOCIAL) -> None:
     """Sample who helps or hinders whom: anybody with probability ``social``, all ways alike."""
     n = len(hypothesis.all_ways(len(world.agents)))
     probs = [1.0 - social, *[social / (n - 1)] * (n - 1)] if n > 1 else [1.0]
     numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.array(probs)))
-
-
-def strengths(world: World) -> None:
-    """Sample the agents' strengths: uniform on [150, 600] newtons."""
-    for name in space_of(world).strength_sites:
-        numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE))
 
 
 def uniform(world: World, social: float = SOCIAL) -> None:
@@ -239,26 +227,19 @@ def log_strengths(prior: Masses, world: World, levels: tuple[float, ...]) -> Flo
 # --- bound to a world -----------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class WorldPrior:
-    """A NumPyro program of a world, bound to one."""
+def bound(prior: Callable[..., object], world: World) -> Program:
+    """Return a prior as it is in a world: bound to it, unless that is PHASE.
 
-    given: Callable[..., Any]  # by the user: a program of a world, or a ready-made prior of PHASE
-    program: Callable[[World], Any]  # that it stands for
-    world: World
-
-    def __call__(self) -> None:
-        self.program(self.world)
-
-
-def as_given(prior: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a prior as the user gave it, without its world."""
-    return prior.given if isinstance(prior, WorldPrior) else prior
-
-
-def space_of_prior(prior: object) -> HypothesisSpace:
-    """Return the hypotheses that a prior is over: those of PHASE, unless it is bound to a world."""
-    return space_of(prior.world if isinstance(prior, WorldPrior) else PHASE)
+    Raises:
+        InvalidSettingError: it is of PHASE and the world another, or the reverse.
+    """
+    prior = as_given(prior)
+    if world != PHASE:
+        return WorldPrior(prior, role_prior(prior, world), world)
+    if is_of_any_world(prior):
+        wanted = f"in PHASE one takes none and samples {', '.join(space_of(PHASE).sites)}"
+        raise refused(qualified_name(prior), f"takes a world as its argument: {wanted}")
+    return prior
 
 
 @remembered(_PRIORS_KEPT)

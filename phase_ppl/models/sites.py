@@ -25,7 +25,7 @@ from jax.scipy.special import logsumexp
 from numpyro.distributions import constraints
 
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
-from phase_ppl.world.scene import PHASE
+from phase_ppl.world.scene import PHASE, World
 from phase_ppl.world.space import space_of
 
 __all__ = [
@@ -60,14 +60,14 @@ SELF_REFERRING: Final = _SPACE.impossible
 """(holder, goal): goals that name their own holder and have no prior mass."""
 
 
-def goals() -> tuple[jax.Array, jax.Array]:
-    """Sample ``goal_red`` and ``goal_green``: the 34 that do not name their holder, alike."""
-    logits = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
-    red, green = (
+def goals(world: World = PHASE) -> tuple[jax.Array, ...]:
+    """Sample the agents' own goals: all that an agent can have are alike, in PHASE 34."""
+    space = space_of(world)
+    logits = np.where(space.impossible, IMPOSSIBLE, 0.0)
+    return tuple(
         numpyro.sample(name, dist.Categorical(logits=jnp.asarray(row)))
-        for name, row in zip(GOAL_SITES, logits, strict=True)
+        for name, row in zip(space.goal_sites, logits, strict=True)
     )
-    return red, green
 
 
 def alpha() -> jax.Array:
@@ -75,10 +75,10 @@ def alpha() -> jax.Array:
     return numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
 
 
-def strengths() -> tuple[jax.Array, jax.Array]:
-    """Sample ``strength_red`` and ``strength_green``: uniform on [150, 600] newtons."""
-    red, green = (numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE)) for name in STRENGTH_SITES)
-    return red, green
+def strengths(world: World = PHASE) -> tuple[jax.Array, ...]:
+    """Sample the agents' strengths: uniform on [150, 600] newtons."""
+    names = space_of(world).strength_sites
+    return tuple(numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE)) for name in names)
 
 
 class OneOf(dist.Distribution):

@@ -27,7 +27,8 @@ from phase_ppl.world.errors import (
     shown,
     whole_number,
 )
-from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.scene import World
+from phase_ppl.world.space import space_of
 
 WEIGHT: Final = 0.2  # what a frame counts of the joint simulator, unless it is said
 
@@ -112,16 +113,16 @@ class StepwiseLikelihood:
 def stepwise_prior(
     prior: Callable[..., object], world: World, levels: tuple[float, ...]
 ) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    """Return what a file of what was read step by step keeps of a prior: variables, attributes.
+    """Return what a file keeps of a prior that is bound to a world: variables, attributes.
 
-    In PHASE ``log_prior``, of all hypotheses, and the names of further ``sites``; elsewhere
-    ``log_prior_goals``, ``log_prior_company`` and ``log_prior_strengths``. Levels of strength are
-    in newtons, ascending.
+    Where hypotheses are few enough for a table, ``log_prior`` of all of them, and the names of
+    further ``sites``; else ``log_prior_goals``, ``log_prior_company`` and ``log_prior_strengths``,
+    of sites that are independent of each other. Levels of strength are in newtons, ascending.
     """
-    if world == PHASE:
+    if space_of(world).is_listed:
         further = json.dumps(list(effective.further_sites(prior)))
         return {"log_prior": effective.prior_table(prior, levels)}, {"sites": further}
-    masses = roles.masses(prior, world)
+    masses = roles.masses(effective.as_given(prior), world)
     found = {
         "log_prior_goals": masses.goals,
         "log_prior_company": masses.company,

@@ -114,14 +114,6 @@ def effective_table() -> NDArray[np.int32]:
     return table
 
 
-@functools.cache
-def effective_pairs() -> NDArray[np.int64]:
-    """Return (goal_red, goal_green, alpha) the pair of effective goals, 36 red's + green's."""
-    pairs = effective_table() @ np.array([N_GOALS, 1])
-    pairs.setflags(write=False)
-    return pairs
-
-
 STRENGTH: Final = 450.0  # newtons of an agent of which nothing else is said
 
 STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
@@ -382,15 +374,17 @@ class Hypothesis(Printed):
 
     def _of_two(self, each: Sequence[Any]) -> Sequence[Any]:
         if len(each) != 2:
-            raise AttributeError(
-                f"{self.world.name!r} has other agents than two: ask for relation_between, "
-                "scenario_between or stances"
-            )
+            raise AttributeError  # what it says is in __getattr__, which is asked then
         return each
 
     def __getattr__(self, name: str) -> Any:
         if "world" not in vars(self):  # while it is unpickled
             raise AttributeError(name)
+        if name in ("alpha", "relation", "scenario"):
+            raise AttributeError(
+                f"{name} is of two agents, of which {self.world.name!r} has others: ask for "
+                "relation_between, scenario_between or stances"
+            )
         what, _, key = name.partition("_")
         if what not in ("goal", "strength"):  # asked before there is a world, by pickle
             raise AttributeError(f"a hypothesis has no {name}")

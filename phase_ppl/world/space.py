@@ -35,6 +35,8 @@ COMPANY_SITE: Final = "company"
 ALPHA_SITE: Final = "alpha"
 """Sites of the way in which agents stand to each other, in other worlds and in PHASE."""
 
+MOST_LISTED: Final = 20_000  # stated goals with ways, of which a prior can be a table
+
 
 class HypothesisSpace:
     """The hypotheses of a world; :func:`space_of` makes it.
@@ -73,6 +75,12 @@ class HypothesisSpace:
         self.columns = (*self.goal_sites, *self.kept_columns)
         self.limits = dict.fromkeys(self.goal_sites, self.n_goals)
         self.limits[self.company_site] = len(self.ways)
+
+    @property
+    def is_listed(self) -> bool:
+        """Whether a prior can be a table of all stated hypotheses, with all levels of strength."""
+        few = self.n_goals**self.n_agents * len(self.ways) <= MOST_LISTED
+        return few and self.n_agents <= 2  # of more not all strengths are followed
 
     @functools.cached_property
     def reserved(self) -> frozenset[str]:

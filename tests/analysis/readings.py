@@ -11,9 +11,8 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.analysis.stepwise_hypotheses import STRENGTHS
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import PairTable
+from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
 from phase_ppl.world.hypothesis import ALPHAS
@@ -21,6 +20,19 @@ from phase_ppl.world.names import AGENTS, ENTITIES
 from tests.agents.scenes import scene
 
 LEVELS = (300.0, 600.0)
+STRENGTHS = ("strength_red", "strength_green")
+DIMENSIONS = {
+    "log_likelihood": ("time", "goal_red", "goal_green"),
+    "log_likelihood_without": ("planner_seed", "time", "goal_red", "goal_green"),
+    "strengths": ("time", *STRENGTHS),
+    "log_prior": ("stated_goal_red", "stated_goal_green", "alpha", *STRENGTHS),
+    "actions": ("time", "agent", "action"),
+    "held": ("time", "agent"),
+    "unexplained": ("time",),
+    "log_peak": ("time",),
+    "trajectory": ("time", "entity", "coord"),
+}
+"""Of files of version 2, by pairs of goals."""
 BLUE_TO_RED = goal_index("Get blue item to red lm")
 BLUE_NOT_TO_RED = goal_index("Get blue item away from red lm")
 
@@ -42,7 +54,8 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
     strengths[2:] = [[0.1, 0.2], [0.3, 0.4]]
     prior = np.full((N_GOALS, N_GOALS, len(ALPHAS), 2, 2), 1.0)
     prior[:, :, 1:] = 0.25
-    prior[goal_index("get to red agent")] = 0.0
+    red, green = SELF_REFERRING
+    prior[red] = prior[:, green] = 0.0
     with np.errstate(divide="ignore"):
         log_prior = np.log(prior / prior.sum())
     where = scene()
@@ -61,7 +74,7 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
     goals = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
     return xr.Dataset(
         {
-            **{name: (PairTable.dimensions[name], values) for name, values in columns.items()},
+            **{name: (DIMENSIONS[name], values) for name, values in columns.items()},
             "start": (("entity", "coord"), where.start),
             "radius": ("entity", where.radius),
             "walls": (("wall", "end", "axis"), where.walls),
@@ -79,7 +92,7 @@ def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
             "coord": ["x", "y", "angle"],
         },
         attrs={
-            "schema": PairTable.schema,
+            "schema": "phase_ppl/stepwise/2",
             "event_id": "by hand",
             "weight": 0.5,
             "settings": json.dumps({"seed": 0}),

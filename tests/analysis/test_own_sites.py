@@ -144,6 +144,26 @@ def test_sites_that_depend_on_another_or_on_strengths_are_drawn(drawn: StepwiseP
     assert seen.error < 5
 
 
+def leaning(world: ppl.World) -> None:
+    """Strength depends on a further site."""
+    strong = numpyro.sample("strong", dist.Bernoulli(0.3))
+    ppl.roles.goals(world)
+    ppl.roles.company(world)
+    numpyro.sample("strength_red", dist.Uniform(150.0 + 300 * strong, 600.0))
+
+
+def test_so_may_sites_in_another_world_whose_hypotheses_are_few() -> None:
+    scene = ppl.worlds.SOLO.random_scene(0)
+    with ppl.watch(scene, ppl.Model(prior=leaning)) as watch:
+        post = watch.update(scene.start)
+    assert post.query("P(strong=1)") == pytest.approx(0.3, abs=1e-3)
+    assert post.query("P(strength_red > 400 | strong=1)") == pytest.approx(1)
+    weak = post.query("P(strength_red > 400 | strong=0)")
+    assert weak == pytest.approx(1 / 2, abs=0.01)  # of levels 450 and 600, from 375 N on
+    with pytest.raises(InvalidSettingError, match="outside of PHASE goals, company and strengths"):
+        ppl.Model(prior=leaning).in_world(ppl.worlds.TRIO)
+
+
 def test_few_draws_do_not_make_what_is_drawn_sure(drawn: StepwisePosterior) -> None:
     post, goals = drawn, drawn.sites.table.values
     never = post.probability(friendliness=(0.99999, 1.0))

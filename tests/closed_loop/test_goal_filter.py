@@ -7,14 +7,19 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
-from phase_ppl.closed_loop.goal_filter import Conduct, Plans, frame_log_likelihood
+from phase_ppl.closed_loop.goal_filter import (
+    Conduct,
+    Plans,
+    log_likelihoods,
+    policies_of,
+    shift_of,
+)
 from phase_ppl.physics.actions import N_ACTIONS, Action
-from phase_ppl.world.goals import N_GOALS
 
 CONDUCT = Conduct(sharpness=2.0, lapse=0.3)
-RED, GREEN = 3, 7
-FLAT = np.zeros((N_GOALS, N_GOALS))
-EVERYTHING = np.ones((N_GOALS, N_GOALS), bool)
+STANDPOINTS = 5
+OTHER = 3
+"""The one standpoint of both agents from which they do something else than from the others."""
 
 
 def root(rng: np.random.Generator) -> RootStatistics:
@@ -23,30 +28,33 @@ def root(rng: np.random.Generator) -> RootStatistics:
     return RootStatistics(actions, visits, np.zeros(4), Action(int(actions[visits.argmax()])))
 
 
-def plans(rng: np.random.Generator) -> list[Plans]:
-    """Return plans of both agents that are the same for all goals but RED and GREEN."""
-    found = []
-    for agent in range(2):
-        of_pair = np.zeros((N_GOALS, N_GOALS), np.int64)
-        (of_pair if agent == 0 else of_pair.T)[(RED, GREEN)[agent]] = 1
-        of_pair[0] = -1  # names its own holder
-        found.append(Plans([root(rng), root(rng)], of_pair.ravel()))
-    return found
-
-
-def by_hand(all_sets: list[list[Plans]], relative: NDArray[np.float64], sets: list[int]) -> float:
-    """Return the log likelihood of RED, GREEN as a sum over all pairs of actions."""
-    red, green = (
-        np.mean([CONDUCT.policy(all_sets[i][agent].roots[1]) for i in sets], axis=0)
-        for agent in range(2)
-    )
-    return float(np.log((np.multiply.outer(red, green) * relative).sum()))
-
-
 def drawn(n: int) -> tuple[list[list[Plans]], NDArray[np.float64]]:
     """Return plans of so many sets, and densities after every pair of actions."""
     rng = np.random.default_rng(n)
-    return [plans(rng) for _ in range(n)], rng.random((N_ACTIONS, N_ACTIONS))
+    intents = np.zeros(STANDPOINTS, np.int64)
+    intents[OTHER] = 1
+    sets = [[Plans([root(rng), root(rng)], intents) for _ in range(2)] for _ in range(n)]
+    return sets, rng.random((N_ACTIONS, N_ACTIONS))
+
+
+def read(
+    sets: list[list[Plans]], density: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return log likelihoods of both agents with the same standpoint: of the first set, of all."""
+    n = len(sets)
+    policies, policy_of = policies_of(sets, CONDUCT)
+    return log_likelihoods(np.log(density), policies, policy_of, 1 + n if n > 1 else 1)
+
+
+def by_hand(
+    sets: list[list[Plans]], density: NDArray[np.float64], some: list[int], intent: int = 1
+) -> float:
+    """Return the log likelihood as a sum over all pairs of actions."""
+    red, green = (
+        np.mean([CONDUCT.policy(sets[i][agent].roots[intent]) for i in some], axis=0)
+        for agent in range(2)
+    )
+    return float(np.log((np.multiply.outer(red, green) * density).sum()))
 
 
 def test_an_agent_does_what_was_tried_most_or_anything_whatever() -> None:
@@ -57,25 +65,28 @@ def test_an_agent_does_what_was_tried_most_or_anything_whatever() -> None:
 
 
 def test_the_likelihood_is_a_mean_over_all_sets_of_searches() -> None:
-    all_sets, relative = drawn(3)
-    found, without = frame_log_likelihood(all_sets, EVERYTHING, relative, FLAT, CONDUCT)
-    assert (found[0] == -np.inf).all()
-    assert np.isfinite(found[1:]).all()
-    assert found[RED, GREEN] == pytest.approx(by_hand(all_sets, relative, [0, 1, 2]))
-    for place, rest in enumerate(([1, 2], [0, 2], [0, 1])):
-        assert without[place, RED, GREEN] == pytest.approx(by_hand(all_sets, relative, rest))
-    one, relative = drawn(1)
-    found, without = frame_log_likelihood(one, EVERYTHING, relative, FLAT, CONDUCT)
-    assert found[RED, GREEN] == pytest.approx(by_hand(one, relative, [0]))
-    assert without.shape == (0, N_GOALS, N_GOALS)  # nothing is to be left out
+    sets, density = drawn(3)
+    first, every = read(sets, density)
+    assert np.isfinite(every).all()
+    assert first[OTHER] == pytest.approx(by_hand(sets, density, [0]))
+    for found, some in zip(every, ([0, 1, 2], [1, 2], [0, 2], [0, 1]), strict=True):
+        assert found[OTHER] == pytest.approx(by_hand(sets, density, some))
+        assert found[0] == pytest.approx(by_hand(sets, density, some, 0))
+    one, density = drawn(1)
+    first, every = read(one, density)
+    assert len(every) == 1  # nothing is to be left out
+    np.testing.assert_array_equal(first, every[0])
 
 
 def test_goals_with_one_set_of_searches_are_moved_with_the_others() -> None:
-    all_sets, relative = drawn(2)
-    wanted = np.zeros((N_GOALS, N_GOALS), bool)
-    wanted[RED, GREEN] = True
-    found, _ = frame_log_likelihood(all_sets, wanted, relative, FLAT, CONDUCT)
-    alone, _ = frame_log_likelihood(all_sets[:1], wanted, relative, FLAT, CONDUCT)
-    moved = found[RED, GREEN] - alone[RED, GREEN]
-    assert moved != 0
-    np.testing.assert_allclose(found[1:] - alone[1:], moved)
+    sets, density = drawn(2)
+    only = np.full(STANDPOINTS, -1)
+    only[OTHER] = 0
+    sets[1] = [Plans([one.roots[1]], only) for one in sets[1]]
+    first, every = read(sets, density)
+    searched = np.arange(STANDPOINTS) == OTHER
+    assert (np.isnan(every[0]) == ~searched).all()
+    shift = shift_of(first, every, np.zeros(STANDPOINTS))
+    assert shift[0] == pytest.approx(every[0, OTHER] - first[OTHER]) != 0
+    nobody = np.where(searched, -np.inf, 0.0)  # has any mass of whom all sets have searched for
+    assert (shift_of(first, every, nobody) == 0).all()

@@ -402,7 +402,7 @@ STEPWISE = ppl.StepwiseLikelihood()
         ({"kernel": "local_mh", "settings": ppl.SimpleSettings(strength="network")},
          "strength='network' was learned in PHASE"),
         ({"kernel": "local_mh", "model": ppl.Model(likelihood=STEPWISE)},
-         "kernel 'local_mh' on the closed loop's table knows the world PHASE only"),
+         "of three agents and more, as in 'trio', only some combinations are followed"),
         ({"model": ppl.Model("relation_first")}, "relation_first"),
         ({"model": ppl.Model(dependent)}, "'strength_green' depend on strength_red"),
         ({"model": ppl.Model(taken)}, "'alpha_red_green', a reserved name"),

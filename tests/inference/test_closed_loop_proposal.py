@@ -84,9 +84,9 @@ def test_it_proposes_goals_as_often_as_the_closed_loop_believes_in_them(world: W
 def test_a_window_shows_its_own_frames_only() -> None:
     model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
     found = filtered_frames(event_of(PHASE), model, progress=False)
-    changed = found["log_likelihood"].copy(deep=True)
-    changed[1, 3, 4] += 1000.0  # one frame decides everything
-    tables = table_of(found), table_of(found.assign(log_likelihood=changed))
+    changed = found["density"].copy(deep=True)
+    changed[1, 3] += 1000.0  # one frame decides everything
+    tables = table_of(found), table_of(found.assign(density=changed))
     after, with_it = (
         [table.log_masses_within(first, 1 + WINDOW) for table in tables] for first in (1, 0)
     )

@@ -108,6 +108,20 @@ def test_a_model_that_reads_is_read_and_then_sampled(monkeypatch: pytest.MonkeyP
     assert_same_draws(post.tree, sampled(iterations=20).tree)
 
 
+def test_a_video_of_another_world_is_sampled_likewise() -> None:
+    solo, planner = ppl.worlds.SOLO, ppl.PlannerConfig(simulations=14, particles=6)
+    event = ppl.simulate(solo.random_scene(1), ppl.roles.draw(solo, 1), frames=6, planner=planner)
+    exact = ppl.infer(event, ppl.Model(planner=planner), workers=1, progress=False)
+    post = sampled(exact)
+    for name in ("goal_red", "strength_red"):
+        if name.startswith("goal"):
+            one, other = (each.marginal(name).values for each in (post, exact))
+            assert np.abs(one - other).sum() / 2 < NEAR
+        else:
+            one, other = (each.probability(**{name: (150, 375)}) for each in (post, exact))
+            assert abs(one - other) < NEAR
+
+
 # --- a file --------------------------------------------------------------------------------------
 
 
@@ -294,7 +308,7 @@ def test_what_is_of_no_use_is_refused(wrong: dict[str, Any], message: str) -> No
         ppl.infer(EXACT, **{**OPTIONS, **wrong})
 
 
-def test_so_are_an_executor_another_likelihood_and_another_world() -> None:
+def test_so_are_an_executor_and_another_likelihood() -> None:
     with (
         ThreadPoolExecutor(1) as executor,
         pytest.raises(InvalidSettingError, match=r"executor=.*is for simulations"),
@@ -307,10 +321,5 @@ def test_so_are_an_executor_another_likelihood_and_another_world() -> None:
     model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood()))
     with pytest.raises(InvalidSettingError, match=r"likelihood=.*the prior only"):
         model_of(read, ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=8)))
-    scene = ppl.worlds.SOLO.random_scene(0)
-    with ppl.watch(scene) as watch:
-        elsewhere = watch.update(scene.start)
-    with pytest.raises(InvalidSettingError, match="knows the world PHASE only, not 'solo'"):
-        sampled(elsewhere)
     with pytest.raises(InvalidEventError, match=r"1 frame.*expected at least 2"):
         sampled(EXACT.at(0))

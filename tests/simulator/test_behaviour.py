@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import sys
 from collections.abc import Iterator
@@ -42,7 +41,8 @@ def test_two_too_weak_for_it_do_not_move_an_item(battery: ModuleType) -> None:
     episode_of = importlib.import_module("behaviours.episode")
     carrying = next(one for one in together.BEHAVIOURS if one.name == "carry_together_weak")
     (trial,) = carrying.trials(together.np.random.default_rng(0))
-    weak = dataclasses.replace(trial.hypothesis, strength_red=150.0, strength_green=150.0)
+    forces = {"strength_red": 150.0, "strength_green": 150.0}
+    weak = type(trial.hypothesis).from_dict({**trial.hypothesis.to_dict(), **forces})
     episode = episode_of.record(trial.scene, weak, PLANNER, 0, 60)
     both = episode.both_hold(episode_of.BLUE)
     assert both.any()

@@ -15,9 +15,7 @@ import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis import stepwise_own
-from phase_ppl.analysis.stepwise_hypotheses import PhaseTable, summed_by_pair
-from phase_ppl.analysis.stepwise_table import table_of
+from phase_ppl.analysis import stepwise_table
 from phase_ppl.closed_loop import own_simulator
 from phase_ppl.inference.table_run import ReadTable
 from phase_ppl.models import roles, sites
@@ -276,12 +274,11 @@ def test_another_prior_is_another_run_and_a_file_says_the_same(
 def test_pairs_of_goals_have_what_frames_say_whatever_the_strengths(
     exact: ppl.StepwisePosterior,
 ) -> None:
-    table = table_of(exact.dataset)
-    assert isinstance(table, PhaseTable)
-    prior = summed_by_pair(exact.dataset["log_prior"].values).ravel()
+    frames = exact.by_frame()
+    assert frames is not None
     with np.errstate(invalid="ignore"):
-        mass = np.exp(prior + table.by_pairs().sum(axis=0))
-    found = np.nan_to_num(mass / np.nansum(mass)).reshape(36, 36)
+        mass = np.exp(frames["log_prior"].values + frames["log_likelihood"].values.sum(axis=0))
+    found = np.nan_to_num(mass / np.nansum(mass))
     np.testing.assert_allclose(found, exact.joint("goal_red", "goal_green"), atol=1e-9)
 
 
@@ -305,7 +302,7 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(monkeypatch: pytest.Monk
         infer(walkers)
     with pytest.raises(InvalidSettingError, match="expected a generator function"):
         ppl.Model(simulator=Knows())  # whole videos take more
-    monkeypatch.setattr(stepwise_own, "MOST_READ", 100)
+    monkeypatch.setattr(stepwise_table, "MOST_READ", 100)
     with pytest.raises(InvalidSettingError, match="11 combinations of goals times 16 of strengths"):
         infer(Knows())
     with pytest.raises(InvalidSettingError, match=r"3.17e\+04 combinations of goals times 8"):
