@@ -20,7 +20,7 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.table import kinds_of, true_answers
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 
 FRAMES = 90
 TRIES = 50
@@ -90,7 +90,7 @@ def measure(options: argparse.Namespace, out: Path) -> None:
     common.write(report, options.json)
 
 
-def to_get_somewhere(world: ppl.World, seed: int) -> Roles | None:
+def to_get_somewhere(world: ppl.World, seed: int) -> Hypothesis | None:
     """Draw roles; those in which somebody wants to get or keep something away are refused."""
     roles = ppl.roles.draw(world, seed)
     own = [world.goals[goal] for goal in roles.stated if goal is not None]

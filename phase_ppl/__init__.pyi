@@ -123,7 +123,6 @@ from phase_ppl.world.event import Truth as Truth
 from phase_ppl.world.goals import GOALS as GOALS
 from phase_ppl.world.hypothesis import ALPHAS as ALPHAS
 from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
-from phase_ppl.world.hypothesis import Roles as Roles
 from phase_ppl.world.names import AGENTS as AGENTS
 from phase_ppl.world.predicates import Predicate as Predicate
 from phase_ppl.world.progress import counted as counted

@@ -390,7 +390,7 @@ def _world_of(events: Iterable[ppl.Event]) -> ppl.World:
 def _check_truth(event: ppl.Event, kind: str) -> None:
     truth = event.truth
     strengths = (getattr(truth, f"strength_{name}", None) for name in ("red", "green"))
-    if not isinstance(truth, ppl.Roles) and None in strengths:
+    if not isinstance(truth, ppl.Hypothesis) and None in strengths:
         raise ppl.errors.InvalidEventError(
             f"event {event.id!r} does not say its goals and strengths; a study of {kind} needs them"
         )
@@ -436,7 +436,7 @@ def _are_alike(one: ppl.Event, other: ppl.Event) -> bool:
 def _setting(event: ppl.Event) -> list[Any]:
     """Return scene, goals and strengths of an event, in numbers."""
     scene, truth = event.scene, event.truth
-    if isinstance(truth, ppl.Roles):
+    if isinstance(truth, ppl.Hypothesis):
         goals, strengths = truth.effective_goals, np.array(truth.strengths)
     else:
         goals = tuple(map(scene.world.goal_index, (truth.goal_red, truth.goal_green)))
@@ -448,7 +448,7 @@ def _setting(event: ppl.Event) -> list[Any]:
 def _simulated(event: ppl.Event, seed: int) -> ppl.Event:
 
     hypothesis = truth = event.truth
-    if not isinstance(truth, ppl.Roles):
+    if not isinstance(truth, ppl.Hypothesis):
         strengths = truth.strength_red, truth.strength_green
         try:
             hypothesis = ppl.Hypothesis(truth.goal_red, truth.goal_green, (0, 0), *strengths)

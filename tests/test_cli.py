@@ -446,7 +446,7 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
     roles = ["--goal", "Ann=pot to fire", "--relation", "Ben=hinder=Ann", "--strength", "Ben=300"]
     told(capsys, *simulate, *roles)
     made = phase_ppl.load_event(out)
-    assert made.truth == phase_ppl.Roles.of(
+    assert made.truth == phase_ppl.Hypothesis.of(
         event.scene.world, {"Ann": "pot to fire"}, {("Ben", "Ann"): "hinder"}, {"Ben": 300}
     )
     goals = ["--goal", "red agent=get to green agent", "--relation", "green agent=hinder=red agent"]

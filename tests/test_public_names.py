@@ -26,7 +26,6 @@ def test_every_public_name_is_there_and_is_what_it_is_called() -> None:
         others = {
             "plot": "figures",
             "study": "phase_study",
-            "Roles": "Hypothesis",
             "watch": "Watch",
         }
         assert called == others.get(name, name)

@@ -16,7 +16,7 @@ from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import FRAMES_PER_SECOND as SIMULATED_PER_SECOND
 from phase_ppl.world.event import Event, Thoughts
 from phase_ppl.world.goals import goal_literal, is_true, planned_as
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
 from phase_ppl.world.scene import PHASE, Scene
 
@@ -130,7 +130,7 @@ def _sentence(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
 
 def _goal(event: Event, agent: int) -> Literal:
     truth, world = event.truth, event.scene.world
-    if isinstance(truth, Roles):
+    if isinstance(truth, Hypothesis):
         return goal_literal(truth.effective_goals[agent], agent, world)
     return goal_literal((truth.goal_red, truth.goal_green)[agent], agent)
 

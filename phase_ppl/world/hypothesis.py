@@ -456,7 +456,3 @@ class Hypothesis(Printed):
         else:
             said += [f"the {who} {word}s the {whom}" for (who, whom), word in self.stances.items()]
         return ", ".join(said)
-
-
-Roles = Hypothesis
-"""The same, as files and simulations of other worlds than PHASE call it."""

@@ -25,7 +25,7 @@ from phase_ppl.render.frames import PANEL
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError, QueryError
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, possible_goals
-from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, Roles, all_ways, relation
+from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, Hypothesis, all_ways, relation
 from tests.analysis.readings import (
     BLUE_NOT_TO_RED,
     BLUE_TO_RED,
@@ -418,17 +418,19 @@ def test_helpers_take_their_part_of_what_is_wanted() -> None:
     """Somebody who helps one of two agents to get to the other wants what both do."""
     trio = ppl.worlds.TRIO
     goals = {"red agent": "get to green agent", "green agent": "get to red agent"}
-    roles = Roles.of(trio, goals, {("purple agent", "red agent"): "help"})
+    roles = Hypothesis.of(trio, goals, {("purple agent", "red agent"): "help"})
     assert roles.goals["purple agent"] == "Get green agent to red agent"
     agents = trio.agents
     assert all(roles.relation_between(a, b) == "friendly" for a in agents for b in agents if a < b)
     goals = {"red agent": "get to pink ball", "green agent": "get to blue ball"}
-    roles = Roles.of(trio, goals, {("purple agent", "red agent"): "hinder"})
+    roles = Hypothesis.of(trio, goals, {("purple agent", "red agent"): "hinder"})
     assert roles.relation_between("red agent", "purple agent") == "adversarial"
     assert roles.relation_between("green agent", "purple agent") == "neutral"
     # where only green is a goal of touching, nobody has green's part of it
     with pytest.raises(PhasePPLError, match="the green agent cannot help the red agent with 'get"):
-        Roles.of(CAST, {"red agent": "get to green agent"}, {("green agent", "red agent"): "help"})
+        Hypothesis.of(
+            CAST, {"red agent": "get to green agent"}, {("green agent", "red agent"): "help"}
+        )
     assert all(ppl.roles.draw(CAST, seed).is_possible for seed in range(20))
 
 

@@ -33,7 +33,7 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.geometry import is_on
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import PHASE
 from phase_ppl.world.space import space_of
@@ -160,7 +160,7 @@ def test_from_a_frame_on_what_was_seen_has_happened(contested: ppl.Posterior) ->
     poses = np.array([state.pose[:, :2] for state in past.states])
     assert np.abs(poses - observed[..., :2]).max() < 0.7
     assert (past.states[-1].held != NOTHING).any()
-    rng, roles = np.random.default_rng(0), Roles.of(SOLO, {"red agent": "ball to field"})
+    rng, roles = np.random.default_rng(0), Hypothesis.of(SOLO, {"red agent": "ball to field"})
     elsewhere = ppl.JointSimulator().steps(SOLO.random_scene(0), roles, rng, past)
     with pytest.raises(InvalidEventError, match="past: 4 entities, expected the 3 of"):
         next(elsewhere)

@@ -14,7 +14,7 @@ from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Truth
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 from tests.world.examples import check_refused, make_scene
 
@@ -91,7 +91,7 @@ def test_what_was_played_is_an_event_with_its_goals(tmp_path: Path) -> None:
     solo = ppl.env("solo")
     solo.reset(seed=1)
     solo.step(everybody(solo, Action.UP))
-    assert isinstance(solo.event().truth, Roles)
+    assert isinstance(solo.event().truth, Hypothesis)
     assert np.array_equal(
         game.render(), ppl.render.draw_frame(game.scene, game.event().observation.trajectory[-1])
     )

@@ -22,7 +22,7 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.event import Observation
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from tests.evaluation.judged import values
 
 TRIO, SOLO = ppl.worlds.TRIO, ppl.worlds.SOLO
@@ -31,7 +31,9 @@ HOME, FIELD = "Get blue ball to home", "Get blue ball to field"
 ONE_PROCESS: dict[str, Any] = {"workers": 1, "progress": False}
 
 
-def moved(world: ppl.World, number: int, roles: Roles | None, **ends: tuple[float, float]) -> Any:
+def moved(
+    world: ppl.World, number: int, roles: Hypothesis | None, **ends: tuple[float, float]
+) -> Any:
     """Return an event of two frames, in which some (by name, "_" for spaces) go somewhere."""
     scene = world.random_scene(number)
     end = scene.start.copy()
@@ -48,8 +50,8 @@ def events() -> list[ppl.Event]:
     goals = {"green agent": HOME, "purple agent": FIELD}
     alone = {"red agent": HOME, "green agent": "get to red agent", "purple agent": FIELD}
     return [
-        moved(TRIO, 1, Roles.of(TRIO, goals, helps), blue_ball=(4, 4)),
-        moved(TRIO, 2, Roles.of(TRIO, alone), blue_ball=(4, 4)),
+        moved(TRIO, 1, Hypothesis.of(TRIO, goals, helps), blue_ball=(4, 4)),
+        moved(TRIO, 2, Hypothesis.of(TRIO, alone), blue_ball=(4, 4)),
     ]
 
 
@@ -273,7 +275,7 @@ def test_a_study_of_another_world_is_read_by_its_questions(
 
 def test_people_who_judge_a_single_agent_have_no_relations_to_judge(tmp_path: Path) -> None:
     goals = SOLO.goals[:2]
-    alone = [moved(SOLO, number, Roles.of(SOLO, {"red agent": goals[0]})) for number in (1, 2)]
+    alone = [moved(SOLO, number, Hypothesis.of(SOLO, {"red agent": goals[0]})) for number in (1, 2)]
     file = tmp_path / "study.csv"
     rows = [f"p{n},{event.id},{goals[n]}" for n in (0, 1) for event in alone]
     file.write_text("\n".join(["participant,video,goal_red", *rows]))

@@ -24,7 +24,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import Hypothesis, Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
 from phase_ppl.world.worlds import SOLO, TRIO
@@ -38,7 +38,7 @@ CAST = World(
 N_FRAMES = 6
 
 
-def away(scene: Scene, acts: Hypothesis | Roles, rng: np.random.Generator) -> Iterator[FloatArray]:
+def away(scene: Scene, acts: Hypothesis, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Each agent goes its own way, by its goal, the farther the stronger it is."""
     frame = scene.start.copy()
     goals, strengths = np.array(acts.effective_goals), np.array(acts.strengths)
@@ -167,7 +167,7 @@ def test_simulations_that_fail_count_as_impossible() -> None:
 
 def test_a_cast_of_one_has_the_posterior_that_can_be_worked_out() -> None:
     scene, n = SOLO.random_scene(3), len(SOLO.goals)
-    event = event_of(scene, Roles.of(SOLO, {"red agent": SOLO.goals[1]}, strength=400.0))
+    event = event_of(scene, Hypothesis.of(SOLO, {"red agent": SOLO.goals[1]}, strength=400.0))
     levels = np.linspace(155, 595, 45)
     rows = np.array([(g, s) for g in range(n) for s in levels])
     mass = np.exp(fit(event, rows[:, :1].astype(int), rows[:, 1:])).reshape(n, -1).sum(axis=1)
@@ -179,7 +179,7 @@ def test_three_agents_are_learned_where_the_table_has_room() -> None:
     truth = {name: CAST.goals[at] for name, at in zip(CAST.agents, (1, 2, 5), strict=True)}
     start = [[8, 10, 0], [18, 8, 0], [12, 18, 0]]
     scene = Scene(start, np.ones(3), world=CAST)
-    event = event_of(scene, Roles.of(CAST, truth, strength=400.0))
+    event = event_of(scene, Hypothesis.of(CAST, truth, strength=400.0))
     space, model = space_of(CAST), MODEL.in_world(CAST)
     goals = np.array(list(itertools.product(range(space.n_goals), repeat=3)))
     forces = np.array(list(itertools.product(np.linspace(172.5, 577.5, 10), repeat=3)))

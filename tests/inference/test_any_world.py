@@ -41,7 +41,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.event import Event, Observation
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.hypothesis import ALPHAS, RELATION_OF_SCENARIO, Hypothesis, Roles, scenario
+from phase_ppl.world.hypothesis import ALPHAS, RELATION_OF_SCENARIO, Hypothesis, scenario
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.space import space_of
@@ -266,7 +266,7 @@ def test_goals_that_come_closer_are_proposed() -> None:
 TRUE_GOAL = "ball to home"
 
 
-def walkers(scene: Scene, roles: Roles, rng: np.random.Generator) -> Iterator[FloatArray]:
+def walkers(scene: Scene, roles: Hypothesis, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Each goal's entity goes straight to its target, the faster the stronger its agent."""
     frame = scene.start.copy()
     while True:
@@ -283,7 +283,7 @@ LEVELS = (150.0, 300.0, 450.0, 600.0)
 SHARES = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the strengths from 150 to 600 N that are nearest to each
 
 
-def walk(scene: Scene, roles: Roles, n_frames: int) -> FloatArray:
+def walk(scene: Scene, roles: Hypothesis, n_frames: int) -> FloatArray:
     frames = walkers(scene, roles, np.random.default_rng(0))
     return np.array(list(itertools.islice(frames, n_frames)))
 
@@ -291,7 +291,7 @@ def walk(scene: Scene, roles: Roles, n_frames: int) -> FloatArray:
 @functools.cache
 def walking() -> Event:
     scene = SOLO.random_scene(3)
-    truth = Roles.of(SOLO, {"red agent": TRUE_GOAL}, strength=450.0)
+    truth = Hypothesis.of(SOLO, {"red agent": TRUE_GOAL}, strength=450.0)
     return Event(scene, Observation(walk(scene, truth, 14)), id="walk")
 
 
@@ -309,7 +309,7 @@ def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None
     event, likelihood = walking(), RadialLikelihood(n_entities=3)
     mass = np.empty((len(SOLO.goals), len(LEVELS)))
     for (i, goal), (j, force) in itertools.product(enumerate(SOLO.goals), enumerate(LEVELS)):
-        one = Roles.of(SOLO, {"red agent": goal}, strength=force)
+        one = Hypothesis.of(SOLO, {"red agent": goal}, strength=force)
         apart = (walk(event.scene, one, 14) - event.observation.trajectory)[..., :2]
         error = np.linalg.norm(apart.reshape(14, -1), axis=1)
         mass[i, j] = SHARES[j] * np.exp(likelihood.log_prob(error).sum() + 14 * 26)
@@ -328,7 +328,7 @@ def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None
 @functools.cache
 def of_trio() -> Event:
     scene = TRIO.random_scene(2)
-    truth = Roles.of(
+    truth = Hypothesis.of(
         TRIO,
         {"red agent": "blue ball to home", "purple agent": "pink ball to pond"},
         {("green agent", "red agent"): "hinder"},
@@ -425,7 +425,7 @@ def test_what_is_of_a_world_is_none_of_phase_and_the_other_way_round() -> None:
 
 
 def test_kernels_are_compared_with_the_truth_and_with_a_reference() -> None:
-    truth = Roles.of(SOLO, {"red agent": TRUE_GOAL}, strength=450.0)
+    truth = Hypothesis.of(SOLO, {"red agent": TRUE_GOAL}, strength=450.0)
     found = ppl.compare(
         dataclasses.replace(walking(), truth=truth),
         ppl.Model(simulator=walkers),
@@ -448,7 +448,7 @@ def test_kernels_are_compared_with_the_truth_and_with_a_reference() -> None:
 
 def test_true_goals_and_relations_of_all_are_looked_up() -> None:
     goals = {"red agent": "Get blue ball to home", "green agent": "Get blue ball to field"}
-    truth = Roles.of(TRIO, goals, {("purple agent", "red agent"): "help"})
+    truth = Hypothesis.of(TRIO, goals, {("purple agent", "red agent"): "help"})
     space, codes = space_of(TRIO), np.array(truth.effective_goals)
     sure = dict(zip(space.goal_sites, np.eye(space.n_goals)[codes], strict=True))
     sure |= {name: np.eye(3)[code] for name, code in space.relation_codes(codes).items()}

@@ -28,7 +28,7 @@ from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Observation, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis, Roles
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.scene import Scene
 
@@ -100,7 +100,7 @@ class TableRunner:
 
     def run(
         self,
-        hypotheses: Sequence[Hypothesis | Roles],
+        hypotheses: Sequence[Hypothesis],
         seeds: Sequence[int],
         error_ceilings: Sequence[float],
     ) -> list[SimulationResult]:
@@ -108,9 +108,7 @@ class TableRunner:
         rows = zip(hypotheses, seeds, error_ceilings, strict=True)
         return [self._simulate(*row) for row in rows]
 
-    def _simulate(
-        self, hypothesis: Hypothesis | Roles, seed: int, ceiling: float
-    ) -> SimulationResult:
+    def _simulate(self, hypothesis: Hypothesis, seed: int, ceiling: float) -> SimulationResult:
         errors = self.errors[(*hypothesis.effective_goals, seed % SEEDS)].copy()
         over = np.cumsum(errors) > (ceiling if self.stops_early else np.inf)
         frames = int(over.argmax()) + 1 if over.any() else len(errors)

@@ -22,7 +22,7 @@ import phase_ppl as ppl
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.table import true_answers
 from phase_ppl.physics.actions import Action
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_study.clips import CLIPS, Clip, clips_of
 from phase_study.study import Study
 
@@ -65,7 +65,7 @@ def still_events(world: ppl.World, n: int = 2) -> list[ppl.Event]:
     for seed in range(n):
         scene = world.random_scene(seed)
         hinders = {("purple agent", "green agent"): "hinder"} if world is ppl.worlds.TRIO else None
-        roles = Roles.of(world, GOALS[world.name], hinders)
+        roles = Hypothesis.of(world, GOALS[world.name], hinders)
         track = ppl.Observation(np.repeat(scene.start[None], 4, axis=0))
         found.append(ppl.Event(scene, track, id=f"{world.name}-{seed}", truth=roles))
     return found

@@ -26,7 +26,7 @@ from phase_ppl.world.goals import (
     opposed_goal,
     shared_goal,
 )
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import Rooms
 from phase_ppl.world.scene import PHASE, Scene, World
@@ -264,7 +264,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"touchable": ["boll"]}, "unknown agent or item 'boll'"),
 ]  # fmt: skip
 WRONG_USE: list[tuple[Callable[[], object], str]] = [
-    (lambda: Roles.of(house(), {"red agent": "ball to home"}, "help"),  # type: ignore[arg-type]
+    (lambda: Hypothesis.of(house(), {"red agent": "ball to home"}, "help"),  # type: ignore[arg-type]
      "relation='help', expected a mapping of (who, whom) to 'help' or 'hinder'"),
     (lambda: house().goal_index("bell to home"),
      "unknown goal 'bell to home'; did you mean 'Get ball to home'"),

@@ -355,7 +355,7 @@ def _drawn_roles(plan: Plan, seed: int) -> Hypothesis | str:
     roles = (plan.roles or uniform_roles)(plan.world, seed)
     if roles is None:
         return "roles that are not wanted"
-    instance_of("what roles returned", roles, Hypothesis, "phase_ppl's Roles, or None")
+    instance_of("what roles returned", roles, Hypothesis, "a phase_ppl.Hypothesis, or None")
     if roles.world != plan.world:
         raise InvalidSettingError(
             f"roles returned those of the world {roles.world.name!r}, not {plan.world.name!r}"

@@ -34,15 +34,15 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.goals import goal_literal, is_true, possible_goals
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Roles, scenario
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis, scenario
 
 SOLO, TRIO = ppl.worlds.SOLO, ppl.worlds.TRIO
 ONE_THREAD: dict[str, Any] = {"workers": 1, "progress": False}
 
 
-def homewards(world: ppl.World, seed: int) -> Roles | None:
+def homewards(world: ppl.World, seed: int) -> Hypothesis | None:
     """Whoever it is, it wants to be home; every third draw is refused."""
-    return None if seed % 3 == 1 else Roles.of(world, {"red agent": "red agent to home"})
+    return None if seed % 3 == 1 else Hypothesis.of(world, {"red agent": "red agent to home"})
 
 
 OURS = ("chasing", "collab", "compete", "help", "hinder", "independent")
@@ -183,8 +183,8 @@ def test_phase_is_a_world_like_any_other(tmp_path: Path) -> None:
         assert {*event.scene.radius.tolist()} <= {*SIZES}
         assert {event.truth.strength_red, event.truth.strength_green} <= {*STRENGTH_LEVELS}
 
-    def home(world: ppl.World, seed: int) -> Roles:
-        return ppl.Roles.of(world, {a: f"{a} to red lm" for a in world.agents})
+    def home(world: ppl.World, seed: int) -> Hypothesis:
+        return ppl.Hypothesis.of(world, {a: f"{a} to red lm" for a in world.agents})
 
     (event,) = generate(tmp_path / "roles", 1, roles=home, **{**SMALL, "frames": 60})
     assert event.id == "PHASE-00000"
@@ -310,10 +310,10 @@ ODD: list[tuple[Any, str]] = [
     (lambda draw: (SOLO.random_scene(0), None), "expected a scene and roles, or None"),
     (lambda draw: draw_situation("help", TRIO, 0), "roles of the world 'solo'"),
     (lambda draw: (SOLO.scene({"red agent": (4, 4), "ball": (20, 4), "box": (8, 16)}),
-                   Roles.of(SOLO, {"red agent": "red agent to home"})),
+                   Hypothesis.of(SOLO, {"red agent": "red agent to home"})),
      "since 'Get red agent to home' is true at the start"),
     (lambda draw: (SOLO.scene({"red agent": (20, 14), "ball": (20, 14), "box": (8, 16)}),
-                   Roles.of(SOLO, {"red agent": "red agent to home"})),
+                   Hypothesis.of(SOLO, {"red agent": "red agent to home"})),
      "since the red agent and the ball overlap"),
 ]  # fmt: skip
 
@@ -360,16 +360,16 @@ WELL: dict[str, Any] = {
 """Measures of an event of the trio in which everything went well."""
 
 
-def roles(green: str, relation: str | None = None, red: str = HOME) -> Roles:
+def roles(green: str, relation: str | None = None, red: str = HOME) -> Hypothesis:
     """Red wants the ball home, green what is said, or helps or hinders; purple walks about."""
     goals = {"red agent": red, "purple agent": "purple agent to pond"}
     if relation is not None:
-        return Roles.of(TRIO, goals, {("green agent", "red agent"): relation})
-    return Roles.of(TRIO, {**goals, "green agent": green})
+        return Hypothesis.of(TRIO, goals, {("green agent", "red agent"): relation})
+    return Hypothesis.of(TRIO, {**goals, "green agent": green})
 
 
 FAR = {**dict.fromkeys(PAIRS, NEAR), "red & purple": 0.5}
-KEPT: list[tuple[str, Roles, dict[str, Any], str | None]] = [
+KEPT: list[tuple[str, Hypothesis, dict[str, Any], str | None]] = [
     ("collaborative", roles("", "help"), {"at_end": [True, True, False]}, None),
     ("collaborative", roles("", "help"), {"at_end": [True, False, True]}, "not reached"),
     ("collaborative", roles("", "help", "red agent to home"), {"touched": [[]] * 3}, None),
@@ -393,7 +393,7 @@ def test_kept_is_what_two_show_or_all_if_they_are_independent() -> None:
         told = reason_against(shown, wanted, {**WELL, **found})
         assert (told is None) if reason is None else reason in str(told)
     # of several pairs one is enough
-    everybody = Roles.of(TRIO, dict.fromkeys(TRIO.agents, HOME))
+    everybody = Hypothesis.of(TRIO, dict.fromkeys(TRIO.agents, HOME))
     for third, is_kept in ((["blue ball"], True), ([], False)):
         found = {**WELL, "touched": [["blue ball"], [], third]}
         assert (reason_against("collaborative", everybody, found) is None) is is_kept
@@ -402,7 +402,7 @@ def test_kept_is_what_two_show_or_all_if_they_are_independent() -> None:
 def test_measures_are_of_all_agents_and_pairs() -> None:
     scene = TRIO.random_scene(3)
     goals = {"red agent": HOME, "green agent": FIELD, "purple agent": "get to red agent"}
-    drawn = Drawn(scene, Roles.of(TRIO, goals), 0)
+    drawn = Drawn(scene, Hypothesis.of(TRIO, goals), 0)
     made = making.record(drawn, JointSimulator(QUICK), 5, np.random.default_rng(0))
     found, track = making.measures(made), made.trajectory
     apart = np.linalg.norm(track[:, 0, :2] - track[:, 2, :2], axis=1)

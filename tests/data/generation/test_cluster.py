@@ -15,7 +15,7 @@ import phase_ppl as ppl
 from phase_ppl.data.generated import COST, verify
 from phase_ppl.data.generation import generate
 from phase_ppl.world.errors import InvalidEventError, SimulationError
-from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.hypothesis import Hypothesis
 from tests.simulator.clusters import local_cluster, note, the_third_killed
 
 SOLO = ppl.worlds.SOLO
@@ -35,11 +35,11 @@ class Homewards:
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
 
-    def __call__(self, world: ppl.World, seed: int) -> Roles:
+    def __call__(self, world: ppl.World, seed: int) -> Hypothesis:
         if self.folder is not None:
             note(self.folder)
             time.sleep(0.2)
-        return Roles.of(world, {"red agent": "red agent to home"})
+        return Hypothesis.of(world, {"red agent": "red agent to home"})
 
 
 def make(out: Path, **more: Any) -> Any:
