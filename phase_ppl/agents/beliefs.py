@@ -1,8 +1,9 @@
 """Belief particles: possible world states consistent with what an agent has observed.
 
-Source: paper, Appendix "Belief Representation and Update": K particles. Each step predicts them with
-the physics, overwrites what is observed, and resamples what contradicts the observation. We add
-that a hand that closed on nothing is an observation: no item was in reach.
+Source: paper, Appendix "Belief Representation and Update": K particles. Each step predicts them
+with the physics, overwrites what is observed, and resamples what contradicts the observation. We
+add that a hand that closed on nothing is an observation: no item was in reach.
+"""
 
 from __future__ import annotations
 
@@ -228,7 +229,7 @@ def update(
 
 
 def _closed_off(model: WorldModel, own: FloatArray) -> BoolArray | None:
-    """Return (cells,) cells outside the floor plan, as beside an L-shaped flat; None: there are none.
+    """Return (cells,) cells outside the floor plan, as beside an L-shaped flat; None: no such cell.
 
     No way leads there from the agent or from a landmark.
     """

@@ -129,7 +129,7 @@ class PlannerConfig:
         for name, value in given.items():
             if name in _REMOVED:
                 raise InvalidSettingError(
-                    f"planner with {name}={value!r}: that setting was removed; only files made with "
+                    f"planner with {name}={value!r}: that setting was removed; only files with "
                     f"{name}={_REMOVED[name]!r} can be continued"
                 )
             check_name("setting of the planner", name, known)

@@ -1,8 +1,8 @@
 """The world in symbols for the subgoal planner: states, operators, and A* over them.
 
-A belief particle becomes a symbolic state. The operators of agents are: go to a room, touch, attach,
-carry (one or more holders) to a room, place on the landmark, let go, settle on a landmark, stand in
-a door. Preconditions come from the physics: door width against size, force of the holders against
+A belief particle becomes a symbolic state. Operators of agents: go to a room, touch, attach, carry
+(one or more holders) to a room, place on the landmark, let go, settle on a landmark, stand in a
+door. Preconditions come from the physics: door width against size, force of the holders against
 floor friction, and holds. Costs are path lengths between rooms.
 
 Source: paper, Appendices "Predicates, Symbolic States, Goals, and Subgoals" and "Hierarchical

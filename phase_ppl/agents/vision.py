@@ -46,7 +46,7 @@ def outline_cells(
 ) -> int:
     """Write the cells that the outline of ``entity`` touches into ``cells``; return their number.
 
-    An agent: the grid line between the cells of neighbouring corners. An item: 16 points on the rim.
+    An agent: the grid line between cells of neighbouring corners. An item: 16 points on the rim.
     """
     if entity >= params.force.shape[0]:
         for i in range(RIM_POINTS):
