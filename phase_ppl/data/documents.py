@@ -32,6 +32,7 @@ _PICKLE: Final = re.compile(rb"\x80[\x00-\x0f]|\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n
 """How pickles begin; JSON never does."""
 """The first bytes of pickles; JSON never has them."""
 
+
 def is_pickle(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a pickle, by its first bytes or by its name."""
     try:

@@ -27,8 +27,8 @@ One event::
 
 Lengths are in units of the world, y up. Angles are in radians (counter-clockwise, 0 looks up, not
 wrapped). A row is [x, y, angle]; frame 0 is the start, frame k the mean over planner step k. Walls
-are inner walls [[x, y], [x, y]]; strengths are in newtons. In ``scene`` only ``radius`` is required:
-the rest defaults to the original world without inner walls, ``start`` to the first frame.
+are inner walls [[x, y], [x, y]]; strengths are in newtons. ``scene`` requires only ``radius``: the
+rest defaults to the original world without inner walls, ``start`` to the first frame.
 ``"resets_velocity": true`` means that agents stand still after each step, as people steer them; it
 is left out elsewhere. ``truth`` (effective goals), ``judgments`` and ``predictions`` may be missing
 or null.
@@ -51,7 +51,7 @@ Several events: ``{"format": "phase-ppl-events-1", "events": [...]}``, each as a
 Writing and reading changes no number.
 
 The ``phase-test-1`` format has the authors' PHASE test videos. It is one object, whose head gives
-the arena and the landmarks' half width, and a list ``videos``. Per video, ``observed`` holds what an
+the arena and the landmarks' half width, and a list ``videos``. Per video, ``observed`` is what an
 observer may use (walls, landmarks, sizes, trajectories), ``truth`` the generating parameters,
 ``human`` counts of people's relation judgments, ``models`` the predictions of other models. Goals
 are effective ones: helper and helpee share a goal, a hinderer holds the negation.
@@ -157,8 +157,8 @@ class _Events(_Own):
     events: list[_Document]
 
 
-"""Return the events of a document in one of these formats; each is read when it is used."""
-    """Return the events of a document in one of these formats, each still to be read."""
+def read(document: Mapping[str, Any]) -> Entries:
+    """Return the events of a document in one of these formats; each is read when it is used."""
     tag, reader = document.get("format"), event_from_record
     if tag == EVENT_FORMAT:
         records = [dict(document)]

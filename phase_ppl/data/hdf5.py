@@ -296,7 +296,7 @@ def _sizes_of_array(array: Any, name: str, n_bytes: int) -> Iterator[float]:
     yield array.size * _BYTES_PER_CHARACTER
     if array.size > n_bytes:
         raise InvalidEventError(f"array {name!r} has more entries than the file has bytes")
-    longest, at_once = 1, max(1, MAX_BYTES // n_bytes)  # they fit even if all are as large as the file
+    longest, at_once = 1, max(1, MAX_BYTES // n_bytes)  # few enough to fit even if all are huge
     for row in np.ndindex(array.shape[:-1]):
         for start in range(0, array.shape[-1] if array.ndim else 1, at_once):
             place = (*row, slice(start, start + at_once)) if array.ndim else ()

@@ -64,9 +64,9 @@ def load_event(
     Args:
         path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`),
             NetCDF (:mod:`phase_ppl.data.events_netcdf`) or a pickle of PHASE's authors
-            (:mod:`phase_ppl.data.authors.videos`). Only plain data are read from pickles; no code in
-            them is run. Or the name of a bundled event, with or without ".json", if no file has that
-            name.
+            (:mod:`phase_ppl.data.authors.videos`). Only plain data are read from pickles; no code
+            in them is run. Or the name of a bundled event, with or without ".json", if no file has
+            that name.
         video: id of the wanted event; required if the file holds several.
         turning: "both", "ccw" or "cw" instead of the file's value.
 

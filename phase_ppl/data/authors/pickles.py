@@ -1,7 +1,7 @@
 """A safe reader of pickles of plain data: no code of a file runs, no small file becomes large.
 
-Python's unpickler calls any function that a file names. This one has the opcodes of plain data only,
-and reads at most :data:`MAX_OPCODES`. It knows the few names by which NumPy's arrays are described,
+Python's unpickler calls any function that a file names. This one has the opcodes of plain data
+only, and reads at most :data:`MAX_OPCODES`. It knows the few names by which NumPy's arrays are described,
 and replaces them by functions that build arrays of plain numbers. Arrays of objects are refused,
 since they would hold a pickle of their own. At last, the result is measured as if written out.
 """
@@ -90,7 +90,7 @@ _Base: Any = pickle._Unpickler  # type: ignore[attr-defined]  # the one whose op
 
 
 class _Reader(_Base):  # type: ignore[misc]
-    """Python's unpickler, limited to the opcodes of plain data, with its own functions for arrays."""
+    """Python's unpickler, limited to opcodes of plain data, with its own functions for arrays."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__(io.BytesIO(content), fix_imports=False, encoding="latin-1")

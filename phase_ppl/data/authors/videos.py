@@ -115,7 +115,7 @@ class Recorded(NamedTuple):
 
 
 def parse_name(name: str) -> Recorded:
-    """Return the contents of a file name (InvalidEventError: it is too long, or its goals are bad)."""
+    """Return the contents of a file name (InvalidEventError: too long, or invalid goals)."""
     if len(name) > _LONGEST:
         raise InvalidEventError(f"name is {shown(name)}, of more than {_LONGEST} characters")
     stem = _SUFFIXES.sub("", name)
@@ -168,7 +168,7 @@ def goal_string(goal: Goal, holder: int) -> str:
 
 
 def goal_numbers(goal: str, holder: int) -> Goal:
-    """Return the inverse of :func:`goal_string` (InvalidEventError: ``goal`` names its own holder)."""
+    """Invert :func:`goal_string` (InvalidEventError: ``goal`` names its own holder)."""
     literal = goal_literal(goal_index(goal), holder)
     sign = 1 if literal.positive else -1
     if literal.predicate is Predicate.TOUCH:
@@ -467,7 +467,7 @@ def pickled(videos: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def video(event: Event) -> dict[str, Any]:
-    """Return an event as one video of the processed form (InvalidEventError: that cannot hold it)."""
+    """Return an event as one video of the processed form (InvalidEventError: it does not fit)."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
     check_is_phase(scene.world, "this format")
     if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:

@@ -1,1 +1,1 @@
-"""Generation of data like PHASE: draw a situation, simulate it, keep it if it shows its scenario."""
+"""Generation of data like PHASE: draw a situation, simulate it, keep it if it is as intended."""

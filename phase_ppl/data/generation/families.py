@@ -198,7 +198,7 @@ def _families_of(world: World) -> dict[str, Family]:
 
 
 def available_families(world: World | str = PHASE) -> list[str]:
-    """Return the names of all families of a world, given as such or by the name of a ready-made one."""
+    """Return the names of all families of a world, or of the ready-made world of that name."""
     return sorted(_families_of(named(world)))
 
 

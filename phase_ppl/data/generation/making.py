@@ -135,7 +135,7 @@ def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
 
 
 def _renamed(hypothesis: Any, entity: list[int], landmark: list[int]) -> Hypothesis:
-    """Return PHASE's hypothesis with entities (entity -> entity, in pairs) and landmarks replaced."""
+    """Return PHASE's hypothesis with entities (entity -> entity, in pairs) and landmarks changed."""
     goals, alpha, strengths = [0, 0], [0, 0], [0.0, 0.0]
     for agent, goal in enumerate((hypothesis.goal_red, hypothesis.goal_green)):
         literal = goal_literal(goal, agent)
@@ -268,7 +268,7 @@ Part = dict[str, Any]
 
 ``name`` and ``cell`` are the slot's. ``events`` are the event and its copies; empty if every draw
 was rejected. ``entries`` are their entries in the manifest. ``rejected`` are the draws before the
-accepted one: with ``id``, ``reason``, ``measures``, and ``event`` if there was anything to simulate.
+accepted one: with ``id``, ``reason``, ``measures``, and ``event`` if anything was simulated.
 """
 
 
@@ -362,7 +362,7 @@ def _drawn_roles(plan: Plan, seed: int) -> Hypothesis | str:
 
 
 def uniform_roles(world: World, seed: int) -> Hypothesis:
-    """Return roles in which all goals, and all ways to help or hinder, are equally likely (App. 4B)."""
+    """Return roles in which all goals, and all ways to help or hinder, are alike (Appendix 4B)."""
     rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
     ways = all_ways(len(world.agents))
     social = len(ways) > 1 and rng.random() < SOCIAL

@@ -145,7 +145,7 @@ class Plan:
 
     @functools.cached_property
     def families(self) -> Mapping[str, Family]:
-        """Cell -> family, with its variant; stored, since worker processes know no users' families."""
+        """Cell -> family, with its variant; stored, as worker processes know no users' families."""
         own = cell_of(self.world)
         return {cell: family_of(cell, self.world) for cell in self.cells if cell != own}
 
