@@ -1,9 +1,10 @@
 """A safe reader of pickles of plain data: no code of a file runs, no small file becomes large.
 
 Python's unpickler calls any function that a file names. This one has the opcodes of plain data
-only, and reads at most :data:`MAX_OPCODES`. It knows the few names by which NumPy's arrays are described,
-and replaces them by functions that build arrays of plain numbers. Arrays of objects are refused,
-since they would hold a pickle of their own. At last, the result is measured as if written out.
+only, and reads at most :data:`MAX_OPCODES`. It knows the few names by which NumPy's arrays are
+described, and replaces them by functions that build arrays of plain numbers. Arrays of objects are
+refused, since they would hold a pickle of their own. At last, the result is measured as if written
+out.
 """
 
 from __future__ import annotations

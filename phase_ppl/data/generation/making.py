@@ -135,7 +135,7 @@ def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:
 
 
 def _renamed(hypothesis: Any, entity: list[int], landmark: list[int]) -> Hypothesis:
-    """Return PHASE's hypothesis with entities (entity -> entity, in pairs) and landmarks changed."""
+    """Return PHASE's hypothesis with other entities (entity -> entity, in pairs) and landmarks."""
     goals, alpha, strengths = [0, 0], [0, 0], [0.0, 0.0]
     for agent, goal in enumerate((hypothesis.goal_red, hypothesis.goal_green)):
         literal = goal_literal(goal, agent)
