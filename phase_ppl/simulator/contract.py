@@ -402,7 +402,7 @@ def _checked(
 
 
 def error_text(error: BaseException) -> str:
-    """Return class and message of ``error`` in one line, and the line of a user's code that raised."""
+    """Return class and message of ``error`` in one line, and where a user's code raised it."""
     # str() of a user's exception may itself raise; this does not
     trace = traceback.TracebackException.from_exception(error, limit=-1, lookup_lines=False)
     message = " ".join(str(trace).split())

@@ -129,7 +129,7 @@ class PathSimulator:
     def _along(
         self, start: FloatArray, end: FloatArray, model: WorldModel, apart: float = 0.0
     ) -> FloatArray:
-        """Return the move of one step along the way from start to end, stopping ``apart`` before it."""
+        """Return one step's move along the way from start to end, stopping ``apart`` before it."""
         left = model.scene.rooms.path_distance(start, end) - apart
         length = min(self.speed / FRAMES_PER_SECOND, left)
         place, rooms, corners = start, model.scene.rooms, [end]

@@ -348,7 +348,7 @@ def mapped(
         yield from counted(run(function, *columns), None, unit, "simulating", len(tasks))
 
 
-# --- many independent jobs; no failure of one ends the others --------------------------------------
+# --- many independent jobs; no failure of one ends the others ------------------------------------
 
 
 @dataclasses.dataclass(eq=False)
@@ -441,7 +441,7 @@ class Dispatch(Generic[Job]):
                 return
 
     def _finished(self) -> list[Future[Any]]:
-        """Wait; return the futures that ended, or all running ones if the pool had to be stopped."""
+        """Wait; return the futures that ended, or all running ones if the pool was stopped."""
         finished: list[Future[Any]] = []
         self._hung.clear()
         while not finished:

@@ -61,7 +61,7 @@ def n_retries(policy: str, retries: int | None) -> int:
     if policy != "retry":
         if retries is not None:
             raise InvalidSettingError(
-                f"retries={shown(retries)} needs on_failure='retry', not {policy!r}"
+                f"retries={shown(retries)} goes with on_failure='retry', not with {policy!r}"
             )
         return 0
     return RETRIES if retries is None else whole_number("retries", retries)

@@ -92,8 +92,8 @@ class Stage:
             actions: of each agent, a :class:`phase_ppl.Action`.
 
         Returns:
-            (entity, 3) x, y [units] and angle [rad, unwrapped], the mean over five substeps. It is a
-            frame of a trajectory; the first frame is ``scene.start``.
+            (entity, 3) x, y [units] and angle [rad, unwrapped], the mean over five substeps: a
+            frame of a trajectory, after ``scene.start``.
 
         Raises:
             InvalidSettingError: there is no such action, or not one for each agent.
