@@ -229,7 +229,7 @@ def test_what_cannot_be_is_refused(videos: Videos) -> None:
     bad: list[tuple[list[str], Any, str, str]] = [
         (["uniform"], read, "relation", "two to be told apart"),
         (["uniform", "unifrom"], read, "relation", "did you mean 'uniform'"),
-        (priors, "uniform", "relation", "expected what makes posteriors"),
+        (priors, "uniform", "relation", "expected a source of posteriors"),
         (priors, one, "relation", "must have a posterior of 'video 1'"),
         (priors, read, "relatoin", "unknown quantity 'relatoin'"),
     ]
