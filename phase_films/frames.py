@@ -259,12 +259,8 @@ class Still:
         count = np.zeros(samples[0].shape[:2])
         self._seen = np.zeros((len(colours.names) - n, *samples[0].shape[:2]), bool)
         self._lightest = np.max([frame.max(axis=2) for frame in samples], axis=0)
-        self._agents = np.ones(
-            samples[0].shape[:2], bool
-        )  # whether an agent is there in every sample
-        own: list[list[FloatArray]] = [
-            [] for _ in range(n)
-        ]  # pixels away from edges, which are mixed
+        self._agents = np.ones(samples[0].shape[:2], bool)  # an agent is there in every sample
+        own: list[list[FloatArray]] = [[] for _ in range(n)]  # away from edges, which are mixed
         for frame in samples:
             labels = colours.labels(frame)
             self._agents &= labels < len(painter.scene.world.agents)
@@ -339,7 +335,7 @@ class Still:
         return bool(self._agents[rows, columns].mean() > 0.4)
 
     def _snapped(self, wall: FloatArray) -> FloatArray:
-        """Return end points with coordinates of the world if they are near, else rounded to tenths."""
+        """Return end points with coordinates of the world if near, else rounded to tenths."""
         scene = self._painter.scene
         x0, x1, y0, y1 = scene.arena
         known = np.concatenate([[[x0, y0], [x1, y1], scene.centre], *np.array(scene.world.walls)])

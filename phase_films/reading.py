@@ -60,8 +60,8 @@ class VideoReading:
     def picture(self, path: str | os.PathLike[str]) -> None:
         """Write a PNG to check by eye: frames of the film, and the reading drawn over them.
 
-        Outlines are the bodies as read, in magenta if the confidence is below 0.5. Lines are the paths
-        since the picture before. The text below has the frame and its least confidence.
+        Outlines are the bodies as read, in magenta if the confidence is below 0.5. Lines are the
+        paths since the picture before. The text below has the frame and its least confidence.
         """
         painter, frames = Painter(self.event.scene), sorted(self._pictures)
         with ppl.files.atomic_output(path, (".png",)) as part:

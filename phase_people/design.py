@@ -1,4 +1,4 @@
-"""Designs of studies: which events distinguish models, priors or observers, before people answer."""
+"""Designs of studies: events whose answers distinguish models, priors or observers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def design(
     progress: bool | None = None,
     **options: Any,
 ) -> Design:
-    """Return the expected information of people's answers to each event, about which model is right.
+    """Return the expected information of answers to each event, about which model is right.
 
     It is the mutual information between the model by which people answer and their answers. For a
     single answer it is the Jensen-Shannon divergence of the models' predictions. Its error is

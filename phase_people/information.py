@@ -116,8 +116,8 @@ class Design:
     def information(self) -> xr.DataArray:
         """Expected information (event,) about which model is right, nats, with its ``error``.
 
-        The error comes from the models' probabilities; it is NaN if any is unknown. Errors make models
-        look more different than they are. So information of the size of its error is none.
+        The error comes from the models' probabilities; it is NaN if any is unknown. Errors make
+        models look more different than they are. So information of the size of its error is none.
         """
         n, people = len(self.labels), self.answers
         summed = math.comb(people + n - 1, n - 1) <= _OUTCOMES
@@ -287,12 +287,12 @@ class Design:
 
     @ppl.plot.in_style
     def plot(self, path: str | os.PathLike[str] | None = None, *, n: int = 12) -> Figure:
-        """Draw the most informative events, ``n`` at most, and the information of the best together.
+        """Draw the most informative events, ``n`` at most, and what the best say together.
 
-        The figure is 8 inches wide. Left is the expected information of each event, with its error if
-        known. Right is the joint information of the events of :meth:`best`, beside as many random
-        ones (mean and 90 % of 100 orders); the dotted line is the largest possible. The figure belongs
-        to no global state. With a ``path`` it is also written there.
+        The figure is 8 inches wide. Left is the expected information of each event, with its error
+        if known. Right is the joint information of the events of :meth:`best`, beside as many
+        random ones (mean and 90 % of 100 orders); the dotted line is the largest possible. The
+        figure belongs to no global state. With a ``path`` it is also written there.
 
         Raises:
             OutputError: it cannot be written there, or the ending is not .png, .pdf or .svg.
@@ -411,7 +411,7 @@ def checked(
     prior: Mapping[str, float] | None = None,
     seed: int = 0,
 ) -> Design:
-    """Return a design of (model, event, answer) probabilities; errors as in ``phase_ppl.design``."""
+    """Return a design of (model, event, answer) probabilities; errors as in ``ppl.design``."""
     models = [str(name) for name in probabilities["model"].values]
     if len(models) < 2:
         raise ppl.errors.InvalidSettingError(

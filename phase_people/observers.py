@@ -75,9 +75,9 @@ class Evidence:
     """The evidence that observers have about some videos."""
 
     events: tuple[str, ...]  # ids of the videos
-    # (half-life, percept, event, hypothesis) log p(video | hypothesis), in the model's nats, up to a
-    # constant per event. Half-lives are ``HALF_LIVES``; percepts are readings of the video, a single
-    # one without noise
+    # (half-life, percept, event, hypothesis) log p(video | hypothesis), in the model's nats, up to
+    # a constant per event. Half-lives are ``HALF_LIVES``; percepts are readings of the video, a
+    # single one without noise
     log_likelihood: FloatArray
     log_prior: FloatArray  # (event, hypothesis) log prior masses
     # question -> (hypothesis,) index of the answer that the hypothesis implies
@@ -108,8 +108,8 @@ class Evidence:
         """Return evidence on relations alone, with few hypotheses of each.
 
         For each relation and event the ``single`` most probable hypotheses stay. The others are put
-        into ``groups`` groups of equal size and similar likelihood, with the sum of their priors and
-        the mean of their likelihoods. A fit then takes a twentieth of the time.
+        into ``groups`` groups of equal size and similar likelihood, with the sum of their priors
+        and the mean of their likelihoods. A fit then takes a twentieth of the time.
         """
         relations = self.answers["relation"]
         if relations.size <= len(RELATIONS) * (single + groups):
@@ -323,7 +323,7 @@ def prior(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def cues(**toward: str) -> Part:
-    """Return a part by which cues are evidence for a relation, such as ``cues(distance="neutral")``.
+    """Return a part in which cues are evidence of a relation, as ``cues(distance="neutral")``.
 
     A cue's likelihood is exponential in it. ``cues(contact="neutral")`` with a negative
     ``cue_contact`` [nats per unit] says that agents who want nothing of each other do not touch.
@@ -347,7 +347,7 @@ def cues(**toward: str) -> Part:
 
 
 def sharpness(belief: Belief, evidence: Evidence) -> Belief:
-    """Answers follow the belief to the power ``sharpness``: the inverse temperature of responses."""
+    """Answers follow the belief to the power ``sharpness``, an inverse temperature."""
     return belief._replace(sharpness=numpyro.sample("sharpness", dist.LogNormal(0.0, 0.5)))
 
 
@@ -398,7 +398,7 @@ class Observer:
                 )
         if leak in parts[1:]:
             raise ppl.errors.InvalidSettingError(
-                "leak must be the first part: it reads all evidence anew, and would undo the parts before"
+                "leak must be the first part: it reads all evidence anew and undoes the parts before"
             )
         object.__setattr__(self, "parts", parts)
 
