@@ -398,7 +398,7 @@ class Observer:
                 )
         if leak in parts[1:]:
             raise ppl.errors.InvalidSettingError(
-                "leak must be the first part: it reads all evidence anew and undoes the parts before"
+                "leak must be the first part: it reads all evidence anew, undoing earlier parts"
             )
         object.__setattr__(self, "parts", parts)
 

@@ -29,7 +29,6 @@ MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 _PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _FAULTS_SHOWN: Final = 8
 _PICKLE: Final = re.compile(rb"\x80[\x00-\x0f]|\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
-"""How pickles begin; JSON never does."""
 """The first bytes of pickles; JSON never has them."""
 
 
