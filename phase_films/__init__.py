@@ -1,4 +1,4 @@
-"""Films back into events: a video file's frames, the layout in them, and the bodies' tracks.
+"""Events read from films: a video file's frames, their layout, and the bodies' tracks.
 
-An application of phase_ppl, of which it uses public names only; ``ppl.read_video`` is its way in.
+An application of phase_ppl that uses its public names only. It is reached by ``ppl.read_video``.
 """

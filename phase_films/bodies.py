@@ -1,8 +1,8 @@
-"""Where the bodies are in a frame: shapes laid over the pixels until they explain them.
+"""Poses of the bodies in a frame: shapes are fitted to the pixels.
 
-A frame is drawn again as the painter draws it, items below agents below walls, edges as soft as the
-film's; position, angle and perhaps size of one body after another are moved to where the squared
-difference is least. What is covered by another body or a wall is thus no evidence of anything.
+A frame is drawn again as the painter draws it: items below agents below walls, edges as soft as the
+film's. Position, angle and perhaps size of one body after another are moved to the least squared
+difference. So pixels covered by another body or a wall are no evidence.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from phase_films.frames import Colours, FloatArray, Painter, Pixels, Still
 _CORNERS: Final = Painter.corners
 
 REACH: Final = float(np.hypot(*_CORNERS.T).max())
-"""How far an agent of size 1 reaches from its origin."""
+"""Largest distance of an agent of size 1 from its origin."""
 
 SEEN: Final = 0.3
 """Confidence below which a body counts as lost."""
 
 _ANGLES: Final = 16  # of an agent, tried before the best is improved
-_OTHERS: Final = 6  # of those, the best, that are improved where the likely one does not do
+_OTHERS: Final = 6  # best ones of those that are improved if the likely one fails
 _SURE: Final = 0.9  # confidence from which on nothing else is tried
 _BLOB: Final = 0.06  # share of a body's area that must be seen in one piece
-_SWEEPS: Final = 3  # over those that others cover, or that cover others
-_MOVED: Final = 0.02  # units by which a body moves for its neighbours to be looked at again
-_ROOM: Final = 1.15  # windows reach so many times as far as the body
-_MARGIN: Final = 0.3  # and so much further, units
-_FINE: Final = 44  # pixels of a window's side up to which all are looked at
+_SWEEPS: Final = 3  # over bodies that cover others, or are covered
+_MOVED: Final = 0.02  # units by which a body moves for its neighbours to be fitted again
+_ROOM: Final = 1.15  # reach of a window, in reaches of its body
+_MARGIN: Final = 0.3  # further reach, units
+_FINE: Final = 44  # pixels of a window's side up to which all pixels are used
 _DELTA: Final = 0.25  # pixels by which slopes are measured
 _MOST_TRIES: Final = 30
 
@@ -42,7 +42,7 @@ _OFFSETS: Final = (_NORMALS * _CORNERS).sum(axis=1)
 
 
 class Bodies:
-    """Finds bodies in frames that lie over the painter's picture, with edges of so many pixels."""
+    """Finds bodies in frames that match the painter's picture, edges ``softness`` pixels wide."""
 
     def __init__(self, painter: Painter, still: Still, colours: Colours, softness: float) -> None:
         self.painter, self.still, self.softness = painter, still, max(1.0, softness)
@@ -56,11 +56,11 @@ class Bodies:
         return entity < self._n_agents
 
     def find(self, frame: Pixels, before: FloatArray | None, radius: FloatArray) -> FloatArray:
-        """Return (entity, 4) x, y [units], angle [rad] and confidence; NaN for what is not seen.
+        """Return (entity, 4) x, y [units], angle [rad] and confidence; NaN if not seen.
 
         The confidence is how far body and pixels of its colour agree (the intersection of the two
-        over their union), less where most of the body is covered. It is looked for about where it
-        was ``before``, (entity, 3), NaN where that is not known.
+        over their union), lower if most of the body is covered. A body is sought near its place
+        ``before``, (entity, 3), NaN if unknown.
         """
         labels = self._colours.labels(frame)
         found = np.full((self._n, 4), np.nan)
@@ -90,7 +90,7 @@ class Bodies:
     def _firsts(
         self, labels: Pixels, entity: int, before: FloatArray | None, radius: float
     ) -> list[FloatArray]:
-        """Return poses from which to begin: where its pixels are, the last ones where it was."""
+        """Return initial poses: at the pixels of its colour; the last ones at its earlier place."""
         blob = self.blob(labels, entity, radius)
         if blob is None:
             return []
@@ -99,7 +99,7 @@ class Bodies:
         turn = was[0][2] if was else 0.0
         if not self.is_agent(entity):
             return [np.array([*blob, turn]), *was]
-        # where its colour is in the mean, not its origin
+        # the mean of its coloured part, not its origin
         shift = 1 / 6 * radius
         angles = turn + 2 * np.pi * np.arange(_ANGLES) / _ANGLES
         by_colour = [
@@ -108,7 +108,7 @@ class Bodies:
         return by_colour + [np.array([*one[:2], a]) for one in was for a in angles[::-1]]
 
     def blob(self, labels: Pixels, entity: int, radius: float) -> FloatArray | None:
-        """Return the middle of the pixels of a body's colour, units; None: they are too few."""
+        """Return the middle of the pixels of a body's colour, units; None: too few pixels."""
         rows, columns = np.nonzero(labels == entity)
         if not len(rows):
             return None
@@ -127,7 +127,7 @@ class Bodies:
         return self.painter.units([column + left, row + top])
 
     def area(self, entity: int) -> float:
-        """Return the area in its own colour of a body of size 1."""
+        """Return the area of a body of size 1 that has its own colour."""
         return 4.0 - 2 * np.pi * self.painter.eye_radius**2 if self.is_agent(entity) else np.pi
 
     def _improve(
@@ -162,7 +162,7 @@ class Bodies:
 class _Window:
     """The part of a frame about one body, and what else is drawn there.
 
-    Its middle is ``about``, x and y in units; poses of bodies that are not there are NaN.
+    Its middle is ``about``, x and y in units. Poses of missing bodies are NaN.
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class _Window:
                 under = under * (1 - shape) + colour
             else:
                 above, free = above * (1 - shape) + colour, free * (1 - shape)
-        # walls are above all, and the floor has them
+        # walls are above all; the floor contains them
         self._under, self._above = under, floor * wall + above * (1 - wall)
         self._free = free * (1 - wall)
 
@@ -235,7 +235,7 @@ class _Window:
         return shape, shape * (1 - within(np.minimum(*eyes) - size * self._painter.eye_radius))
 
     def _residual(self, pose: FloatArray) -> FloatArray:
-        """Return drawn less seen, over all pixels and colours."""
+        """Return drawn minus seen, over all pixels and colours."""
         size = float(pose[3]) if len(pose) > 3 else self._size
         shape, own = self._cover(self._agent, pose, size)
         body = self._under * (1 - shape) + own * self._own_colour
@@ -247,10 +247,10 @@ class _Window:
         return float(residual @ residual)
 
     def fit(self, first: FloatArray, sized: bool = False) -> FloatArray:
-        """Return x, y, angle and size with the least squared difference, from a first pose."""
+        """Return x, y, angle and size with the least squared difference, from an initial pose."""
         free = [0, 1, *([2] if self._agent else []), *([3] if sized else [])]
         base = np.array([*first[:3], self._size])
-        # in steps alike for all: a pixel at the body's rim
+        # in equal steps for all: a pixel at the body's rim
         unit = np.array([1.0, 1.0, 1 / self._size, 1.0])[free] / self._painter.scale
 
         def at(step: FloatArray) -> FloatArray:

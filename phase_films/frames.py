@@ -1,4 +1,4 @@
-"""The frames of a film, as the package would draw them, and what stands still in them."""
+"""A film's frames as the package would draw them, and the parts that stand still."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ Painter = ppl.render.Painter
 
 MOST_SAMPLES: Final = 16
 _WALL: Final = Painter.wall_pixels
-BLACK: Final = 110  # largest channel below which a pixel is taken for a wall's
+BLACK: Final = 110  # largest channel of a wall's pixel
 _WIDEST: Final = 1280  # pixels; wider films are made smaller
 _ASPECT: Final = 0.1  # relative deviation of an arena's proportions that is allowed
 _SIDE: Final = 0.9  # share of each side of the border that must be black
 _WHITE: Final = 225
 
-NOBODY: Final = 255  # label of a pixel that has nobody's colour
-_APART: Final = 20.0  # distance that colours must have, of 255, so that a film tells them apart
-_FAR: Final = 70.0  # distance from a colour beyond which a pixel is nobody's
-_BITS: Final = 5  # of a colour's part that decide its label
-_SNAP: Final = 0.15  # units within which what is measured is taken for what the world says
+NOBODY: Final = 255  # label of a pixel whose colour belongs to nobody
+_APART: Final = 20.0  # least distance of colours, of 255, that a film can distinguish
+_FAR: Final = 70.0  # distance from a colour beyond which a pixel belongs to nobody
+_BITS: Final = 5  # bits of a channel that decide the label
+_SNAP: Final = 0.15  # units within which measured places take the world's values
 _LEAST: Final = 0.5  # share of walls and landmarks of a scene that a film must show
 
 
 class Film:
-    """A video file, decoded by ffmpeg (InvalidEventError: there is none, or it is no video)."""
+    """A video file, decoded by ffmpeg (InvalidEventError: it is missing, or no video)."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path: Path = ppl.files.existing_file(path)
-        self.said = ppl.errors.shown_path(self.path)  # as messages name it
-        self.fps = 0.0  # frames per second, 0 where the file does not say
+        self.said = ppl.errors.shown_path(self.path)  # its name in messages
+        self.fps = 0.0  # frames per second, 0 if the file does not say
         self.samples: list[Image.Image] = []  # evenly spaced, the first frame among them
         every, self.n_frames = 1, 0
         for frame in self._decoded():
@@ -66,7 +66,7 @@ class Film:
                     return
 
     def _decoded(self) -> Generator[Image.Image, None, None]:
-        """Yield all frames, and note how fast they are."""
+        """Yield all frames, and note the frame rate."""
         options = ["-hide_banner", "-nostats", "-i", str(self.path)]
         options += ["-f", "image2pipe", "-c:v", "ppm", "-"]
         some = False
@@ -99,7 +99,7 @@ class Film:
         program = "ffmpeg"
         try:
             program = imageio_ffmpeg.get_ffmpeg_exe()
-            # Ctrl-C is for Python, which then ends it
+            # Ctrl-C reaches Python only, which then ends it
             return subprocess.Popen(
                 [program, *options], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said,
                 start_new_session=True,
@@ -113,11 +113,11 @@ class Film:
 
 
 class View:
-    """Where a film shows a scene's arena, and its frames as the painter would draw them.
+    """Maps a film's frames to frames as the painter would draw them.
 
-    The arena's border, black lines all around, is looked for in what is black in every sample;
-    the film may be larger, smaller, cut or have bars beside it. A pixel of the painter's picture is
-    as wide as ``scale`` of the film.
+    The arena's border, black lines all around, is sought where every sample is black. The film may
+    be larger, smaller, cut or have bars beside it. A pixel of the painter's picture is ``scale``
+    pixels of the film wide.
     """
 
     def __init__(self, film: Film, scene: ppl.Scene) -> None:
@@ -137,7 +137,7 @@ class View:
         self._is_own = bool(film.samples[0].size == self._size and off < 0.1)
 
     def __call__(self, frame: Image.Image) -> Pixels:
-        """Return (height, width, 3) a frame as it would be had the painter drawn it."""
+        """Return (height, width, 3) a frame as the painter would have drawn it."""
         if not self._is_own:
             frame = frame.transform(
                 self._size,
@@ -152,7 +152,7 @@ class View:
 def _border(
     black: Mask, size: FloatArray, film: Film, scene: ppl.Scene
 ) -> tuple[int, int, int, int]:
-    """Return first and last row and column, the last ones not included, of the arena's border."""
+    """Return first and last row and column of the arena's border, the last ones excluded."""
     marks, _ = ndimage.label(black, np.ones((3, 3)))
     found = []
     for number, place in enumerate(ndimage.find_objects(marks), 1):
@@ -183,9 +183,9 @@ def _border(
 def _lines(
     lightest: Pixels, across: tuple[int, int], along: tuple[int, int]
 ) -> tuple[float, float]:
-    """Return where, across the rows of a picture, the middles of two lines of the border lie.
+    """Return the positions, across the rows of a picture, of the middles of two border lines.
 
-    The darkness' centre of mass, in columns where both sides of the line are white.
+    A middle is the darkness' centre of mass, in columns where both sides of the line are white.
     """
     low, high = across
     thick = max(1, round((high - low) / 80))  # wide enough to hold the line and its blur
@@ -206,14 +206,14 @@ def _lines(
     return middle(low, 1), middle(high, -1)
 
 
-# --- what stands still ---------------------------------------------------------------------------
+# --- parts that stand still ----------------------------------------------------------------------
 
 
 class Colours:
     """The colours of a world, by which pixels are labelled.
 
-    Labels are those of entities, then landmarks, background and walls. InvalidSettingError: an
-    entity has the colour of something else.
+    Labels number entities, then landmarks, background and walls. InvalidSettingError: an entity
+    has the colour of something else.
     """
 
     def __init__(self, world: ppl.World) -> None:
@@ -240,15 +240,15 @@ class Colours:
         self._table = table
 
     def labels(self, frame: Pixels) -> Pixels:
-        """Return (height, width) of whom each pixel has the colour, or ``NOBODY``."""
+        """Return (height, width) labels of the pixels, or ``NOBODY``."""
         part = frame >> (8 - _BITS)
         return np.asarray(self._table[part[..., 0], part[..., 1], part[..., 2]])
 
 
 class Still:
-    """What stands still in the samples of a film, mapped to the painter's picture.
+    """The parts of a film that stand still, mapped to the painter's picture.
 
-    Its ``floor``, (height, width, 3), is the picture without bodies, which have the (entity, 3)
+    Its ``floor``, (height, width, 3), is the picture without bodies. These have the (entity, 3)
     ``body_colours`` in the film.
     """
 
@@ -259,7 +259,7 @@ class Still:
         count = np.zeros(samples[0].shape[:2])
         self._seen = np.zeros((len(colours.names) - n, *samples[0].shape[:2]), bool)
         self._lightest = np.max([frame.max(axis=2) for frame in samples], axis=0)
-        self._agents = np.ones(samples[0].shape[:2], bool)  # where one is in every sample
+        self._agents = np.ones(samples[0].shape[:2], bool)  # an agent is there in every sample
         own: list[list[FloatArray]] = [[] for _ in range(n)]  # away from edges, which are mixed
         for frame in samples:
             labels = colours.labels(frame)
@@ -287,7 +287,7 @@ class Still:
     def landmarks(self) -> tuple[FloatArray, FloatArray]:
         """Return (landmark, 2) centres and (landmark,) half-widths of the squares, units.
 
-        They are those of the world where the film does not show them elsewhere.
+        They are the world's, unless the film shows them elsewhere.
         """
         world = self._painter.scene.world
         centres, halves = [], []
@@ -330,12 +330,12 @@ class Still:
         return np.array(self._inner(found)).reshape(-1, 2, 2)
 
     def _is_eye(self, place: tuple[slice, slice]) -> bool:
-        """Whether what is black there lies within a body: an eye of an agent that never moves."""
+        """Whether a black spot lies within a body: the eye of an agent that never moves."""
         rows, columns = (slice(max(0, part.start - 3), part.stop + 3) for part in place)
         return bool(self._agents[rows, columns].mean() > 0.4)
 
     def _snapped(self, wall: FloatArray) -> FloatArray:
-        """Return end points with coordinates that the world has nearby, else rounded to tenths."""
+        """Return end points with coordinates of the world if near, else rounded to tenths."""
         scene = self._painter.scene
         x0, x1, y0, y1 = scene.arena
         known = np.concatenate([[[x0, y0], [x1, y1], scene.centre], *np.array(scene.world.walls)])
@@ -347,7 +347,7 @@ class Still:
         return np.asarray(result)
 
     def _inner(self, walls: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return the walls that are no border; where rooms are quadrants, cut at the centre."""
+        """Return the walls without the border; if rooms are quadrants, cut at the centre."""
         scene = self._painter.scene
         x0, x1, y0, y1 = scene.arena
         low, high, centre = np.array([x0, y0]), np.array([x1, y1]), scene.centre
@@ -397,11 +397,11 @@ class Still:
                 )
 
     def _mark(self, landmark: int) -> Mask:
-        """Return where a landmark's colour is seen at some time; edges of other things are not."""
+        """Return where a landmark's colour is seen at some time, without edges of other things."""
         return np.asarray(ndimage.binary_opening(self._seen[landmark], np.ones((5, 5))))
 
     def _square(self, centre: Sequence[float] | FloatArray, half: float) -> tuple[Mask, float]:
-        """Return the pixels of a square, with some about it, and how many it has within."""
+        """Return the pixels of a square and its surroundings, and how many of these lie within."""
         corners = self._painter.pixel(np.array(centre) + half * np.array([[-1, 1], [1, -1]]))
         (left, top), (right, bottom) = corners.round().astype(int)
         mask = np.zeros(self._lightest.shape, bool)

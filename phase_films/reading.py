@@ -1,4 +1,4 @@
-"""A film of an event, read back: :func:`read_video`."""
+"""Reading an event from a film: :func:`read_video`."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ _COLUMNS: Final = 3
 _PALE: Final = 0.55
 _CAPTION: Final = 30  # pixels below a panel
 _GAP: Final = 4
-_DARKER: Final = 0.7  # than a body, its way
+_DARKER: Final = 0.7  # colour of a body's path, in colours of the body
 _OUTLINE: Final = (20, 20, 20)
 _TEXT: Final = (70, 70, 70)
 _DOUBTED: Final = (230, 0, 230)
 
-_SHOWN_SECONDS: Final = 0.25  # that a frame of an event is shown for in films as they are made
+_SHOWN_SECONDS: Final = 0.25  # for which the package's films show a frame of an event
 _MIN_FRAMES: Final = 2  # of an event
 _MOST_LOST: Final = 0.25  # share of the frames in which a body may be lost
-_OTHER_START: Final = 0.5  # units from a scene's start that are no error of reading
-_SIZED_IN: Final = 7  # frames that a size is estimated from
+_OTHER_START: Final = 0.5  # units from a scene's start that exceed errors of reading
+_SIZED_IN: Final = 7  # frames from which a size is estimated
 _ROUNDS: Final = 2  # of sizes and places
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class VideoReading:
-    """What was read from a film.
+    """An event read from a film, and how well it matches.
 
     Attributes:
         event: scene and observation; nothing else is known.
         confidence: (time, entity) from 0 to 1: how far the body and the pixels of its colour agree,
-            less where most of it is covered. 0 where it was lost and its place is interpolated.
+            lower if most of it is covered. 0 if it was lost and its place is interpolated.
     """
 
     event: ppl.Event
@@ -58,10 +58,10 @@ class VideoReading:
         )
 
     def picture(self, path: str | os.PathLike[str]) -> None:
-        """Write a PNG to check by eye: frames of the film, and over them what was read.
+        """Write a PNG to check by eye: frames of the film, and the reading drawn over them.
 
-        Outlines are the bodies as read, in magenta where the confidence is below 0.5; lines are
-        the ways since the picture before. Below stand the frame and the least confidence in it.
+        Outlines are the bodies as read, in magenta if the confidence is below 0.5. Lines are the
+        paths since the picture before. The text below has the frame and its least confidence.
         """
         painter, frames = Painter(self.event.scene), sorted(self._pictures)
         with ppl.files.atomic_output(path, (".png",)) as part:
@@ -95,7 +95,7 @@ class VideoReading:
                 shape = painter.corners @ np.array([[cos, sin], [-sin, cos]])
             line = [tuple(at) for at in (painter.pixel(pose[:2] + size * shape) - 0.5).tolist()]
             draw.line([*line, line[0]], fill=_OUTLINE if sure else _DOUBTED, width=1)
-        # the arena with a margin that is the same all around
+        # the arena with an equal margin on all sides
         x0, _, _, y1 = scene.arena
         left, top = painter.pixel([x0, y1])
         beside = round(left - top)
@@ -122,35 +122,35 @@ def read_video(
     max_gap: int = 6,
     progress: bool | None = None,
 ) -> VideoReading:
-    """Read an event back from a film in the look of the package's own (:func:`render.video`).
+    """Read an event from a film in the look of the package's own (:func:`render.video`).
 
-    Who is who is told by colour, where by laying the shapes over the pixels. The film may be
-    compressed, of any size, cut or with bars beside it, as long as the arena's border shows. The
-    angle of an item cannot be seen: it is that of the scene's start, or 0.
+    Colours identify the bodies; fitting their shapes to the pixels gives the poses. The film may
+    be compressed, of any size, cut or with bars beside it, as long as the arena's border shows. The
+    angle of an item cannot be seen: it is the scene's at the start, or 0.
 
     Args:
-        path: an .mp4, a .gif, or anything else that ffmpeg reads.
-        scene: what the film shows: its world, walls and sizes. It is kept as it is.
-        layout: the world, or its name, such as "phase", where the scene is not known: walls,
-            landmarks, sizes and starts are then read from the picture. In PHASE the way in which
-            agents turn is that which is seen, else "both".
+        path: an .mp4, a .gif, or any other file that ffmpeg reads.
+        scene: the scene of the film: its world, walls and sizes. It is kept as given.
+        layout: the world, or its name, such as "phase", if the scene is unknown. Walls, landmarks,
+            sizes and starts are then read from the picture. In PHASE, ``turning`` is inferred
+            from the turns seen, else "both".
         frames_per_step: frames of the film per frame of the event, a twelfth of a simulated
-            second. Default: a quarter of a second of the film, as films are made. Between two
-            frames of the film bodies go on straight lines.
-        start: seconds of the film before the event begins, such as those of a still picture; of
-            the films of PHASE's authors 0.1, as their pictures show fifths of a step.
-        max_gap: frames of the event in a row in which a body may be lost; its places there are
-            interpolated.
+            second. Default: a quarter of a second of the film, as in films of the package. Bodies
+            are taken to move straight between two frames of the film.
+        start: seconds of the film before the event begins, such as those of a still picture. For
+            the films of PHASE's authors use 0.1, as their pictures show fifths of a step.
+        max_gap: most frames of the event in a row in which a body may be lost; its places there
+            are interpolated.
         progress: whether to show a progress bar; None: where stderr is a terminal.
 
     Returns:
         The event, with a confidence for every frame and body.
 
     Raises:
-        InvalidEventError: there is no such file, or it is no video; the arena, a colour or a body
-            is not found, or the film shows another scene. The message names what and where.
-        InvalidSettingError: neither or both of ``scene`` and ``layout``, colours that cannot be
-            told apart, or a setting that cannot be.
+        InvalidEventError: the file is missing or no video; the arena, a colour or a body is not
+            found; or the film shows another scene. The message names what and where.
+        InvalidSettingError: neither or both of ``scene`` and ``layout``, indistinguishable
+            colours, or an impossible setting.
         UnknownNameError: there is no ready-made world of that name.
     """
     shown_scene, world = _given(scene, layout)
@@ -198,10 +198,10 @@ def read_video(
 
 
 def _given(scene: ppl.Scene | None, layout: str | ppl.World | None) -> tuple[ppl.Scene, ppl.World]:
-    """Return the scene, or one of the layout in which nobody has a place yet; and the world.
+    """Return the scene, and the world; the scene of a layout has no places of bodies yet.
 
-    Goals of one's own may be about rooms, and there are none before walls are found: the scene of
-    a layout has none of these.
+    User-defined goals may be about rooms, which are unknown before walls are found. So a
+    layout's scene has none of these goals.
     """
     if (scene is None) == (layout is None):
         raise ppl.errors.InvalidSettingError(
@@ -225,7 +225,7 @@ def _given(scene: ppl.Scene | None, layout: str | ppl.World | None) -> tuple[ppl
 
 
 def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatArray:
-    """Return (time,) the number, perhaps broken, of the film's frame at each frame of the event."""
+    """Return (time,) the number, perhaps fractional, of the film's frame for each event frame."""
     name = film.path.name
     if frames_per_step is None:
         if not film.fps > 0:
@@ -253,12 +253,12 @@ def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatAr
 
 
 def _sizes(bodies: Bodies, samples: Sequence[Pixels], colours: Colours) -> FloatArray:
-    """Return (entity,) sizes, units: those with which bodies explain the samples best."""
+    """Return (entity,) sizes, units, with which bodies explain the samples best."""
     labels = [colours.labels(frame) for frame in samples]
     n = len(bodies.painter.scene.world.entities)
     pixels = np.array([[(one == entity).sum() for entity in range(n)] for one in labels])
     areas = np.array([bodies.area(entity) for entity in range(n)])
-    # of most pixels a body has, for some are covered at times
+    # from frames in which a body has most pixels, as it is covered at times
     radius = np.sqrt(np.quantile(pixels, 0.8, axis=0) / areas) / bodies.painter.scale
     found = [bodies.find(frame, None, radius) for frame in samples]
     for again in range(_ROUNDS):
@@ -306,7 +306,7 @@ def _follow(
         pose = poses[at].copy()
         if part:
             step = poses[at + 1] - pose
-            step[:, 2] = (step[:, 2] + np.pi) % (2 * np.pi) - np.pi  # the shorter way round
+            step[:, 2] = (step[:, 2] + np.pi) % (2 * np.pi) - np.pi  # the shorter way
             pose[:, :3] += part * step[:, :3]
             pose[:, 3] = np.minimum(pose[:, 3], poses[at + 1][:, 3])
         rows.append(pose)
@@ -316,9 +316,9 @@ def _follow(
 def _closed(
     found: FloatArray, scene: ppl.Scene, seconds: FloatArray, max_gap: int, known: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (time, entity, 3) without gaps, and the confidence, of what was found.
+    """Return (time, entity, 3) poses with gaps filled, and the confidence.
 
-    That is (time, entity, 4), NaN where a body is lost, at (time,) ``seconds`` of the film; its
+    ``found`` is (time, entity, 4), NaN if a body is lost, at (time,) ``seconds`` of the film. Its
     first frame, (entity, 3), may be known.
     """
     world = scene.world
@@ -346,7 +346,7 @@ def _closed(
         if entity >= len(world.agents):
             track[:, entity, 2] = 0.0 if known is None else known[entity, 2]
         turned = np.unwrap(track[~lost, entity, 2])
-        if known is not None:  # of all angles that look alike, the scene's
+        if known is not None:  # among angles that look alike, take the scene's
             turned += 2 * np.pi * round((known[entity, 2] - turned[0]) / (2 * np.pi))
         track[~lost, entity, 2] = turned
         for coord in range(3):
@@ -356,7 +356,7 @@ def _closed(
 
 
 def _below(found: FloatArray, scene: ppl.Scene, entity: int) -> FloatArray | None:
-    """Return where a body may be that is not seen at first: below the one it comes out of."""
+    """Return the place of a body that is hidden at first: below the one from which it appears."""
     n_agents = len(scene.world.agents)
     first = int(np.isfinite(found[:, entity, 0]).argmax())
     above = [a for a in range(n_agents) if a > entity or entity >= n_agents]
@@ -369,7 +369,7 @@ def _below(found: FloatArray, scene: ppl.Scene, entity: int) -> FloatArray | Non
 
 
 def _check_start(scene: ppl.Scene, track: FloatArray) -> None:
-    """Raise InvalidEventError where the film begins elsewhere than its scene."""
+    """Raise InvalidEventError unless the film begins as its scene does."""
     off = np.linalg.norm(track[0, :, :2] - scene.start[:, :2], axis=1)
     worst = int(off.argmax())
     if off[worst] > _OTHER_START:

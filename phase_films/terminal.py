@@ -9,7 +9,7 @@ import numpy as np
 
 import phase_ppl as ppl
 
-_EVENTS: Final = (".json", ".nc")  # endings of the files of events
+_EVENTS: Final = (".json", ".nc")  # endings of event files
 
 
 def read_video(options: Any) -> None:
@@ -17,17 +17,16 @@ def read_video(options: Any) -> None:
 
     Args:
         FILM: an .mp4, a .gif, or anything else that ffmpeg reads
-        --layout WORLD: the world that it shows, such as phase, or an event file of that world; this
+        --layout WORLD: the world of the film, such as phase, or an event file of that world; this
             or --scene is required
-        | --scene EVENT: an event file or a bundled event's name, whose scene it shows: walls,
+        | --scene EVENT: an event file or a bundled event's name with the scene of the film: walls,
             sizes, starts
         --frames-per-step X: frames of the film per frame of the event; default a quarter of a
             second of the film
         --start S: seconds of the film before the event begins
         --max-gap N: frames in a row in which a body may be lost; default 6
         --out FILE: .json or .nc, which the other commands take; required
-        --picture FILE: .png, where to draw what was read over frames of the film, to check it by
-            eye
+        --picture FILE: .png, where to draw the reading over frames of the film, to check it by eye
         $progress
 
     example: phase-ppl read-video clip.mp4 --layout phase --out clip.json --picture check.png

@@ -1,5 +1,5 @@
-"""Where people hesitate, and which events to ask them about: observers, their fits, designs.
+"""Models of how people judge events: observers, their fits, and designs of studies.
 
-An application of phase_ppl, of which it uses public names only; its ways in are ``ppl.fit_people``,
+An application of phase_ppl that uses its public names only. It is reached by ``ppl.fit_people``,
 ``ppl.observers`` and ``ppl.design``.
 """

@@ -30,8 +30,8 @@ from phase_people.observers import (
     surface_cues,
 )
 
-_NODES: Final = 64  # points at which what people share about a video is summed out
-_STEPS: Final = 10  # of Newton's method, damped, to where they lie
+_NODES: Final = 64  # quadrature points for what people share about a video
+_STEPS: Final = 10  # damped Newton steps to the centre of these points
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,16 +39,16 @@ class Answers:
     """People's answers about some videos."""
 
     counts: Mapping[str, IntArray]  # question -> (event, answer) numbers of people
-    # (answer, [question, event, rater, answer]) single answers, of people with names; none where
+    # (answer, [question, event, rater, answer]) single answers of people with names; empty where
     # only counts are known
     rows: IntArray
     raters: tuple[str, ...]  # names of the people
-    times: IntArray  # (time, [event, rater]) of the answers about a video that took ``seconds``
+    times: IntArray  # (time, [event, rater]) of response times, which are in ``seconds``
     seconds: FloatArray  # (time,)
 
     @classmethod
     def of(cls, events: Sequence[ppl.Event], study: ppl.Study | None = None) -> Answers:
-        """Collect the judgments that events carry, and the response times of a study."""
+        """Return the judgments that events carry, and the response times of a study."""
         judged = {i: one for i, e in enumerate(events) if (one := ppl.Judgments.of(e)) is not None}
         counts = {
             question: np.zeros((len(events), len(labels)), np.int64)
@@ -87,12 +87,12 @@ class Answers:
 
     @property
     def judged(self) -> FloatArray:
-        """(event,) 1 where anybody answered anything, else 0."""
+        """(event,) 1 if anybody answered anything, else 0."""
         return np.any([n.any(axis=1) for n in self.counts.values()], axis=0).astype(float)
 
 
 def _normals(n: int) -> FloatArray:
-    """Return (node, n) points that stand for independent standard normals."""
+    """Return (node, n) points that represent independent standard normals."""
     points = special.ndtri(stats.qmc.Sobol(n, seed=0).random(_NODES))
     return np.asarray((points - points.mean(axis=0)) / points.std(axis=0))
 
@@ -101,11 +101,11 @@ NORMALS: Final = {question: _normals(len(labels)) for question, labels in QUESTI
 
 
 def shared(logs: Array, spread: Array | float, question: str) -> Array:
-    """Return (node, event, answer) log probabilities in what people may share about a video.
+    """Return (node, event, answer) log probabilities, given what people share about a video.
 
-    ``logs`` (event, answer) are the observer's, ``spread`` the standard deviation of the log odds
-    that people share about one video beyond what the observer says of it, so that they agree more
-    than independent raters would.
+    ``logs`` (event, answer) are the observer's. ``spread`` is the standard deviation of the log
+    odds that people share about one video beyond the observer's. It makes them agree more than
+    independent raters would.
     """
     moved = logs + spread * jnp.asarray(NORMALS[question])[:, None]
     return jax.nn.log_softmax(moved, axis=-1)
@@ -116,9 +116,10 @@ def about(
 ) -> tuple[Array, Array]:
     """Return (answer, node, event) log odds that people may share, and (node, event) log masses.
 
-    A sum over nodes is the mean over standard normals times ``spread``. They lie about what numbers
-    of answers (event, answer) make most probable, as far as these leave it open (Laplace); with 64
-    that is off by 0.1 nats at most for 20 answers about a relation and a spread of up to 2.5.
+    A sum over nodes is the mean over standard normals times ``spread``. The nodes lie about the
+    values that the numbers of answers (event, answer) make most probable, as widely as these allow
+    (Laplace). With 64 nodes the error is at most 0.1 nats, for 20 answers about a relation and a
+    spread of up to 2.5.
     """
     votes, logs = jnp.asarray(counts, logs.dtype).T, jax.lax.stop_gradient(logs).T
     given, n = jax.lax.stop_gradient(spread), votes.sum(axis=0)
@@ -155,11 +156,11 @@ _RATERS: Final = np.stack([_PLACES, _MASSES / _MASSES.sum()], axis=1)
 def expected(
     said: Responses, spread: Array | float, diversity: Array | float | None = None
 ) -> Responses:
-    """Return question -> (event, answer) shares of people that are to be expected.
+    """Return question -> (event, answer) expected shares of people.
 
-    A mean over what they share about a video (``spread``) and, where raters differ in how sharply
-    they answer (``diversity`` as in :func:`people`), over raters, by Gauss-Hermite quadrature:
-    together they answer less sharply than the median one.
+    They are a mean over what people share about a video (``spread``). If raters differ in how
+    sharply they answer (``diversity`` as in :func:`people`), they are also a mean over raters, by
+    Gauss-Hermite quadrature: together raters answer less sharply than the median one.
     """
     of_nodes = {question: shared(logs, spread, question) for question, logs in said.items()}
     if diversity is None:
@@ -177,13 +178,13 @@ def expected(
 
 
 def people(observer: Program, evidence: Evidence, answers: Answers, counted: Array) -> None:
-    """People answer as an observer does: the program that is fitted.
+    """The program that is fitted: people answer as an observer does.
 
-    What raters share about a video (``spread``) is summed out, so that the log likelihood of a
-    video (``log_likelihood``) is that of all its answers. Raters with names differ in how sharply
-    they answer (``diversity``). A response time is log-normal, about a pace of the rater's own
-    (``pace``, ``pace_sd``), and longer by ``slowing`` for each nat of doubt about the relation.
-    ``counted`` (event,) is 1 for videos whose answers count, 0 for those left out.
+    What raters share about a video (``spread``) is integrated out, so that a video has one log
+    likelihood (``log_likelihood``), of all its answers. Raters with names differ in how sharply
+    they answer (``diversity``). A response time is log-normal about the rater's own pace (``pace``,
+    ``pace_sd``), and longer by ``slowing`` for each nat of doubt about the relation. ``counted``
+    (event,) is 1 for videos whose answers count, 0 for those left out.
     """
     said = observer(evidence)
     n_raters = len(answers.raters)
@@ -204,7 +205,7 @@ def people(observer: Program, evidence: Evidence, answers: Answers, counted: Arr
             logs = jax.nn.log_softmax(logs, axis=0)[:, :, of[:, 1]] * sharp[of[:, 2]]
             chosen = jax.nn.log_softmax(logs, axis=0)[of[:, 3], :, np.arange(len(of))]
             by_node = log_mass.at[:, of[:, 1]].add(chosen.T)
-        else:  # sums over answers outermost, which is faster
+        else:  # faster with the sum over answers outermost
             by_node = log_mass + (counts.T[:, None] * logs).sum(axis=0)
             by_node -= counts.sum(axis=1) * jax.nn.logsumexp(logs, axis=0)
         total += jax.nn.logsumexp(by_node, axis=0)
@@ -228,17 +229,17 @@ def _of_times(said: Responses, answers: Answers, n_raters: int, n_events: int) -
     return jnp.zeros(n_events).at[event].add(law.log_prob(jnp.asarray(answers.seconds)))
 
 
-# --- what a model saw -----------------------------------------------------------------------------
+# --- a model's results as evidence ----------------------------------------------------------------
 
 Made: TypeAlias = "ppl.Posterior | ppl.StepwisePosterior | ppl.Prediction | None"
-"""What a model made of a video; None: surface cues are all there is."""
+"""A model's result for a video; None: only surface cues are known."""
 
 FLOOR: Final = 0.01
-"""Share of a sampler's or a network's probabilities that is spread evenly: of what it never met
-it does not know that it is impossible."""
+"""Share of a sampler's or a network's probabilities that is spread evenly. A hypothesis that it
+never met need not be impossible."""
 
 _LOWEST: Final = -1e4
-"""Nats in place of minus infinity, of which single precision has no differences."""
+"""Nats in place of minus infinity, whose differences are undefined."""
 
 _N: Final = ANSWERS["goal_red"]
 PAIRS: Final = {
@@ -252,7 +253,7 @@ _RELATIONS_ONLY: Final = {"relation": np.arange(len(RELATIONS))}
 
 
 def check_is_phase(world: ppl.World, what: str = "an observer of people") -> None:
-    """Raise InvalidSettingError for another world than PHASE."""
+    """Raise InvalidSettingError unless the world is PHASE."""
     if world != ppl.worlds.PHASE:
         raise ppl.errors.InvalidSettingError(
             f"{what} knows the world PHASE only, not {world.name!r}"
@@ -262,10 +263,10 @@ def check_is_phase(world: ppl.World, what: str = "an observer of people") -> Non
 def evidence_of(
     events: Sequence[ppl.Event], made: Mapping[str, Made | Sequence[Made]] | None = None
 ) -> Evidence:
-    """Return what observers have to go by: scene and observation of the events, nothing else.
+    """Return the evidence of observers: scene and observation of the events, and model results.
 
-    And what a model made of each, or of several readings of it; with ``made`` None surface cues
-    alone. Of a posterior the hypotheses are pairs of goals, of a prediction the relations alone.
+    ``made`` has a model's result for each event, or for each of several readings of it; None:
+    surface cues alone. Hypotheses are pairs of goals for a posterior, relations for a prediction.
 
     InvalidSettingError: an event is of another world than PHASE.
     """

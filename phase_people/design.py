@@ -1,4 +1,4 @@
-"""Which events tell models, priors or observers apart, before anybody is asked about them."""
+"""Designs of studies: events whose answers distinguish models, priors or observers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Candidate: TypeAlias = (
     "str | os.PathLike[str] | ppl.Model | ppl.Evaluation | FittedObserver | Callable[..., Any] "
     "| Mapping[str, Any]"
 )
-"""What can be told from others, see :func:`design`."""
+"""Anything that can be compared, see :func:`design`."""
 
 
 def design(
@@ -39,28 +39,29 @@ def design(
     progress: bool | None = None,
     **options: Any,
 ) -> Design:
-    """Return which events tell models apart, by what answers about them can be expected to say.
+    """Return the expected information of answers to each event, about which model is right.
 
-    For every event, the mutual information between the model by which people answer and the
-    answers they give: for a single answer the Jensen-Shannon divergence of the models' predictions.
-    Its error is unknown (NaN, printed ``?``) where a model's prediction says nothing of its own;
-    one that is exact says so with errors of 0.
+    It is the mutual information between the model by which people answer and their answers. For a
+    single answer it is the Jensen-Shannon divergence of the models' predictions. Its error is
+    unknown (NaN, printed ``?``) if a model's prediction gives none; an exact model gives errors
+    of 0.
 
     Args:
         events: an event file, a folder of them or of a generated data set, or events.
-        models: label -> what is to be told from the others: a model by name, a
-            :class:`phase_ppl.Model`, a function ``(scene, observation, seed)``, an evaluation or
-            its folder, event id -> posterior or prediction; or a prior, by name or as a program,
-            or a fitted observer, which take the posteriors of ``source``. Names alone are their
-            labels.
-        question: "relation", "goal_red", "goal_green", in other worlds those of its agents and
-            pairs, or where all have posteriors another quantity with categories.
-        source: of the posteriors for priors and observers, any of the kinds above; it is asked
-            once. Posteriors that are there already save the time: an evaluation or its folder, or
+        models: label -> model: a name, a :class:`phase_ppl.Model`, a function ``(scene,
+            observation, seed)``, an evaluation or its folder, or event id -> posterior or
+            prediction. Also a prior, by name or as a program, or a fitted observer; these take
+            the posteriors of ``source``. A list of names has the names as labels.
+        question: "relation", "goal_red", "goal_green"; in other worlds those of its agents and
+            pairs. If all have posteriors, any other quantity with categories.
+        source: source of the posteriors for priors and observers, any of the kinds of model above;
+            it is asked once. Stored posteriors save the time: an evaluation or its folder, or
             event id -> posterior.
-        answers: people who are asked about each event.
-        lapse: probability that somebody answers at random.
-        prior: label -> how probable each model is beforehand; by default all alike.
+        answers: number of people who are asked about each event.
+        lapse: probability that a person answers at random.
+        prior: label -> prior probability of each model; by default equal.
+        seed: of the models, and of simulated answers, which tell what several events say.
+        workers, progress, **options: for :func:`phase_ppl.evaluate`, where models are asked.
         seed: of the models, and of the answers that are drawn to see what several events say.
         workers, progress, **options: for :func:`phase_ppl.evaluate`, where models are asked.
 
@@ -69,15 +70,15 @@ def design(
         ``found.best(5)`` and ``found.plot()``
 
     Raises:
-        InvalidSettingError, UnknownNameError: a model, question or setting that cannot be used.
-        InvalidEventError: events that cannot be read, or at which a model failed.
+        InvalidSettingError, UnknownNameError: an unusable model, question or setting.
+        InvalidEventError: events cannot be read, or a model failed at one.
     """
     chosen = ppl.all_events(events)
     named = models if isinstance(models, Mapping) else {name: name for name in models}
     given = {str(label): one for label, one in named.items()}
     if isinstance(models, str) or len(given) < 2:
         raise ppl.errors.InvalidSettingError(
-            f"models={ppl.errors.shown(models)}: it takes two to be told apart"
+            f"models={ppl.errors.shown(models)}, expected at least two to compare"
         )
     kinds = {label: _kind(label, one) for label, one in given.items()}
     asking = {"workers": workers, "progress": progress, "seed": seed, **options}
@@ -85,7 +86,7 @@ def design(
     if {"prior", "observer"} & {*kinds.values()}:
         if _kind("source", source) in ("prior", "observer"):
             raise ppl.errors.InvalidSettingError(
-                f"source={ppl.errors.shown(source)}: expected what makes posteriors, such as "
+                f"source={ppl.errors.shown(source)}, expected a source of posteriors, such as "
                 "'stepwise'"
             )
         base = asked_about(chosen, source, **asking)

@@ -1,4 +1,4 @@
-"""An observer fitted to people: its parameters, what it predicts, and how well out of sample."""
+"""Observers fitted to people: parameters, predictions, and out-of-sample quality."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ from phase_people.observers import (
 )
 
 SCHEMA: Final = "phase-ppl-observer-1"
-KEPT: Final = 200  # draws of the parameters that a file keeps: a mean over them is off by little
-UNRELIABLE: Final = 0.7  # Pareto k from which on what is left out is left out by fitting again
+KEPT: Final = 200  # draws of the parameters in a file; enough for a mean over them
+UNRELIABLE: Final = 0.7  # Pareto k from which on leaving an event out needs a new fit
 _NOT_PARAMETERS: Final = ("log_likelihood", "rater", "own_pace")
 _AT_A_TIME: Final = 50
 
 PEOPLE: Final = "people"
-"""Name of the observers that come with the package, fitted to people's judgments of relations in
-50 of PHASE's test videos; parameters only, no judgments."""
+"""Name of the observers that come with the package. They were fitted to people's judgments of
+relations in 50 of PHASE's test videos, and have parameters only, no judgments."""
 
 _FILE: Final = resources.files("phase_people") / "people.json"
-_REMEMBERED: Final = 4  # samplers, so that observers fitted side by side are compiled once each
+_REMEMBERED: Final = 4  # cached samplers, so that observers fitted in turn compile once each
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FittedObserver:
-    """An observer with draws of its parameters, which answers as people are expected to.
+    """An observer with draws of its parameters; it predicts people's answers.
 
     Attributes:
         observer: the program.
-        name: of a ready-made observer; "" of another one.
+        name: of a ready-made observer; "" for another one.
         draws: parameter -> (draw,).
-        questions: to whose answers it was fitted.
-        perception: how it sees videos; None: as they are.
+        questions: the questions to whose answers it was fitted.
+        perception: noise with which it sees videos; None: no noise.
     """
 
     observer: Program
@@ -64,14 +64,14 @@ class FittedObserver:
 
     @ppl.tracing()
     def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
-        """Return question -> (draw, event, answer) shares of people that are expected."""
+        """Return question -> (draw, event, answer) expected shares of people."""
 
         def of_all(draws: dict[str, Array], numbers: Any) -> dict[str, Array]:
             def of_one(draw: dict[str, Array]) -> dict[str, Array]:
                 program = handlers.substitute(self.observer, draw)
                 with handlers.block(), handlers.seed(rng_seed=0), handlers.trace() as sites:
                     said = program(evidence.of_numbers(*numbers))
-                # an observer of answers without names may call a parameter of its own so
+                # an observer of answers without names may have a parameter of that name
                 diversity = None if "diversity" in sites else draw.get("diversity")
                 return expected(said, draw["spread"], diversity)
 
@@ -82,7 +82,7 @@ class FittedObserver:
         return {question: np.asarray(values, np.float64) for question, values in found.items()}
 
     def predict(self, evidence: Evidence) -> dict[str, ppl.Prediction]:
-        """Return event id -> what people are expected to say, as a mean over the draws."""
+        """Return event id -> expected answers of people, a mean over the draws."""
         return _predictions(evidence, {q: p.mean(axis=0) for q, p in self.shares(evidence).items()})
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -113,14 +113,15 @@ class FittedObserver:
     def from_dict(
         cls, record: Mapping[str, Any], observer: Program | None = None
     ) -> FittedObserver:
-        """Read what :meth:`to_dict` gave.
+        """Return the observer that :meth:`to_dict` wrote.
 
         Args:
             record: of an observer.
-            observer: the program, where it is not a ready-made one.
+            observer: the program, unless it is a ready-made one.
 
         Raises:
-            InvalidEventError: it is no such record, or lacks the program.
+            InvalidEventError: it is no such record.
+            InvalidSettingError: the program is missing.
             UnknownNameError: there is no such ready-made observer.
         """
         if record.get("schema") != SCHEMA:
@@ -131,7 +132,7 @@ class FittedObserver:
         name = str(record.get("observer", ""))
         if observer is None and not name:
             raise ppl.errors.InvalidSettingError(
-                "the observer is one of somebody's own: hand in its program"
+                "the observer is user-defined: give its program as observer="
             )
         try:
             draws = {k: np.array(values, np.float64) for k, values in record["draws"].items()}
@@ -147,7 +148,7 @@ class FittedObserver:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], observer: Program | None = None) -> FittedObserver:
-        """Read a file of :meth:`save`; arguments and errors as of :meth:`from_dict`."""
+        """Read a file of :meth:`save`; arguments and errors as for :meth:`from_dict`."""
         return cls.from_dict(ppl.read_json(path), observer)
 
     @classmethod
@@ -157,14 +158,13 @@ class FittedObserver:
         """Return "people", the observer that comes with the package for a model, or a file's.
 
         Args:
-            name: "people", or the file.
-            model: by which "people" is chosen.
-            world: of the events that it is for, by default PHASE.
+            name: "people", or a file.
+            model: the model by which "people" is chosen.
+            world: world of the events, by default PHASE.
 
         Raises:
-            InvalidSettingError: another world than PHASE, or "people" of a model for which there
-                are none.
-            InvalidEventError, UnknownNameError: as of :meth:`from_dict`.
+            InvalidSettingError: another world than PHASE, or there is no "people" for the model.
+            InvalidEventError, UnknownNameError: as for :meth:`from_dict`.
         """
         if world is not None:
             check_is_phase(world)
@@ -180,7 +180,7 @@ class FittedObserver:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What determines how a model is seen through it, as plain data."""
+        """All that determines how it sees a model's results, as plain data."""
         digest = hashlib.sha256(json.dumps(self.to_dict()).encode()).hexdigest()
         return {"observer": self.name, "observer_digest": digest}
 
@@ -202,8 +202,8 @@ class PeopleFit(FittedObserver):
     """An observer fitted to people's answers by NUTS.
 
     Attributes:
-        evidence, answers: to which it was fitted.
-        chains: of the draws, which follow each other.
+        evidence, answers: the data of the fit.
+        chains: number of chains, whose draws follow each other.
         log_likelihood: (draw, event) of all answers about a video.
         seed, warmup: of the fit.
     """
@@ -246,7 +246,7 @@ class PeopleFit(FittedObserver):
         return {int(i): self.without([int(i)]) for i in doubtful}
 
     def without(self, places: Sequence[int]) -> PeopleFit:
-        """Return the fit to all but the events at some places."""
+        """Return the fit to all events except those at ``places``."""
         left_out = np.zeros(len(self.evidence.events))
         left_out[list(places)] = 1
         return sampled(
@@ -267,10 +267,10 @@ class PeopleFit(FittedObserver):
 
     @functools.cached_property
     def left_out(self) -> dict[str, ppl.Prediction]:
-        """Event id -> what is predicted of a video by the fit to all others.
+        """Event id -> prediction for a video by the fit to all others.
 
         Draws are weighted by Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry 2017,
-        Statistics and Computing 27), and where that is unreliable the observer is fitted again.
+        Statistics and Computing 27). If that is unreliable, the observer is fitted again.
         """
         weights = self._left_out_weights[0]
         shares = {
@@ -325,7 +325,7 @@ def _given(evidence: Evidence, questions: tuple[str, ...]) -> Evidence:
 def _sampler(
     observer: Program, given: Evidence, answers: Answers, draws: int, warmup: int, chains: int
 ) -> MCMC:
-    """Return a sampler, the same for the same data, so that fits without a video compile once."""
+    """Return a sampler, cached by data, so that fits without a video compile once."""
 
     def program(counted: Array, numbers: Any) -> None:
         people(observer, given.of_numbers(*numbers), answers, counted)
@@ -338,12 +338,12 @@ def _sampler(
 
 
 def as_observer(given: str | Program) -> tuple[Program, str]:
-    """Return an observer given by name or as a program, and its name, "" of one's own."""
+    """Return an observer given by name or as a program, and its name, "" for a program."""
     if isinstance(given, str):
         return observer_named(given), given
     if not callable(given):
         raise ppl.errors.InvalidSettingError(
-            f"observer={ppl.errors.shown(given)} is no name and no program of evidence"
+            f"observer={ppl.errors.shown(given)}, expected a name or a program of evidence"
         )
     named = (name for name, one in OBSERVERS.items() if one == given)
     return given, next(named, "")
@@ -354,13 +354,13 @@ def as_observer(given: str | Program) -> tuple[Program, str]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Observed:
-    """A model whose answers an observer gives; what it was not fitted to stays the model's."""
+    """A model seen through an observer; other questions than the fitted ones stay the model's."""
 
     model: Callable[[ppl.Scene, ppl.Observation, int], Any]
     observer: FittedObserver
 
     def __call__(self, scene: ppl.Scene, observation: ppl.Observation, seed: int) -> ppl.Answer:
-        """Return the answers that people are expected to give."""
+        """Return the expected answers of people."""
         perception = self.observer.perception
         readings = [observation]
         if perception is not None:
@@ -390,7 +390,7 @@ class Observed:
 
 
 def _summed(costs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what all readings of a video cost; what is no number is that of the first."""
+    """Return the summed costs of all readings of a video; other entries are the first's."""
     return {
         name: value
         if isinstance(value, bool) or not isinstance(value, int | float)

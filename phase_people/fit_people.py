@@ -1,4 +1,4 @@
-"""One call that fits an observer to people's judgments."""
+"""The call that fits an observer to people's judgments."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def fit_people(
 ) -> PeopleFit:
     """Fit an observer to people's answers by NUTS.
 
-    Where it is known who gave which answer, raters are modelled as such; response times of a study
-    are part of the likelihood (:func:`~phase_people.answers.people`).
+    Answers of known raters are modelled by rater. Response times of a study are part of the
+    likelihood (:func:`~phase_people.answers.people`).
 
     Args:
         events: a file or folder of events, or events.
@@ -45,19 +45,19 @@ def fit_people(
             events carry.
         observer: name of a ready-made one (:data:`~phase_people.observers.OBSERVERS`),
             or a program of evidence (:mod:`phase_people.observers`).
-        source: of the evidence: a model by name or a :class:`phase_ppl.Model`, which is asked
-            about every event; an evaluation or its folder, whose posteriors are read, so that
-            nothing is computed twice; event id -> posterior or prediction; evidence; or None,
+        source: source of the evidence. A model by name or a :class:`phase_ppl.Model` is asked about
+            every event. An evaluation or its folder has its posteriors read, so that nothing is
+            computed twice. Also event id -> posterior or prediction; evidence; or None, for
             surface cues alone.
-        perception: noisy readings of the videos, of each of which a model is asked.
-        draws, warmup, chains: of NUTS, per chain.
+        perception: noisy readings of the videos; the model is asked about each.
+        draws, warmup, chains: of NUTS; draws and warmup are per chain.
         seed: of NUTS, of the readings and of the model.
         workers, progress, **options: for :func:`phase_ppl.evaluate`, where a model is asked.
 
     Raises:
-        InvalidEventError: nobody judged any event; or something cannot be read.
-        InvalidSettingError, UnknownNameError: a setting that cannot be used, or events of another
-            world than PHASE.
+        InvalidEventError: nobody judged any event, or something cannot be read.
+        InvalidSettingError, UnknownNameError: an unusable setting, or events of another world than
+            PHASE.
     """
     for name, number in (("draws", draws), ("warmup", warmup), ("chains", chains)):
         ppl.errors.whole_number(name, number)
@@ -83,8 +83,8 @@ def evidence_from(
     perception: Perception | None = None,
     **options: Any,
 ) -> Evidence:
-    """Return what observers have to go by; arguments and errors as of :func:`fit_people`."""
-    for judged_event in events:  # before a model is asked
+    """Return the evidence of observers; arguments and errors as for :func:`fit_people`."""
+    for judged_event in events:  # fails before a model is asked
         check_is_phase(judged_event.scene.world)
     if isinstance(source, Evidence):
         return source
@@ -110,12 +110,12 @@ def _is_folder(source: object) -> bool:
 
 
 def asked_about(events: Sequence[ppl.Event], source: Any, **options: Any) -> Mapping[str, Made]:
-    """Return event id -> the posterior, or prediction, that a model makes of it.
+    """Return event id -> a model's posterior, or prediction.
 
     Args:
-        events: about which a model is asked.
-        source: a model as :func:`phase_ppl.evaluate` takes it; an evaluation or its folder, whose
-            posteriors are read; or what is to be returned.
+        events: the model is asked about them.
+        source: a model, as :func:`phase_ppl.evaluate` takes it; an evaluation or its folder, whose
+            posteriors are read; or the result itself.
         **options: for :func:`phase_ppl.evaluate`.
     """
     if isinstance(source, Mapping):
@@ -127,7 +127,7 @@ def asked_about(events: Sequence[ppl.Event], source: Any, **options: Any) -> Map
 
 
 def _made(evaluation: ppl.Evaluation) -> dict[str, Made]:
-    """Return event id -> posterior, or prediction of a model that keeps none."""
+    """Return event id -> posterior, or prediction if the model keeps no posterior."""
     if evaluation.failures:
         event, why = next(iter(evaluation.failures.items()))
         raise ppl.errors.InvalidEventError(f"the model failed at the event {event}: {why}")

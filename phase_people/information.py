@@ -1,10 +1,10 @@
-"""Which events tell models apart: expected information of people's answers about which is right.
+"""Expected information of people's answers about which of several models is right.
 
-A model predicts how probable each answer to a question about an event is. If people answer as one
-of several models does, their answers say which: what they can be expected to say is the mutual
-information between model and answers, which for one answer is the Jensen-Shannon divergence of the
-models' predictions. It is at most the entropy of what is believed of the models beforehand, log M
-for M of them.
+A model predicts the probability of each answer to a question about an event. If people answer as
+one of several models does, their answers tell which. The expected information is the mutual
+information between model and answers; for one answer it is the Jensen-Shannon divergence of the
+models' predictions. It is at most the entropy of the prior over models: log M for M equally
+probable ones.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ FloatArray: TypeAlias = NDArray[np.float64]
 SCHEMA: Final = "phase-ppl-design-1"
 
 LAPSE: Final = 0.05  # probability of an answer at random, so that no answer is impossible
-DRAWS: Final = 4000  # of a model and its answers about all events, for information of several
+DRAWS: Final = 4000  # of a model and its answers to all events, for information of several events
 _CHOOSING, _ESTIMATING = slice(0, None, 2), slice(1, None, 2)
-_OUTCOMES: Final = 2000  # counts of answers up to which all are summed over
-_REPLICATES: Final = 40  # of the models' probabilities within their errors
+_OUTCOMES: Final = 2000  # most outcomes that are summed exactly
+_REPLICATES: Final = 40  # draws of the models' probabilities within their errors
 _LISTED: Final = 20
 _RANDOM_SETS: Final = 100
 
-_NAME: Final = 32  # characters of an id that a figure shows
+_NAME: Final = 32  # most characters of an id in a figure
 _INK, _GREY, _BLUE, _PALE_BLUE = "#222222", "#666666", "#0072b2", "#56a0d3"
 _SMALL, _NORMAL = 7.5, 8.5  # font sizes, points
 
 
 def _titled(axes: Axes, title: str, note: str) -> None:
-    """Write a title, and smaller what stands between it and the axes."""
+    """Write a title, and a smaller note between it and the axes."""
     axes.set_title(title, pad=15)
     place: dict[str, Any] = {
         "xycoords": "axes fraction",
@@ -60,18 +60,18 @@ def _titled(axes: Axes, title: str, note: str) -> None:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Design:
-    """What answers about events can be expected to say about which of several models is right.
+    """Expected information of answers to events, about which of several models is right.
 
-    :func:`phase_ppl.design` returns one. Printed it is a table, :meth:`plot` draws it.
+    :func:`phase_ppl.design` returns one. Printed it is a table; :meth:`plot` draws it.
 
     Attributes:
         probabilities: (model, event, answer) of answers, sum 1, with the coordinate ``error``, NaN
-            where it is unknown.
-        question: that is asked.
-        answers: people who are asked about each event.
-        lapse: probability that somebody answers at random.
-        prior: (model,) probability of each model beforehand.
-        seed: of the answers that are drawn to estimate what sets of events say.
+            if unknown.
+        question: the question asked.
+        answers: number of people who are asked about each event.
+        lapse: probability that a person answers at random.
+        prior: (model,) prior probability of each model.
+        seed: of the simulated answers that estimate the information of sets of events.
     """
 
     probabilities: xr.DataArray
@@ -98,7 +98,7 @@ class Design:
 
     @property
     def most(self) -> float:
-        """The most that can be known: the entropy of the prior over models, nats."""
+        """The largest possible information: the entropy of the prior over models, nats."""
         return float(-(self.prior * np.log(self.prior)).sum())
 
     # --- single events -------------------------------------------------------------------------
@@ -116,8 +116,8 @@ class Design:
     def information(self) -> xr.DataArray:
         """Expected information (event,) about which model is right, nats, with its ``error``.
 
-        The error is that of the models' probabilities, NaN where it is unknown of any. Errors make
-        models look more different than they are, so that information of their size is none.
+        The error comes from the models' probabilities; it is NaN if any is unknown. Errors make
+        models look more different than they are. So information of the size of its error is none.
         """
         n, people = len(self.labels), self.answers
         summed = math.comb(people + n - 1, n - 1) <= _OUTCOMES
@@ -138,10 +138,10 @@ class Design:
         return xr.DataArray(values, coords, dims="event", name="information")
 
     def _summed(self, log_shares: FloatArray, answers: int) -> FloatArray:
-        """Return (event,) information of answers about each event alone, over all outcomes."""
+        """Return (event,) information of answers to each event alone, over all outcomes."""
         counts = _compositions(answers, log_shares.shape[-1])
         ways = gammaln(answers + 1) - gammaln(counts + 1).sum(axis=1)
-        # an answer that cannot be has no count of it
+        # an impossible answer has count 0
         safe = np.maximum(log_shares, -1e300)
         logs = np.einsum("oa,mea->oem", counts, safe) + ways[:, None, None]
         log_joint = logs + np.log(self.prior)
@@ -153,9 +153,9 @@ class Design:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row per event, the most telling first: ``information`` and ``error`` in nats.
+        """A row per event, the most informative first: ``information`` and ``error`` in nats.
 
-        ``share`` of the most that can be known, and what each model would answer.
+        ``share`` is of the largest possible information; further columns have each model's answer.
         """
         table = self.information.to_dataframe()[["information", "error"]]
         table["share"] = table["information"] / self.most
@@ -184,14 +184,14 @@ class Design:
     def _expected(self, logs: FloatArray, which: slice = slice(None)) -> FloatArray:
         """Return information (...), its error, and how often the right model leads.
 
-        Of log likelihoods (draw, ..., model) in some of the draws.
+        ``logs`` are log likelihoods (draw, ..., model); ``which`` selects draws.
         """
         log_joint = logs[which] + np.log(self.prior)
         best = log_joint.max(axis=-1, keepdims=True)
         models = self._models_drawn[which].reshape(-1, *[1] * (log_joint.ndim - 1))
         right = np.take_along_axis(log_joint, models, axis=-1)[..., 0] - best[..., 0]
         total = np.log(np.exp(log_joint - best).sum(axis=-1))
-        # the mean log of what the right one comes to, over what it was: unbiased
+        # the mean log of the right model's posterior over its prior: unbiased
         before = np.log(self.prior)[models[..., 0]]
         nats = np.maximum(right - total, -700.0) - before
         ties = (log_joint > best - 1e-9).sum(axis=-1)
@@ -200,9 +200,9 @@ class Design:
         return np.array([nats.mean(axis=0), error, leads.mean(axis=0)])
 
     def joint(self, events: Iterable[str]) -> ppl.Estimate:
-        """Return what answers about several events say together, nats, with its error.
+        """Return the joint information of answers to several events, nats, with its error.
 
-        One that is named twice counts once.
+        An event that is named twice counts once.
 
         Raises:
             UnknownNameError: there is no such event.
@@ -216,16 +216,16 @@ class Design:
         return self.events.index(event)
 
     def best(self, n: int) -> pd.DataFrame:
-        """Return the events to ask about, one after the other the one that adds most.
+        """Return the events to ask about, each next one adding the most information.
 
         Args:
             n: how many, from 1.
 
         Returns:
-            A row per event, in that order: ``information`` of it and those before it together,
-            its ``error``, ``share`` of the most that can be known, and ``right``, how often the
-            model that people answer by would lead. Of 4000 draws of a model and its answers one
-            half chooses, the other estimates.
+            A row per event, in that order. ``information`` is of it and those before together, with
+            its ``error``; ``share`` is of the largest possible information. ``right`` is how often
+            the model by which people answer would lead. One half of 4000 draws of a model and its
+            answers chooses, the other estimates.
         """
         n = min(ppl.errors.whole_number("n", n), len(self.events))
         logs = np.zeros((DRAWS, len(self.prior)))
@@ -240,11 +240,11 @@ class Design:
         return table.set_index("event")
 
     def at_random(self, n: int) -> pd.DataFrame:
-        """Return what 1 to ``n`` events taken by chance say, over 100 orders of them.
+        """Return the information of 1 to ``n`` events in random order, over 100 orders.
 
         Returns:
-            A row per number of events: ``information`` on average, ``low`` and ``high``, its 5 %
-            and 95 % quantiles, and ``right``.
+            A row per number of events: mean ``information``, ``low`` and ``high``, its 5 % and
+            95 % quantiles, and ``right``.
         """
         n = min(ppl.errors.whole_number("n", n), len(self.events))
         rng = np.random.default_rng(self.seed)
@@ -261,14 +261,14 @@ class Design:
     def attributed(
         self, answers: Mapping[str, str | Sequence[str] | Mapping[str, int]]
     ) -> dict[str, float]:
-        """Return model -> its probability, given what people answered.
+        """Return model -> its posterior probability given people's answers.
 
         Args:
-            answers: event -> an answer, several, or answer -> how many gave it.
+            answers: event -> an answer, several, or answer -> number of people.
 
         Raises:
             UnknownNameError: there is no such event or answer.
-            InvalidSettingError: all models have it that these answers cannot be.
+            InvalidSettingError: these answers are impossible under all models.
         """
         labels, log_mass = self.labels, np.log(self.prior)
         for event, given in answers.items():
@@ -276,7 +276,7 @@ class Design:
             counted = given if isinstance(given, Mapping) else {}
             for answer in counted or ([given] if isinstance(given, str) else given):
                 ppl.errors.check_name("answer", answer, labels)
-                if times := counted.get(answer, 1):  # what nobody said may be impossible
+                if times := counted.get(answer, 1):  # answers that nobody gave may be impossible
                     log_mass = log_mass + times * self._log_shares[:, place, labels.index(answer)]
         if np.isneginf(log_mass).all():
             raise ppl.errors.InvalidSettingError("no model can give these answers, without lapses")
@@ -287,12 +287,12 @@ class Design:
 
     @ppl.plot.in_style
     def plot(self, path: str | os.PathLike[str] | None = None, *, n: int = 12) -> Figure:
-        """Draw the most telling events, ``n`` at most, and what the best chosen say together.
+        """Draw the most informative events, ``n`` at most, and what the best say together.
 
-        8 inches wide. Left, the expected information of each event, with its error where it is
-        known. Right, that of the events of :meth:`best` together, beside as many taken by chance
-        (mean and 90 % of 100 orders); the dotted line is all that can be known. The figure belongs
-        to no global state, and with a ``path`` it is written there as well.
+        The figure is 8 inches wide. Left is the expected information of each event, with its error
+        if known. Right is the joint information of the events of :meth:`best`, beside as many
+        random ones (mean and 90 % of 100 orders); the dotted line is the largest possible. The
+        figure belongs to no global state. With a ``path`` it is also written there.
 
         Raises:
             OutputError: it cannot be written there, or the ending is not .png, .pdf or .svg.
@@ -340,7 +340,7 @@ class Design:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it to a .json file, from which :meth:`load` reads it."""
         errors = self.probabilities["error"].values
-        none = np.full(errors.shape, None)  # of what is not known
+        none = np.full(errors.shape, None)  # for unknown values
         record = {
             "schema": SCHEMA,
             "question": self.question,
@@ -411,11 +411,11 @@ def checked(
     prior: Mapping[str, float] | None = None,
     seed: int = 0,
 ) -> Design:
-    """Return a design of (model, event, answer) probabilities; errors as ``phase_ppl.design``."""
+    """Return a design of (model, event, answer) probabilities; errors as in ``ppl.design``."""
     models = [str(name) for name in probabilities["model"].values]
     if len(models) < 2:
         raise ppl.errors.InvalidSettingError(
-            f"models={ppl.errors.shown(models)}: it takes two to be told apart"
+            f"models={ppl.errors.shown(models)}, expected at least two to compare"
         )
     if isinstance(lapse, bool) or not 0 <= lapse < 1:
         raise ppl.errors.InvalidSettingError(
@@ -442,7 +442,7 @@ def checked(
 
 @functools.lru_cache(8)
 def _compositions(total: int, parts: int) -> FloatArray:
-    """Return (outcome, part) all ways in which counts of ``parts`` kinds make ``total``."""
+    """Return (outcome, part) all ways in which ``parts`` counts add up to ``total``."""
     bars = itertools.combinations(range(total + parts - 1), parts - 1)
     edges = np.array([(-1, *places, total + parts - 1) for places in bars])
     return np.diff(edges, axis=1).astype(np.float64) - 1

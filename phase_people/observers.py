@@ -1,8 +1,8 @@
-"""Observers: what stands between what a model makes of a video and what a person answers.
+"""Observers: models that turn a model's evidence about a video into people's answers.
 
 They are NumPyro programs over evidence, built of parts or written by hand.
 
-An observer is any callable ``observer(evidence)`` that samples its own parameters by
+An observer is any callable ``observer(evidence)``. It samples its own parameters by
 ``numpyro.sample`` and returns log probabilities of answers: question -> (event, answer). So::
 
     def timid(evidence):
@@ -12,7 +12,7 @@ An observer is any callable ``observer(evidence)`` that samples its own paramete
         belief += fear * tilt(evidence, evidence.cues["contact"], adversarial=1)
         return {"relation": log_shares(belief, evidence, "relation")}
 
-:class:`Observer` makes one of ready-made parts, each of which changes a :class:`Belief`.
+:class:`Observer` builds one of ready-made parts, each of which changes a :class:`Belief`.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 QUESTIONS: Final = ppl.questions_of(ppl.worlds.PHASE)
 RELATIONS: Final = QUESTIONS["relation"]
-"""What is asked about an event of PHASE -> the possible answers; those about the relation."""
+"""Question about an event of PHASE -> possible answers; then the answers about the relation."""
 
 HALF_LIVES: Final = (math.inf, 40.0, 10.0)
-"""Frames after which what was seen counts half, for each table of ``log_likelihood``."""
+"""Frames after which evidence counts half, for each table of ``log_likelihood``."""
 
 _LEAST: Final = 1e-30  # keeps logarithms of shares finite in single precision
 
@@ -72,20 +72,20 @@ ANSWERS: Final = {name: len(QUESTIONS[name]) for name in ("relation", "goal_red"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """What observers of some videos have to go by."""
+    """The evidence that observers have about some videos."""
 
     events: tuple[str, ...]  # ids of the videos
-    # (half-life, percept, event, hypothesis) log p(video | hypothesis), in nats as the model counts
-    # them, up to a constant per event. Half-lives are ``HALF_LIVES``; percepts are readings of the
-    # video, one where nothing was noisy
+    # (half-life, percept, event, hypothesis) log p(video | hypothesis), in the model's nats, up to
+    # a constant per event. Half-lives are ``HALF_LIVES``; percepts are readings of the video, a
+    # single one without noise
     log_likelihood: FloatArray
     log_prior: FloatArray  # (event, hypothesis) log prior masses
-    # question -> (hypothesis,) index of the answer that a hypothesis stands for
+    # question -> (hypothesis,) index of the answer that the hypothesis implies
     answers: Mapping[str, IntArray]
     cues: Mapping[str, FloatArray]  # name -> (event,) surface cues (``cues``)
 
     def at(self, places: ArrayLike) -> Evidence:
-        """Return the evidence on the events at some places only."""
+        """Return the evidence on the events at ``places``."""
         which = np.asarray(places, np.int64)
         return Evidence(
             tuple(self.events[i] for i in which),
@@ -97,19 +97,19 @@ class Evidence:
 
     @property
     def numbers(self) -> tuple[Any, Any, dict[str, Any]]:
-        """All that differs from one set of as many videos to another, to be handed to XLA."""
+        """All that differs between sets of equally many videos, to be passed to XLA."""
         return self.log_likelihood, self.log_prior, dict(self.cues)
 
     def of_numbers(self, logs: Any, prior: Any, cues: Any) -> Evidence:
-        """Return it with other :attr:`numbers`."""
+        """Return a copy with other :attr:`numbers`."""
         return dataclasses.replace(self, log_likelihood=logs, log_prior=prior, cues=cues)
 
     def condensed(self, single: int = 8, groups: int = 16) -> Evidence:
         """Return evidence on relations alone, with few hypotheses of each.
 
-        Of each relation and event the most probable hypotheses stay, ``single`` of them; the others
-        come in ``groups`` of equal size and similar likelihood, each with the sum of their priors
-        and the mean of their likelihoods. It takes a twentieth of the time to fit.
+        For each relation and event the ``single`` most probable hypotheses stay. The others are put
+        into ``groups`` groups of equal size and similar likelihood, with the sum of their priors
+        and the mean of their likelihoods. A fit then takes a twentieth of the time.
         """
         relations = self.answers["relation"]
         if relations.size <= len(RELATIONS) * (single + groups):
@@ -136,13 +136,13 @@ class Evidence:
 
 
 class Belief(NamedTuple):
-    """What an observer believes, and how it answers."""
+    """An observer's belief, and how it answers."""
 
     likelihood: Array  # (percept, event, hypothesis) log, unnormalised
     prior: Array  # (event, hypothesis) log, unnormalised
     sharpness: Array | float = 1.0  # exponent of the probabilities of answers
-    # hypotheses drawn from the belief before answering, each answer counted once more than it was
-    # drawn; infinitely many give the belief itself
+    # number of hypotheses drawn from the belief before answering; each answer counts once more
+    # than it was drawn. Infinitely many give the belief itself
     samples: Array | float = math.inf
     lapse: Array | float = 0.0  # probability of an answer at random
 
@@ -155,14 +155,14 @@ Part: TypeAlias = Callable[[Belief, Evidence], Belief]
 def log_shares(log_mass: Array, evidence: Evidence, question: str) -> Array:
     """Return (..., event, answer) log probabilities of the answers to a question.
 
-    From unnormalised log masses (..., event, hypothesis).
+    ``log_mass`` are unnormalised log masses (..., event, hypothesis).
     """
     stands_for = jax.nn.one_hot(evidence.answers[question], ANSWERS[question])
     return jnp.log(jax.nn.softmax(log_mass, axis=-1) @ stands_for + _LEAST)
 
 
 def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
-    """Return (event, hypothesis) nats for hypotheses by their relation.
+    """Return (event, hypothesis) nats that depend on a hypothesis' relation.
 
     ``toward`` has nats per unit of ``values``, (event,) or a number; other relations get 0.
     """
@@ -172,33 +172,33 @@ def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
     return jnp.asarray(values)[..., None] * nats[evidence.answers["relation"]]
 
 
-# --- what a person sees of a video: surface cues, without any inference about goals, and noise ----
+# --- surface cues of a video, without any inference about goals, and noise ------------------------
 
 CUES: Final = ("distance", "contact", "working", "impact", "holding", "unsettled", "synchrony")
-"""Names of the cues, in order; :func:`surface_cues` says what each is."""
+"""Names of the cues, in order; :func:`surface_cues` defines them."""
 
 REACH: Final = 1.5  # half the width of an agent's broad side, in its radii
-_NEAR: Final = 5.0  # units, half the width of a room: what distance and impact are measured in
+_NEAR: Final = 5.0  # units, half the width of a room: the unit of distance and impact
 
 _SIDE: Final = 1.2
 """Mean distance of an agent's outline from its centre, in its radii, a little generous."""
 
-_AT: Final = 0.4  # units within which of an item an agent is at it
+_AT: Final = 0.4  # units from an item within which an agent is at it
 _MOVES: Final = 0.05  # units per frame from which on a body counts as moving
-_STIRS: Final = 0.02  # the same where the end of all motion is looked for
-_TAIL: Final = 5  # frames of rest that are none: recordings that were cut go on for 5 to 9
+_STIRS: Final = 0.02  # the same, when the end of all motion is sought
+_TAIL: Final = 5  # fewest frames of rest in recordings that were cut; they go on for 5 to 9
 
 
 def surface_cues(scene: ppl.Scene, observation: ppl.Observation) -> dict[str, float]:
     """Return the cues of one video, each of a size of about 1.
 
-    ``distance``: log of the mean distance between the agents' centres over 5 units; ``contact``:
-    share of frames in which their broad sides could touch; ``working``: share of frames in which
-    an agent is at an item that moves, the geometric mean of both, of the item for which it is
-    larger; ``holding``: 1 where both hold the same
-    item at some time; ``unsettled``: 1 where something still moves at the end; ``impact``: by how
-    much they close in, within three frames, as contact begins, at most, over 5 units;
-    ``synchrony``: mean cosine between their motions, 0 in frames in which one rests.
+    ``distance``: log of the mean distance between the agents' centres over 5 units. ``contact``:
+    share of frames in which their broad sides could touch. ``working``: share of frames in which an
+    agent is at an item that moves; the geometric mean of both agents, for the item with the larger
+    value. ``holding``: 1 if both hold the same item at some time. ``unsettled``: 1 if something
+    still moves at the end. ``impact``: the largest approach within three frames before a contact
+    begins, over 5 units. ``synchrony``: mean cosine between their motions, 0 in frames in which
+    one rests.
     """
     trajectory, radius = observation.trajectory, np.asarray(scene.radius)
     red, green = trajectory[:, 0, :2], trajectory[:, 1, :2]
@@ -228,7 +228,7 @@ def surface_cues(scene: ppl.Scene, observation: ppl.Observation) -> dict[str, fl
 
 
 def _moves_to_the_end(trajectory: FloatArray) -> bool:
-    """Whether something still moves in the last frames, so that no rest was cut off."""
+    """Whether something still moves in the last frames, so that the video was not cut at rest."""
     steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
     moving = np.flatnonzero(steps > _STIRS)
     return moving.size > 0 and len(steps) - 1 - int(moving[-1]) < _TAIL
@@ -240,11 +240,11 @@ class Perception:
 
     Attributes:
         noise: standard deviation of each position, units.
-        missed: probability that a frame is not seen; what was in between is filled in evenly.
+        missed: probability that a frame is not seen; gaps are filled in evenly.
         percepts: number of readings.
 
     Raises:
-        InvalidSettingError: a value that cannot be used.
+        InvalidSettingError: an unusable value.
     """
 
     noise: float = 0.1
@@ -286,9 +286,9 @@ class Perception:
 
 
 def leak(belief: Belief, evidence: Evidence) -> Belief:
-    """What was seen fades: between tables of :data:`HALF_LIVES`, by ``leak`` from 0 to 2.
+    """Evidence fades with time: between tables of :data:`HALF_LIVES`, by ``leak`` from 0 to 2.
 
-    It takes the tables as they are, and so is the first part of an observer.
+    It reads the original tables, and so is the first part of an observer.
     """
     most = len(HALF_LIVES) - 1
     place = numpyro.sample("leak", dist.Uniform(0, most))
@@ -297,7 +297,7 @@ def leak(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def weight(belief: Belief, evidence: Evidence) -> Belief:
-    """Evidence counts ``weight`` times what it does for the model."""
+    """Evidence counts ``weight`` times as much as for the model."""
     times = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
     return belief._replace(likelihood=times * belief.likelihood)
 
@@ -315,7 +315,7 @@ def saturation(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def prior(belief: Belief, evidence: Evidence) -> Belief:
-    """A prior of people's own over relations, in nats beyond the model's."""
+    """People's own prior over relations, in nats beyond the model's."""
     friendly = numpyro.sample("prior_friendly", dist.Normal(0.0, 1.0))
     neutral = numpyro.sample("prior_neutral", dist.Normal(0.0, 1.0))
     own = tilt(evidence, friendly, friendly=1.0) + tilt(evidence, neutral, neutral=1.0)
@@ -323,11 +323,11 @@ def prior(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def cues(**toward: str) -> Part:
-    """Return a part by which cues speak for a relation, such as ``cues(distance="neutral")``.
+    """Return a part in which cues are evidence of a relation, as ``cues(distance="neutral")``.
 
-    A cue's likelihood is exponential in it: that agents who want nothing of each other do not
-    touch is ``cues(contact="neutral")`` with a negative ``cue_contact`` [nats per unit]. The cues'
-    common scale ``cue_scale`` is inferred, so that useless ones shrink together.
+    A cue's likelihood is exponential in it. ``cues(contact="neutral")`` with a negative
+    ``cue_contact`` [nats per unit] says that agents who want nothing of each other do not touch.
+    The cues' common scale ``cue_scale`` is inferred, so that useless ones shrink together.
     """
     for name, relation in toward.items():
         ppl.errors.check_name("cue", name, CUES)
@@ -347,17 +347,17 @@ def cues(**toward: str) -> Part:
 
 
 def sharpness(belief: Belief, evidence: Evidence) -> Belief:
-    """Answers by the belief to the power ``sharpness``: the inverse temperature of responses."""
+    """Answers follow the belief to the power ``sharpness``, an inverse temperature."""
     return belief._replace(sharpness=numpyro.sample("sharpness", dist.LogNormal(0.0, 0.5)))
 
 
 def samples(belief: Belief, evidence: Evidence) -> Belief:
-    """Answers by a few samples of the belief, ``samples`` of them."""
+    """Answers follow a few samples of the belief, ``samples`` of them."""
     return belief._replace(samples=numpyro.sample("samples", dist.LogNormal(math.log(10), 1.0)))
 
 
 def lapse(belief: Belief, evidence: Evidence) -> Belief:
-    """Answers at random with probability ``lapse``."""
+    """Answers are random with probability ``lapse``."""
     return belief._replace(lapse=numpyro.sample("lapse", dist.Beta(1.0, 20.0)))
 
 
@@ -365,7 +365,7 @@ def lapse(belief: Belief, evidence: Evidence) -> Belief:
 
 
 def respond(belief: Belief, evidence: Evidence) -> Responses:
-    """Return the answers to all questions that hypotheses say something of."""
+    """Return the answers to all questions that hypotheses decide."""
     log_mass = belief.likelihood + belief.prior
     found = {}
     for question in evidence.answers:
@@ -379,9 +379,9 @@ def respond(belief: Belief, evidence: Evidence) -> Responses:
 
 @dataclasses.dataclass(frozen=True, init=False)
 class Observer:
-    """An observer made of parts, in the order in which they are given.
+    """An observer made of parts, which are applied in order.
 
-    ``Observer(weight, prior, cues(distance="neutral"), lapse)``. Without any it answers as the
+    ``Observer(weight, prior, cues(distance="neutral"), lapse)``. Without parts it answers as the
     model does. A part is a function ``(belief, evidence) -> belief`` that may sample parameters.
 
     Raises:
@@ -398,7 +398,7 @@ class Observer:
                 )
         if leak in parts[1:]:
             raise ppl.errors.InvalidSettingError(
-                "leak comes first: it takes all evidence anew, whatever parts before it made of it"
+                "leak must be the first part: it reads all evidence anew, undoing earlier parts"
             )
         object.__setattr__(self, "parts", parts)
 

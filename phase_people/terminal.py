@@ -10,16 +10,16 @@ import phase_ppl as ppl
 def fit_people(options: Any) -> None:
     """Fit an observer to people's judgments.
 
-    An observer is what stands between a model's evidence and the answers of people, and where
+    An observer turns a model's evidence about a video into answers of people, and shows where
     they hesitate.
 
     Args:
         EVENTS: an event file or a folder of event files
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files; default: in
             the events
-        --observer NAME...: default company; of several, the best
-        --source NAME: the model whose evidence observers go by, or the folder of its evaluation,
-            which is not computed again; cues: surface cues alone; default stepwise
+        --observer NAME...: default company; if several are given, the best is kept
+        --source NAME: the model that gives observers their evidence, or the folder of its
+            evaluation, which is not computed again; cues: surface cues alone; default stepwise
         --out FILE: a .json file; required
         $workers
         $seed

@@ -1,6 +1,6 @@
 """The paper's studies of people, in the browser: judgments, tags, played sessions, likeness.
 
-An application of phase_ppl, of which it uses public names only.
+An application of phase_ppl that uses its public names only.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ __all__ = ["Study"]
 def __getattr__(name: str) -> Any:
     if name != "Study":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from phase_study.study import Study  # not before it is used: the list of commands needs none
+    from phase_study.study import Study  # only when used: the list of commands does without it
 
     return Study
 

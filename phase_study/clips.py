@@ -1,4 +1,4 @@
-"""The little films of the introduction: those of PHASE, and what can be shown of any world."""
+"""The short films of the introduction: PHASE's, and those for any world."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _WAIT, _GO, _BACK = ppl.Action.NO_FORCE, ppl.Action.UP, ppl.Action.DOWN
 _LEFT, _RIGHT, _STOP = ppl.Action.TURN_LEFT, ppl.Action.TURN_RIGHT, ppl.Action.STOP
 _WALL: Final = [[[16.0, 12.0], [16.0, 22.0]]]
 _FAR: Final = ((9.0, 4.5, 0.0), (23.0, 4.5, 0.0))
-"""Where items are that have no part in a clip."""
+"""Place of items that have no part in a clip."""
 
 Track = Sequence[tuple[ppl.Action, int]]
-"""Of an agent: what it does, and for how many planner steps."""
+"""An agent's actions, each with its number of planner steps."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Clip:
-    """A film: who is where, and what red and green do; more agents do what they do, in turn."""
+    """A film: start poses, and the actions of red and green; further agents repeat them in turn."""
 
     start: Sequence[tuple[float, float, float]]
     red: Track
@@ -35,13 +35,13 @@ class Clip:
     sight: bool = False
 
     def scene(self, world: ppl.World = ppl.worlds.PHASE) -> ppl.Scene:
-        """Return where it is shown: in another world than PHASE, a random scene."""
+        """Return the scene of the clip; in another world than PHASE, a random one."""
         if world != ppl.worlds.PHASE:
             return world.random_scene(0)
         return ppl.Scene(np.array(self.start), np.array(self.radius), np.array(self.walls))
 
     def trajectory(self, scene: ppl.Scene) -> NDArray[np.float64]:
-        """Return (time, entity, coord) of what comes of the agents' actions."""
+        """Return the (time, entity, coord) trajectory of the agents' actions."""
         n_agents = len(scene.world.agents)
         tracks = ((self.red, self.green)[agent % 2] for agent in range(n_agents))
         actions = ([action for action, n in track for _ in range(n)] for track in tracks)
@@ -89,14 +89,14 @@ CLIPS: Final[Mapping[str, Clip]] = {
 
 
 def clips_of(world: ppl.World) -> Mapping[str, Clip]:
-    """Return the films that there are of a world: of others than PHASE, its agents about."""
+    """Return the films for a world; for others than PHASE, its agents moving about."""
     moving = CLIPS["moving"]
     about = {"moving": moving, "sight": dataclasses.replace(moving, strength=450.0, sight=True)}
     return CLIPS if world == ppl.worlds.PHASE else about
 
 
 def make_clips(folder: Path, world: ppl.World = ppl.worlds.PHASE) -> None:
-    """Write the films into a folder, those that are not there."""
+    """Write the missing films into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, clip in clips_of(world).items():
         if not (path := folder / f"{name}.mp4").is_file():

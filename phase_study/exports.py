@@ -1,4 +1,4 @@
-"""What people said and played, as files: tables that the package reads, and a page about them."""
+"""Exports of a study: tables and events that the package reads, and a README."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from phase_study.store import COMPLETE, Store, trajectory_sha256
 
 README: Final = "README.md"
 SLIPPED: Final = 500.0
-"""Milliseconds by which a frame of a session may be late before the session is marked."""
+"""Milliseconds of delay of a session's frame above which the session is marked."""
 
 _TITLE: Final = "# Export of a study"
 INCLUDE: Final = ("unfinished", "excluded", "flagged")
-"""People who may be exported beside those who finished; flagged ones are unless left out."""
+"""People who can be exported beside those who finished; flagged ones are, unless left out."""
 
 _VIEWING: Final = {
     "participant": "a random number, the same in all rows of one person",
@@ -102,11 +102,11 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
         "lag_ms": "most by which a frame of the step was late, milliseconds",
     },
 }  # fmt: skip
-"""Table -> column -> what is in it; of judgments :func:`_columns` has them."""
+"""Table -> column -> meaning; :func:`_columns` has those of judgments."""
 
 
 def _columns(world: ppl.World) -> dict[str, Mapping[str, str]]:
-    """Return table -> column -> what is in it, of a study in a world."""
+    """Return table -> column -> meaning, for a study in a world."""
     said: dict[str, str] = {}
     pairs = ppl.pairs_of(world)
     for question, agent in zip(ppl.questions_of(world), world.agents, strict=False):
@@ -121,13 +121,13 @@ def _columns(world: ppl.World) -> dict[str, Mapping[str, str]]:
 
 @dataclasses.dataclass(frozen=True)
 class Status:
-    """How a study stands.
+    """The state of a study.
 
     Attributes:
-        counts: entered, consented, declined, failed the quiz, at it now, left, expired, finished,
-            excluded, withdrawn, and flagged by attention checks.
+        counts: people who entered, consented, declined, failed the quiz, are at it now, left,
+            expired, finished, were excluded, withdrew, or were flagged by attention checks.
         viewings: video or scene -> answers of people who finished and were not excluded, or
-            sessions that went to their end.
+            completed sessions.
     """
 
     counts: Mapping[str, int]
@@ -142,7 +142,7 @@ class Status:
 
 
 def status(store: Store, settings: Settings) -> Status:
-    """Return how a study stands."""
+    """Return the state of a study."""
     people = _people(store, settings)
     outcomes = Counter(person["outcome"] for person in people)
     consented = sum(person["minutes"] is not None for person in people)
@@ -182,7 +182,7 @@ def status(store: Store, settings: Settings) -> Status:
 
 
 def check_folder(out: Path) -> None:
-    """Raise OutputError where a folder holds other files than those of an export."""
+    """Raise OutputError if a folder holds other files than an export's."""
     readme = out / README
     ours = readme.is_file() and readme.read_text("utf-8", "replace").startswith(_TITLE)
     if any(out.iterdir()) and not ours:
@@ -193,7 +193,7 @@ def write(
     store: Store, settings: Settings, events: Mapping[str, ppl.Event], out: Path,
     include: Sequence[str], demographics: bool,
 ) -> None:  # fmt: skip
-    """Write all files of an export; arguments as of :meth:`phase_study.Study.export`."""
+    """Write all files of an export; arguments as for :meth:`phase_study.Study.export`."""
     people, is_play = _people(store, settings), settings.kind == "play"
     outcomes = ("finished", *(("left", "at it", "expired") * ("unfinished" in include)))
     for person in people:
@@ -242,7 +242,7 @@ def write(
     ppl.files.write_bytes(out / README, (".md",), readme.encode())
 
 
-# --- what was said --------------------------------------------------------------------------------
+# --- answers --------------------------------------------------------------------------------------
 
 
 def _answers(
@@ -264,7 +264,7 @@ def _number(value: float | None, divisor: float = 1.0) -> str:
 
 
 def _viewings(store: Store) -> list[dict[str, Any]]:
-    """Return a row per animation that somebody answered, in the order of people and positions."""
+    """Return a row per answered animation, in the order of people and positions."""
     found = store.rows(
         """SELECT a.participant, a.position+1 AS position, a.role, s.event AS video,
         s.grp AS "group", s.pair, r.answers, r.rt_ms, r.plays, r.first_end_ms
@@ -306,13 +306,13 @@ def _people(store: Store, settings: Settings) -> list[dict[str, Any]]:
 
 
 def _is_missed(viewing: Mapping[str, Any], accepted: Mapping[str, Sequence[str]] | None) -> bool:
-    if accepted is None:  # a check that is none any more
+    if accepted is None:  # a former check
         return True
     return any(viewing.get(question) not in answers for question, answers in accepted.items())
 
 
 def _totals(people: Sequence[Mapping[str, Any]]) -> str:
-    """Return age and gender of people, in one line."""
+    """Return totals of people's age and gender, in one line."""
     if not people:
         return "not asked"
     ages = [row["age"] for row in people if row["age"] is not None]
@@ -323,11 +323,11 @@ def _totals(people: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(parts)
 
 
-# --- what was played ------------------------------------------------------------------------------
+# --- sessions -------------------------------------------------------------------------------------
 
 
 def replayed(session: Mapping[str, Any], event: ppl.Event) -> ppl.Event:
-    """Return the event of a session, by doing its actions once more."""
+    """Return the event of a session, by repeating its actions."""
     settings = session["settings"]
     scene = dataclasses.replace(
         event.scene, turning=settings["turning"], resets_velocity=settings["resets_velocity"]
@@ -349,7 +349,7 @@ def played(
 ) -> tuple[list[tuple[dict[str, Any], ppl.Event]], dict[str, int]]:
     """Return the sessions of a study, as recorded and as events, and counts.
 
-    A session whose actions do not give its trajectory again, to the last bit, is left out.
+    A session is left out if its actions do not reproduce its trajectory to the last bit.
     """
     out = {row["id"] for row in store.rows("SELECT id FROM participant WHERE excluded IS NOT NULL")}
     counts = dict.fromkeys(("sessions", *COMPLETE, "broken off", "excluded", "replay differs"), 0)
@@ -447,7 +447,7 @@ def _others(include: Sequence[str]) -> str:
 
 
 def _csv_bytes(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
-    """Return a CSV file of rows; cells that are None stay empty."""
+    """Return a CSV file of rows; None becomes an empty cell."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)

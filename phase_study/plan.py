@@ -1,7 +1,7 @@
-"""The way of a participant: which pages come next, what is on them, and which answers they take.
+"""The path of a participant: the next pages, their contents, and the answers that they accept.
 
-The server owns it: the browser asks for the rest of the way whenever it begins anew, so that a
-reload, a crash, a second tab and a lost connection are one case.
+The server owns the path. A browser that starts anew asks for the rest of it. So a reload, a crash,
+a second tab and a lost connection are handled alike.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ LIKENESS: Final = ("1: very unlikely", "2", "3", "4", "5: very likely")
 Page = dict[str, Any]
 _Colour = tuple[int, int, int]
 _Literal = tuple[str, int, int, bool]
-"""Name of a predicate, subject, target, and whether it is to be true."""
+"""A predicate's name, subject, target, and whether it shall be true."""
 
 
 def outcome(settings: Settings, who: Participant) -> str | None:
-    """Return how it ended for somebody: "finished", "declined", "quiz_failed"; None: not yet."""
+    """Return how the study ended for somebody: "finished", "declined", "quiz_failed", or None."""
     if any(answer.page == "consent" and not answer.correct for answer in who.answers):
         return "declined"
     quiz = [answer.correct for answer in who.answers if answer.page == "quiz"]
@@ -39,7 +39,7 @@ def outcome(settings: Settings, who: Participant) -> str | None:
 
 
 def required(settings: Settings, who: Participant) -> list[str]:
-    """Return the pages that make a whole study, in their order."""
+    """Return the pages of a complete study, in their order."""
     before = ["consent", "device", "tutorial", *["quiz"] * bool(settings.quiz)]
     if settings.kind == "play":
         main = ["practice", *(f"session-{n + 1}" for n in range(settings.trials))]
@@ -49,12 +49,12 @@ def required(settings: Settings, who: Participant) -> list[str]:
 
 
 def is_prepared(settings: Settings, who: Participant) -> bool:
-    """Whether consent, introduction and quiz are behind a participant."""
+    """Whether a participant has passed consent, introduction and quiz."""
     return who.passed >= {"consent", "device", "tutorial", *["quiz"] * bool(settings.quiz)}
 
 
 def next_pages(settings: Settings, who: Participant) -> list[tuple[str, int]]:
-    """Return the pages that follow, with attempts, up to where the server must answer."""
+    """Return the next pages, with attempts, up to where the server must decide."""
     answered = {answer.page for answer in who.answers}
     if "consent" not in answered:
         return [("consent", 1)]
@@ -67,14 +67,14 @@ def next_pages(settings: Settings, who: Participant) -> list[tuple[str, int]]:
     return [*pages, *[("quiz", tries)] * bool(settings.quiz)]
 
 
-# --- what is on a page ----------------------------------------------------------------------------
+# --- contents of a page ---------------------------------------------------------------------------
 
 
 def described(settings: Settings, who: Participant, page: str, attempt: int) -> Page:
-    """Return what the browser needs to show a page."""
+    """Return all that the browser needs to show a page."""
     asked = questions(settings, page)
     for question in asked:
-        if question["kind"] == "many":  # the same order on all pages of a person
+        if question["kind"] == "many":  # in the same order on all of a person's pages
             random.Random(who.id).shuffle(question["options"])
     found: Page = {"page": page, "attempt": attempt, "html": "", "questions": asked,
                    "button": "Next"}  # fmt: skip
@@ -114,7 +114,7 @@ def described(settings: Settings, who: Participant, page: str, attempt: int) -> 
             "video": f"/video/{trials[int(number) - 1]}.mp4",
             "wide": True,
         }
-    else:  # of play; static/play.js shows it, and the server ends it
+    else:  # a session; static/play.js shows it, and the server ends it
         heading = f"Session {number}" if number else "Practice"
         found |= {"heading": heading, "html": html(texts["trial"]), "by_server": True}
     return found
@@ -126,7 +126,7 @@ def _one(name: str, legend: str, options: Sequence[Any], **more: Any) -> Page:
 
 
 def questions(settings: Settings, page: str) -> list[Page]:
-    """Return what is asked on a page; ``static/page.js`` and :func:`checked` know the kinds."""
+    """Return the questions of a page; ``static/page.js`` and :func:`checked` know their kinds."""
     kind = page.partition("-")[0]
     if kind == "quiz":
         return [
@@ -157,14 +157,14 @@ def questions(settings: Settings, page: str) -> list[Page]:
 
 @functools.lru_cache(maxsize=64)
 def _goals(world: ppl.World, agent: int, self_goals: bool) -> Page:
-    """Return the question about an agent's goal: tables of bodies and where they are to be.
+    """Return the question about an agent's goal: tables of bodies and target places.
 
-    Goals that stand in no table are shown in a row below.
+    Goals that are in no table are shown in a row below.
     """
     goals = _by_literal(world, agent, self_goals)
     others = [other for other in range(len(world.agents)) if other != agent]
     bodies = [*range(len(world.agents), len(world.entities)), agent, *others]
-    words: dict[str, str] = {}  # goal -> the same in words, in the order of the page
+    words: dict[str, str] = {}  # goal -> its wording, in the order of the page
 
     def cells(predicate: str, body: int, places: Mapping[int, str]) -> list[str | None]:
         found = []
@@ -202,7 +202,7 @@ def _goals(world: ppl.World, agent: int, self_goals: bool) -> Page:
     if set(rows) - {agent}:
         heads = [(world.entities[body], world.entity_colours[body]) for body in touched]
         tables.append(table("", heads, rows))
-    else:  # beside each other: to and away from the same
+    else:  # side by side: to and away from the same place
         both = (goals.get(("TOUCH", agent, body, way))
                 for body in touched for way in (True, False))  # fmt: skip
         words |= {goal: words.pop(goal) for goal in both if goal is not None}
@@ -223,17 +223,17 @@ def the(name: str) -> str:
 
 
 def _css(world: ppl.World, colour: _Colour) -> str | None:
-    """Return the colour that stands beside a name; in PHASE names say it."""
+    """Return the colour to show beside a name; None in PHASE, where names tell it."""
     return None if world == ppl.worlds.PHASE else "rgb({}, {}, {})".format(*colour)
 
 
 def allowed_goals(agent: int, self_goals: bool, world: ppl.World = ppl.worlds.PHASE) -> list[str]:
-    """Return the goals that people can choose for an agent of a world, in its order."""
+    """Return the goals that people can choose for an agent, in the world's order."""
     return list(_by_literal(world, agent, self_goals).values())
 
 
 def _by_literal(world: ppl.World, agent: int, self_goals: bool) -> dict[_Literal, str]:
-    """Return what an agent's goals make true -> the goals, of two that are the same the first."""
+    """Return literal -> goal of an agent; of equivalent goals, the first."""
     found: dict[_Literal, str] = {}
     for goal in range(len(world.goals)) if self_goals else ppl.goals.possible_goals(agent, world):
         literal = ppl.goals.goal_literal(goal, agent, world)
@@ -251,17 +251,17 @@ def html(text: str) -> str:
     return found.replace("<a href=", '<a target="_blank" rel="noopener noreferrer" href=')
 
 
-# --- which answers it takes -----------------------------------------------------------------------
+# --- accepted answers -----------------------------------------------------------------------------
 
 
 class Unfit(ValueError):
-    """An answer that the page does not take; the message says why."""
+    """An answer that the page does not accept; the message says why."""
 
 
 def checked(
     settings: Settings, page: str, answers: Mapping[str, Any]
 ) -> tuple[dict[str, Any], bool | None]:
-    """Return the answers to a page, and, of quiz and consent, whether they let the study go on."""
+    """Return the answers to a page; for quiz and consent, also whether the study may go on."""
     kind, asked = page.partition("-")[0], questions(settings, page)
     names = {"consent": ["agree"], "tutorial": ["views"]}.get(kind, [one["name"] for one in asked])
     if sorted(answers) != sorted(names):
@@ -284,12 +284,12 @@ def checked(
 
 
 def is_number(value: object, most: float) -> bool:
-    """Whether a value of JSON is a number from 0 to below another."""
+    """Whether a value of JSON is a number from 0 to below ``most``."""
     return type(value) in (int, float) and 0 <= value < most  # type: ignore[operator]
 
 
 def _fitting(question: Page, answer: Any) -> Any:
-    """Return an answer to a question, in the order of the options where it may have several."""
+    """Return an answer to a question; several options are put in order."""
     if question.get("optional") and answer in ("", None):
         return None
     options = [option for option, _ in question.get("options", ())]
@@ -303,7 +303,7 @@ def _fitting(question: Page, answer: Any) -> Any:
         answer = [option for option in options if option in several]
         fits = bool(several) and len(answer) == len(several)
     else:
-        # 3.0 and True are equal to options, and are none
+        # 3.0 and True equal options, but are not allowed
         fits = any(type(answer) is type(one) and answer == one for one in options)
     if not fits:
         raise Unfit(f"{question['name']}: no such answer")

@@ -1,10 +1,10 @@
-"""Playing: practice, the waiting room, and the sessions of two people, or of one and the computer.
+"""Playing: practice, the waiting room, and sessions of two people, or of one and the computer.
 
-Everybody who has come so far attends (:meth:`Lobby._attend`): they practise alone, wait, and play
-their sessions with whom they met. Their browser is a window onto that, by a socket which may be
-lost and come back. When somebody leaves, the session ends after ``rejoin_within`` seconds, is kept
-but marked, and the study is over for both, each by an outcome of its own. Who does not begin is
-out; whom they left goes back to the waiting room.
+Everybody who is ready attends (:meth:`Lobby._attend`): they practise alone, wait, and play their
+sessions with the partner they meet. Their browser shows this through a socket, which may be lost
+and come back. If somebody leaves, the session ends after ``rejoin_within`` seconds and is kept but
+marked. The study is then over for both, each with an outcome of its own. Somebody who does not
+begin is out; their partner goes back to the waiting room.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _PING: Final = 2.0
 _SAVED_EVERY: Final = 1.0
 _RETRY: Final = 5.0
 
-# what a socket is closed with; above 4000 is for applications
+# codes that close a socket; applications use those above 4000
 _UNKNOWN, _UNFIT, _TOO_MANY, _ELSEWHERE, _TOO_LARGE = 4401, 4400, 4429, 4409, 1009
 
 
@@ -61,7 +61,7 @@ PRACTICE: Final = ppl.Scene(
 )
 _STRENGTH: Final = 600.0
 _GOALS: Final = ("Get blue item to red lm", "Get green agent away from red lm")
-"""Of nobody: what practice is for is in :data:`TASKS`."""
+"""Goals of nobody; practice has :data:`TASKS` instead."""
 
 
 def _moved(room: Room) -> float:
@@ -85,11 +85,11 @@ TASKS: Final[dict[str, Callable[[Room], bool]]] = {
         and bool(np.ptp([frame[_BLUE_ITEM, :2] for frame in room.frames], axis=0).sum() > 2)
     ),
 }
-"""What is to be done in practice, in this order -> whether it is done."""
+"""Tasks of practice, in this order -> whether they are done."""
 
 
 class Lobby:
-    """Everybody who practises, waits or plays."""
+    """All people who practise, wait or play."""
 
     def __init__(self, site: Site) -> None:
         self.site = site
@@ -101,7 +101,7 @@ class Lobby:
         self._rooms = asyncio.Semaphore(self.settings.rooms)
 
     async def open(self) -> None:
-        """Compile what playing needs, and mark what a crash has broken off."""
+        """Compile what playing needs, and mark sessions that a crash broke off."""
         store = self.site.store
         for session in await self.site.ask(store.sessions):
             if session["ended"] is None:
@@ -119,7 +119,7 @@ class Lobby:
         await asyncio.to_thread(warm_up)
 
     async def close(self) -> None:
-        """Break off what goes on; what was played is kept."""
+        """Break off all sessions; what was played is kept."""
         tasks = [*self._matches, *self._attending.values()]
         for task in tasks:
             task.cancel()
@@ -130,7 +130,7 @@ class Lobby:
     # --- browsers ---------------------------------------------------------------------------------
 
     def _page(self, who: Participant) -> str | None:
-        """Return "practice" or the session that comes next; None: neither."""
+        """Return "practice" or the next session; None: neither."""
         if who.outcome is not None:
             return None
         pages = plan.next_pages(self.site.settings, who)
@@ -138,7 +138,7 @@ class Lobby:
         return page if page == "practice" or page.startswith("session-") else None
 
     async def socket(self, socket: WebSocket) -> None:
-        """One browser's window onto what its player is at."""
+        """A browser's connection to what its player is doing."""
         if not same_origin(socket):
             await socket.close(4403)
             return
@@ -180,7 +180,7 @@ class Lobby:
                 seat.controls.release()
 
     def _heed(self, seat: Seat, received: Any) -> int | None:
-        """Do what a browser says; return a code with which to close where that is not allowed."""
+        """Act on a browser's message; return a code to close with if the message is not allowed."""
         if received["type"] == "websocket.disconnect":
             raise WebSocketDisconnect(received.get("code") or 1000)
         text = received.get("text")
@@ -210,10 +210,10 @@ class Lobby:
                 return _UNFIT
         return None
 
-    # --- what somebody does -----------------------------------------------------------------------
+    # --- a participant's way through --------------------------------------------------------------
 
     async def _attend(self, seat: Seat, who: str) -> None:
-        """Practise, wait, and play, until there is nothing left to play or nobody to play it."""
+        """Practise, wait, and play, until no session or no player is left."""
         try:
             while True:
                 page = self._page(await self.site.ask(self.site.store.participant, who))
@@ -228,14 +228,14 @@ class Lobby:
             seat.show([{"t": "go"}])
         except HTTPException as error:
             seat.show([{"t": "error", "text": str(error.detail)}])
-        except Exception:  # nobody is left before a picture that stands still
+        except Exception:  # nobody must be left with a frozen picture
             traceback.print_exc()
             seat.show([{"t": "error", "text": "the server has a problem"}])
         finally:
             seat.stage = list
 
     async def _practise(self, seat: Seat) -> bool:
-        """Play alone, until all tasks are done and the player is ready; whether they were there."""
+        """Play alone until all tasks are done and the player is ready; return if they stayed."""
         seat.show([{"t": "full"}])
         async with self._rooms:
             room = Room(
@@ -265,7 +265,7 @@ class Lobby:
         return True
 
     async def _meet(self, seat: Seat) -> bool:
-        """Wait for somebody, and play with them; whether they are still there."""
+        """Wait for a partner, and play with them; return whether the player is still there."""
         match: asyncio.Task[None] | None = None
         if self.settings.partner == "computer":
             match = self._begin([seat, Seat()])
@@ -283,7 +283,7 @@ class Lobby:
         return not match.cancelled() and match.result() is None
 
     async def _wait(self, seat: Seat) -> asyncio.Task[None] | None:
-        """Return the match that somebody else began, or one with the computer, or none."""
+        """Return the match that another player began, or one with the computer, or None."""
         loop, who = asyncio.get_running_loop(), str(seat.who)
         until = loop.time() + self.settings.wait_at_most
         computer_comes = self.settings.partner == "either"
@@ -313,7 +313,7 @@ class Lobby:
     # --- sessions of two --------------------------------------------------------------------------
 
     async def _match(self, seats: list[Seat]) -> None:
-        """Play one session after the other, with the agents exchanged, while both have any left."""
+        """Play session after session, exchanging the agents, while both players have any left."""
         store, last = self.site.store, ""
         for seat in seats:
             seat.show([{"t": "full"}])
@@ -355,7 +355,7 @@ class Lobby:
                          "of": site.settings.trials}  # fmt: skip
             seat.show(functools.partial(_stage, room, agent, described, count))
         if not await self._ready(seats, room):
-            # who is there goes back to the waiting room
+            # a player who stayed goes back to the waiting room
             for seat in seats:
                 if seat.who is not None and not (seat.is_connected and seat.is_ready):
                     await site.ask(store.end, seat.who, "left")
@@ -378,7 +378,7 @@ class Lobby:
         return outcome
 
     async def _count_down(self, seats: Sequence[Seat], count: list[Message]) -> None:
-        """Begin together; what was pressed before is forgotten."""
+        """Begin together; earlier key presses are dropped."""
         for left in range(COUNTDOWN, 0, -1):
             count[:] = [{"t": "count", "left": left}]
             for seat in seats:
@@ -390,7 +390,7 @@ class Lobby:
             seat.tell(count[0])
 
     async def _ready(self, seats: Sequence[Seat], room: Room) -> bool:
-        """Wait until both are ready; whether they have become so in time."""
+        """Wait until both are ready; return whether they were in time."""
         loop, told = asyncio.get_running_loop(), list[bool]()
         begun = loop.time()
         while not all(ready := [seat.is_ready for seat in seats]):
@@ -404,7 +404,7 @@ class Lobby:
         return True
 
     async def _played(self, room: Room, session: str) -> str:
-        """Run a session, and keep its steps as they come."""
+        """Run a session, and store its steps as they come."""
         saving = asyncio.create_task(self._saving(room, session))
         outcome = "stopped"
         try:
@@ -421,7 +421,7 @@ class Lobby:
         while True:
             await asyncio.sleep(_SAVED_EVERY)
             steps = room.steps[saved:]
-            with contextlib.suppress(HTTPException):  # is tried again at the end
+            with contextlib.suppress(HTTPException):  # tried again at the end
                 await self.site.ask(self.site.store.add_steps, session, steps)
                 saved += len(steps)
 
@@ -446,7 +446,7 @@ class Lobby:
 
 
 def _stage(room: Room, agent: int, described: Message, count: Sequence[Message]) -> list[Message]:
-    """Return what a player is told who comes back into a session."""
+    """Return the messages for a player who comes back into a session."""
     ready = {"t": "ready", "players": [seat.is_ready for seat in room.seats]}
     return [described, ready, *count, room.shown(agent)]
 

@@ -1,8 +1,8 @@
-"""A room: a world that two players steer, each of whom sees what its agent sees.
+"""A room: a world that two players steer; each sees what its agent sees.
 
-The clock is the server's. A planner step takes one action of each player; its five substeps are
-what is drawn while the next step's keys are pressed. Nobody is waited for, and a clock that is late
-goes on later instead of hurrying.
+The server keeps the clock. A planner step takes one action of each player. Its five substeps are
+drawn while players press the keys of the next step. Nobody is waited for. A late clock stays late
+instead of hurrying.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ MOVES: Final[Mapping[str, ppl.Action]] = {
 }
 GRAB: Final = "grab"
 KEYS: Final = (*MOVES, GRAB)
-"""What a player can press (paper, Appendix A.2)."""
+"""Keys that a player can press (paper, Appendix A.2)."""
 
 NOTHING: Final = -1
-"""What an agent holds that holds nothing."""
+"""The held item of an agent that holds nothing."""
 
 Message = dict[str, Any]
 
@@ -51,7 +51,7 @@ class Controls:
         self._grabs = False
 
     def press(self, key: str, down: bool) -> None:
-        """Take in that one of :data:`KEYS` went down or up; a repeated message changes nothing."""
+        """Note that one of :data:`KEYS` went down or up; a repeated message changes nothing."""
         if down and key not in self._held:
             self._held.append(key)
             self._grabs |= key == GRAB
@@ -63,20 +63,20 @@ class Controls:
             self._unheeded.discard(key)
 
     def release(self) -> None:
-        """Let go of all keys."""
+        """Release all keys."""
         self._held.clear()
         self._taps.clear()
 
     def pressed(self) -> list[str]:
-        """Return what was tapped and is still to be done, what is held, and whether to grab."""
+        """Return the keys tapped and not yet used, the keys held, and whether to grab."""
         held = (key for key in self._held if key != GRAB)
         return [*self._taps, *held, *[GRAB] * self._grabs]
 
     def action(self, holds: bool) -> ppl.Action:
         """Return the action of the coming step.
 
-        The latest of the keys that are held wins. A key that went down and up between two steps
-        counts nevertheless, before them. To grab is to let go for an agent that holds something.
+        The latest of the held keys wins. Keys that went down and up between two steps come before
+        them. "Grab" lets go if the agent holds something.
         """
         if self._grabs:
             self._grabs = False
@@ -89,7 +89,7 @@ class Controls:
 
 
 class Outbox:
-    """Messages for one browser; one that is slow misses the oldest frames, and nothing else."""
+    """Messages for one browser; a slow one misses the oldest frames, and nothing else."""
 
     MOST: Final = 20
 
@@ -106,7 +106,7 @@ class Outbox:
         self._waiting.set()
 
     async def get(self) -> Message:
-        """Return the next message, as soon as there is one."""
+        """Return the next message, waiting for it."""
         while not self._messages:
             self._waiting.clear()
             await self._waiting.wait()
@@ -114,9 +114,9 @@ class Outbox:
 
 
 class Seat:
-    """Where one player sits: its keys, and the messages for its browser.
+    """A player's place: its keys, and the messages for its browser.
 
-    ``who`` is None for nobody, or the computer.
+    ``who`` is None if nobody, or the computer, plays.
     """
 
     def __init__(self, who: str | None = None) -> None:
@@ -131,23 +131,23 @@ class Seat:
 
     @property
     def is_connected(self) -> bool:
-        """Whether somebody is there, or nobody is expected."""
+        """Whether the player is connected, or no person is expected."""
         return self.who is None or self.outbox is not None
 
     def tell(self, message: Message) -> None:
-        """Send a message, if somebody is there."""
+        """Send a message if the player is connected."""
         if self.outbox is not None:
             self.outbox.put(message)
 
     def show(self, stage: Callable[[], Sequence[Message]] | Sequence[Message]) -> None:
-        """Send what the player is at now; a browser that comes back later is told it, too."""
+        """Send the present stage; a browser that comes back later is sent it, too."""
         self.stage = stage if callable(stage) else lambda: stage
         for message in self.stage():
             self.tell(message)
 
 
 class Step(NamedTuple):
-    """What is recorded of a planner step: the columns of the table."""
+    """The record of a planner step: the columns of the table."""
 
     number: int
     red: int
@@ -161,7 +161,7 @@ class Picture(NamedTuple):
 
     poses: NDArray[np.float64]  # (4, 3) x, y [units], angle [rad]
     seen: Sequence[Sequence[bool]]  # per agent, whether it observes each entity
-    # per agent the corners of its field of view; None where all is shown
+    # for each agent the corners of its field of view; None if everything is shown
     sights: Sequence[list[list[float]] | None]
     held: Sequence[int]  # item of each agent, or ``NOTHING``
 
@@ -170,13 +170,13 @@ class Room:
     """A running session.
 
     Args:
-        scene: as it is played, see :meth:`PlaySettings.scene`.
+        scene: the scene as played, see :meth:`PlaySettings.scene`.
         goals: effective goals of red and green.
         strengths: of red and green, newtons.
         settings: of the study.
         seats: of red and green.
-        computer: random numbers of a planner for each seat without a person; None: it stands still.
-        limit: steps after which it ends.
+        computer: a random generator for each seat without a person; None: its agent stands still.
+        limit: steps after which the session ends.
     """
 
     def __init__(
@@ -218,7 +218,7 @@ class Room:
         return Picture(state.pose, seen, sights, held)
 
     async def _planned(self) -> dict[int, ppl.Action]:
-        """Return what each computer does next, from what its agent sees now."""
+        """Return the computers' next actions, from what their agents see now."""
         return {
             agent: await asyncio.to_thread(computer.decide)
             for agent, computer in self._computers.items()
@@ -236,7 +236,7 @@ class Room:
 
     @property
     def ends_by_goals(self) -> bool:
-        """Whether it ends when both goals are true: "away from" is true from the start."""
+        """Whether it ends when both goals are true; not so for "away from", true from the start."""
         return all(literal.positive for literal in self._literals)
 
     def outcome(self) -> str | None:
@@ -252,14 +252,14 @@ class Room:
         return "time" if len(self.steps) >= self.limit else None
 
     def trajectory_sha256(self) -> str:
-        """Return the hash of the trajectory, against which a replay is checked."""
-        # a step that was broken off has a frame, and is not recorded
+        """Return the hash of the trajectory, which a replay must reproduce."""
+        # a step that was broken off has a frame, but no record
         return trajectory_sha256(np.array(self.frames[: len(self.steps) + 1]))
 
     # --- the clock --------------------------------------------------------------------------------
 
     async def run(self, done: Callable[[Room], str | None] | None = None) -> str:
-        """Play until it ends, or ``done``, asked after each step, says that it does; return how."""
+        """Play until it ends, or ``done`` is true after a step; return the outcome."""
         loop = asyncio.get_running_loop()
         interval = 1 / (self.settings.steps_per_second * ppl.Stage.SUBSTEPS)
         due = loop.time()
@@ -278,7 +278,7 @@ class Room:
                 lag = 0.0
                 for number, self.picture in enumerate(pictures):
                     due += interval
-                    # sleeps when late, too: other rooms must get their turn
+                    # sleeps even when late: other rooms must get their turn
                     await asyncio.sleep(max(0.0, due - loop.time()))
                     late = loop.time() - due
                     lag = max(lag, late)
@@ -293,10 +293,10 @@ class Room:
             planning.cancel()
         return outcome
 
-    # --- what browsers are told -------------------------------------------------------------------
+    # --- messages for browsers --------------------------------------------------------------------
 
     def shown(self, agent: int, number: int = 0) -> Message:
-        """Return the present moment as an agent sees it; of what it does not see, nothing."""
+        """Return the present moment as an agent sees it, without unseen entities."""
         poses, seen, sights, held = self.picture
         steps = len(self.steps)
         left = self.limit - steps - number / ppl.Stage.SUBSTEPS
@@ -313,7 +313,7 @@ class Room:
         }
 
     def described(self, agent: int) -> Message:
-        """Return what everybody knows of the scene, and which agent is whose."""
+        """Return what everybody knows of the scene, and each player's agent."""
         scene = self.scene
         return {
             "t": "scene",
@@ -330,17 +330,17 @@ class Room:
         }
 
 
-_BEND: Final = 0.01  # sine of the least turn of an outline at which there is a corner
+_BEND: Final = 0.01  # sine of the smallest turn of an outline that counts as a corner
 
 
 def outline(scene: ppl.Scene, poses: NDArray[np.float64], agent: int) -> list[list[float]]:
-    """Return the corners of what an agent has in view within the arena."""
+    """Return the corners of an agent's field of view within the arena."""
     points = ppl.render.field_of_view(scene, poses, agent)
     eye, rays = points[0], points[1:] - points[0]
     x0, x1, y0, y1 = scene.arena
     border = np.where(rays > 0, [x1, y1], [x0, y0])
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = np.where(rays == 0, np.inf, (border - eye) / rays)  # of the way to the border
+        shares = np.where(rays == 0, np.inf, (border - eye) / rays)  # of the distance to the border
     ends = eye + shares.min(axis=1).clip(0.0, 1.0)[:, None] * rays
     sides = np.diff(ends, axis=0)
     lengths = np.hypot(*sides.T)
@@ -352,11 +352,11 @@ def outline(scene: ppl.Scene, poses: NDArray[np.float64], agent: int) -> list[li
     return [[round(x, 2), round(y, 2)] for x, y in [eye.tolist(), *corners.tolist()]]
 
 
-# --- what is to be expected of a scene ------------------------------------------------------------
+# --- feasibility of a scene -----------------------------------------------------------------------
 
 
 def warnings(events: Iterable[ppl.Event], settings: PlaySettings) -> list[str]:
-    """Return which agents cannot do in the time what they are to do, in words."""
+    """Return in words which agents cannot reach their goals in time."""
     found = []
     for event in events:
         truth, scene = event.truth, settings.scene(event.scene)
@@ -389,7 +389,7 @@ def _of(settings: PlaySettings) -> str:
 
 
 def _needed(literal: ppl.goals.Literal, agent: int, scene: ppl.Scene, strength: float) -> float:
-    """Return the planner steps that an agent needs for its goal, alone and straight; inf: never."""
+    """Return the planner steps for an agent's goal, alone and straight; inf: impossible."""
     places, distance, resets = scene.start[:, :2], scene.rooms.path_distance, scene.resets_velocity
     size, subject = float(scene.radius[agent]), literal.subject
     if not literal.positive or subject == 1 - agent:
@@ -405,18 +405,19 @@ def _needed(literal: ppl.goals.Literal, agent: int, scene: ppl.Scene, strength: 
     return there + driving(size, strength, carried, resets, item)
 
 
-_STEADY: Final = 24  # steps after which the speed of an agent that is reset is taken as it stays
+_STEADY: Final = 24  # steps after which an agent that is reset keeps its speed
 _MOST_STEPS: Final = 5000  # of a session
-_CREEPS: Final = 2e-3  # units per step that are no motion
+_CREEPS: Final = 2e-3  # units per step that do not count as motion
 
 
 @functools.lru_cache(maxsize=1024)
 def driving(
     size: float, strength: float, way: float, resets_velocity: bool, item: float | None = None
 ) -> float:
-    """Return the planner steps that an agent takes straight ahead from rest; inf: it stays.
+    """Return the planner steps that an agent takes straight ahead from rest; inf: it cannot move.
 
-    Of that size [units] and strength [N], for a way [units], carrying an item of a size in front.
+    The agent has a size [units] and a strength [N], a distance to go [units], and may carry an
+    item of a size in front.
     """
     if way <= 0:
         return 0.0

@@ -1,4 +1,4 @@
-"""The server of a study: who asks, what is refused, and starlette routes over store and plan."""
+"""The server of a study: identity of visitors, refusals, and routes over store and plan."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from phase_study.store import Participant, Refused, Store
 STATIC: Final = Path(__file__).parent / "static"
 MOST_BODY: Final = 64 * 1024
 MOST_MESSAGE: Final = 4 * 1024
-"""Bytes of a request's body, and of a message of a socket."""
+"""Most bytes of a request's body, and of a socket's message."""
 
 HEADERS: Final = {
     # jsPsych sets style attributes; preloaded videos are blobs
@@ -60,7 +60,7 @@ T = TypeVar("T")
 
 
 class Site:
-    """A study that is being served; ``secure``: by TLS, so that cookies are for TLS only."""
+    """A study that is being served; ``secure``: over TLS, so that cookies are for TLS only."""
 
     def __init__(
         self,
@@ -78,12 +78,12 @@ class Site:
         self.cookie = ""
 
     async def open(self) -> None:
-        """Open the store, in the one thread that uses it."""
+        """Open the store, in the only thread that uses it."""
 
         def begin() -> None:
             self.store = Store(self.folder / "study.db")
             self.store.use_settings(self.settings)
-            # cookies are shared by all ports of a machine
+            # all ports of a machine share cookies
             self.cookie = f"study_{self.store.fact('id')}"
 
         await asyncio.get_running_loop().run_in_executor(self._thread, begin)
@@ -91,7 +91,7 @@ class Site:
             await what()
 
     async def close(self) -> None:
-        """Write what is to be written, and close the store."""
+        """Write what is pending, and close the store."""
         for what in self.closing:
             await what()
         await asyncio.get_running_loop().run_in_executor(self._thread, lambda: self.store.close())
@@ -109,19 +109,19 @@ class Site:
     async def answer(
         self, who: str, page: str, answers: Mapping[str, Any], attempt: int = 1, **more: Any
     ) -> bool:
-        """Keep an answer, as :meth:`Store.answer` does, with how the study ends by it."""
+        """Store an answer, as :meth:`Store.answer` does, and how the study ends with it."""
         return await self.ask(
             self.store.answer, who, page, attempt, answers,
             outcome=lambda participant: plan.outcome(self.settings, participant), **more,
         )  # fmt: skip
 
     async def visitor(self, connection: HTTPConnection) -> Participant | None:
-        """Return whose cookie comes with a request or a socket; None: nobody's."""
+        """Return the participant of a request's or socket's cookie; None: nobody's."""
         token = connection.cookies.get(self.cookie, "")
         return await self.ask(self.store.by_token, token) if token else None
 
     async def participant(self, connection: HTTPConnection) -> Participant:
-        """Return whose cookie comes with a request or a socket (HTTPException 401: nobody's)."""
+        """Return the participant of a request's or socket's cookie (HTTPException 401: none)."""
         found = await self.visitor(connection)
         if found is None:
             raise HTTPException(401, "you are not known here; please open the study's address anew")
@@ -140,7 +140,7 @@ class Site:
 
 
 def same_origin(connection: HTTPConnection) -> bool:
-    """Whether a page of the study asks: the Origin that browsers send is that of the Host."""
+    """Whether the request comes from a page of the study: its Origin is that of the Host."""
     origin = connection.headers.get("origin", "")
     return bool(origin) and urlsplit(origin).netloc == connection.headers.get("host")
 
@@ -166,7 +166,7 @@ async def posted(request: Request) -> dict[str, Any]:
 
 
 class SafeHeaders:
-    """Puts :data:`HEADERS` onto every answer that does not say otherwise."""
+    """Adds :data:`HEADERS` to every response that does not set them itself."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -183,7 +183,7 @@ class SafeHeaders:
 
 
 def create_app(site: Site, names: Sequence[str] = (), more: Sequence[BaseRoute] = ()) -> Starlette:
-    """Return the application of a study, which answers to names beside those of this machine.
+    """Return the application of a study, which accepts ``names`` beside those of this machine.
 
     ``more`` are routes beside those of the pages.
     """
@@ -225,17 +225,17 @@ async def _refusal(request: Request, error: Exception) -> Response:
 
 
 class Pages:
-    """What browsers ask for."""
+    """The handlers of browsers' requests."""
 
     def __init__(self, site: Site) -> None:
         self.site = site
 
     async def start(self, request: Request) -> Response:
-        """The one page; its script asks for the state."""
+        """The only page; its script asks for the state."""
         return FileResponse(STATIC / "study.html", media_type="text/html; charset=utf-8")
 
     async def state(self, request: Request) -> Response:
-        """How far somebody is, and what comes next."""
+        """How far a participant is, and the next pages."""
         site, settings = self.site, self.site.settings
         who = await site.visitor(request)
         if who is None:
@@ -252,11 +252,11 @@ class Pages:
         return JSONResponse(found)
 
     async def _now(self, who: Participant) -> Participant:
-        """Return a participant with what is due: too late, or time for the videos to be drawn."""
+        """Return a participant after pending changes: an end for lateness, or drawn videos."""
         site, settings = self.site, self.site.settings
         if who.outcome is not None:
             return who
-        # a crash may have come between an answer and what follows from it
+        # a crash may have come between an answer and its consequences
         ended = plan.outcome(settings, who)
         if ended is None and self._is_late(who):
             ended = "expired"
@@ -280,7 +280,7 @@ class Pages:
         return found
 
     async def enter(self, request: Request) -> Response:
-        """Let somebody in, by a cookie."""
+        """Admit somebody, and set a cookie."""
         site, settings = self.site, self.site.settings
         given = await posted(request)
         if await site.visitor(request) is not None:
@@ -304,7 +304,7 @@ class Pages:
         return answer
 
     async def answer(self, request: Request) -> Response:
-        """Keep the answers to a page; a repeated upload changes nothing."""
+        """Store the answers to a page; a repeated upload changes nothing."""
         site, settings = self.site, self.site.settings
         given = await posted(request)
         who = await site.participant(request)
@@ -315,7 +315,7 @@ class Pages:
         page, attempt, answers = (given.get(name) for name in ("page", "attempt", "answers"))
         if not (isinstance(page, str) and type(attempt) is int and isinstance(answers, dict)):
             raise HTTPException(400, "expected page, attempt and answers")
-        if self._is_late(who):  # what comes too late is kept, but the study does not go on
+        if self._is_late(who):  # late answers are kept, but the study does not go on
             who = await self._now(who)
         if any((page, attempt) == (a.page, a.attempt) for a in who.answers):
             return JSONResponse({"saved": True, "new": False, "next": self._next(who)})
@@ -339,14 +339,14 @@ class Pages:
         return time.time() - who.seen > 60 * self.site.settings.resume_within
 
     def _next(self, who: Participant) -> str | None:
-        """Return the page that comes next, by which a second tab notices that it is behind."""
+        """Return the next page, by which a second tab notices that it is behind."""
         if who.outcome is not None:
             return None
         pages = plan.next_pages(self.site.settings, who)
         return "-".join(map(str, pages[0])) if pages else None
 
     async def note(self, request: Request) -> Response:
-        """Keep what happened beside the answers."""
+        """Store a note on events beside the answers."""
         given = await posted(request)
         who = await self.site.participant(request)
         what, page, detail = (given.get(name) for name in ("what", "page", "detail"))
@@ -358,7 +358,7 @@ class Pages:
         return JSONResponse({"saved": True})
 
     async def video(self, request: Request) -> Response:
-        """A film, for the participant for whom it was drawn."""
+        """A film, for the participant to whom it was assigned."""
         who = await self.site.participant(request)
         name = request.path_params["name"]
         file = await self.site.ask(self.site.store.video, who.id, name)

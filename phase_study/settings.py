@@ -1,4 +1,4 @@
-"""What a study asks and says: ``study.toml``, whose defaults are those of the template."""
+"""Settings and texts of a study: ``study.toml``, whose defaults are the template's."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ _RANGES: Final[Mapping[str, tuple[int, float]]] = {
     "ready_within": (1, 600), "rejoin_within": (1, 60), "practice_at_most": (1, 3600),
     "rooms": (1, 50),
 }  # fmt: skip
-"""Of whole numbers, the least and the most."""
+"""Least and greatest values of whole numbers."""
 
 _CHOICES: Final = {"view": ("own", "all"), "partner": ("either", "person", "computer")}
-"""Of texts, those of which one is allowed."""
+"""Allowed values of texts with a choice."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PlaySettings:
-    """What sessions are like: the table ``[play]`` of ``study.toml``, which describes them."""
+    """Settings of sessions: the table ``[play]`` of ``study.toml``, which describes them."""
 
     steps_per_second: int
     limit: int
@@ -60,24 +60,24 @@ class PlaySettings:
 
     @property
     def seconds(self) -> float:
-        """That a session may take."""
+        """Longest duration of a session."""
         return self.limit * self.step
 
     def scene(self, scene: ppl.Scene) -> ppl.Scene:
-        """Return a scene as it is played: people turn both ways, and the rule is the study's."""
+        """Return a scene as played: people can turn both ways, and the study's rule holds."""
         return dataclasses.replace(scene, turning="both", resets_velocity=self.resets_velocity)
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """The contents of ``study.toml``; the file says what each of them is.
+    """The contents of ``study.toml``; the file describes each of them.
 
     Attributes:
         text: of the file.
         All others: as in the file. ``quiz`` has (question, options, right answer), ``tutorial``
-        (Markdown, name of a clip or ""), ``checks`` event id -> question -> accepted answers,
-        ``play`` is there in a study of play alone.
-        world: that the events are of, which have it.
+        (Markdown, name of a clip or ""), ``checks`` event id -> question -> accepted answers.
+        ``play`` exists only in a study of play.
+        world: of the events; it is not in the file.
     """
 
     kind: str
@@ -122,7 +122,7 @@ class Settings:
 
     @classmethod
     def parse(cls, text: str, world: ppl.World = ppl.worlds.PHASE) -> Settings:
-        """Read the text of ``study.toml``; what is left out is as in the template."""
+        """Parse the text of ``study.toml``; missing values are the template's."""
         given = tomllib.loads(text)
         ppl.errors.check_name("kind", given.get("kind"), KINDS)
         found = _table("", given, tomllib.loads(template(given["kind"], title="", world=world)))
@@ -183,7 +183,7 @@ def _quoted(text: str) -> str:
 def _table(
     where: str, given: Any, default: Mapping[str, Any], required: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return a table of the file, checked; what is left out, unless required, is the default."""
+    """Return a checked table of the file; missing values, unless required, are the default."""
     if not isinstance(given, dict):
         raise ppl.errors.InvalidSettingError(
             f"{where} is {ppl.errors.shown(given)}, expected a table"
@@ -203,7 +203,7 @@ def _table(
             )
         if name in _CHOICES:
             ppl.errors.check_name(f"{name}{inside}", value, _CHOICES[name])
-        if isinstance(value, dict) and name != "checks":  # whose names are those of videos
+        if isinstance(value, dict) and name != "checks":  # its keys are names of videos
             found[name] = _table(f"[{name}]", value, default[name])
     return found
 
@@ -227,7 +227,7 @@ def _question(where: str, given: Any) -> tuple[str, tuple[str, ...], str]:
 
 
 def _accepted(event: str, given: Any, world: ppl.World) -> dict[str, tuple[str, ...]]:
-    """Return question -> accepted answers; a list is of the relation where there is one pair."""
+    """Return question -> accepted answers; with one pair, a list is about the relation."""
     pairs = list(ppl.pairs_of(world))
     if isinstance(given, list) and len(pairs) == 1:
         given = {pairs[0]: given}
@@ -244,6 +244,6 @@ def _accepted(event: str, given: Any, world: ppl.World) -> dict[str, tuple[str, 
 
 
 def _spelled(question: str, answer: object, world: ppl.World) -> str:
-    """Return an answer as the labels of a question of the world spell it."""
+    """Return an answer spelled as the label of a question of the world."""
     said = ppl.Prediction("", answers={question: str(answer)}, world=world)
     return said.answers[question]

@@ -1,7 +1,7 @@
-"""Scripted participants, for planning: they go through a copy of a study by its HTTP interface.
+"""Scripted participants, for planning: they go through a copy of a study over HTTP.
 
-They answer as a model believes: each draws from its posterior, now and then at random. What comes
-of it shows a lab its export and figures before anybody is paid; it says nothing about people.
+They answer by a model's posterior, with lapses at random. A lab can so see its export and figures
+before anybody is paid. The results say nothing about people.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ _BY_GOAL: Final[Mapping[str, Mapping[str, float]]] = {
     "get to": {"approaching": 0.6, "chasing": 0.5, "following the lead (of another agent)": 0.2},
     "get away": {"running away": 0.7, "avoiding": 0.5},
 }
-"""How probable scripted people are to choose a label, by the scenario and by a goal they see.
-A guess of ours: nobody published such shares."""
+"""Probability that scripted people choose a label, by the scenario and by a goal they see.
+These are guesses of ours: nobody published such shares."""
 
 _RATING: Final = (4.0, 0.8)
 """Mean and standard deviation of scripted ratings; the paper's means are 4.06 and 3.98."""
@@ -70,26 +70,26 @@ def simulate(
     seed: int = 0,
     progress: bool | None = None,
 ) -> str:
-    """Send scripted people through a copy of a study, and export what they say.
+    """Send scripted people through a copy of a study, and export their answers.
 
     Args:
-        study: stays as it is.
+        study: it stays unchanged.
         out: folder of the export.
-        people: who enter.
-        model: whose posterior they answer from, with ``options``.
-        predictions: of an evaluation of the study's events, or its folder, instead of ``model``.
+        people: number of people who enter.
+        model: the model whose posterior gives the answers.
+        predictions: an evaluation of the study's events, or its folder, instead of ``model``.
         options: of the model.
-        lapse: share of answers that are drawn at random.
+        lapse: share of random answers.
         drop_outs: share of people who leave midway.
-        seed: of the people; who gets which video is drawn by the study.
+        seed: of the people; the study itself draws who gets which video.
         progress: whether to show bars; None: where stderr is a terminal.
 
     Returns:
-        How the copy stood in the end, in words.
+        The state of the copy at the end, in words.
 
     Raises:
-        InvalidSettingError: a setting is out of range, or sessions are to be played.
-        SimulationError: the server refused what a page of it would not.
+        InvalidSettingError: a setting is out of range, or the study is one of play.
+        SimulationError: the server refused a request that its own page would make.
     """
     ppl.errors.whole_number("people", people)
     for name, value in (("lapse", lapse), ("drop_outs", drop_outs)):
@@ -115,7 +115,7 @@ def simulate(
             asked = pool.map(one, range(people))
             for _ in ppl.counted(asked, progress, "person", "asking", people):
                 pass
-        # nobody is at it any more
+        # nobody is taking part any more
         copy.settings = dataclasses.replace(copy.settings, place_kept=0)
         copy.export(out)
         stands = copy.status()
@@ -140,7 +140,7 @@ def _beliefs(
 
 @contextlib.contextmanager
 def copied(study: Study) -> Iterator[Study]:
-    """Yield a copy of a study that nobody has taken part in, without limits of entries."""
+    """Yield a copy of a study without participants, and without limits of entries."""
     with tempfile.TemporaryDirectory(prefix="phase-ppl-study-") as folder:
         target = Path(folder) / "copy"
         target.mkdir(mode=0o700)
@@ -187,7 +187,7 @@ def serving(study: Study) -> Iterator[str]:
 
 
 class Visitor:
-    """A browser as the server sees it: one connection, a cookie, and every request tried again."""
+    """A browser as the server sees it: one connection, a cookie, and retries of every request."""
 
     def __init__(self, address: str, patience: float = 30.0) -> None:
         self.host = urlsplit(address).netloc
@@ -208,7 +208,7 @@ class Visitor:
             self._connection.close()
 
     def _once(self, method: str, path: str, body: bytes | None) -> tuple[int, bytes]:
-        """Ask once; return status and content (OSError, HTTPException: there was no answer)."""
+        """Send one request; return status and content (OSError, HTTPException: no response)."""
         headers = {"Origin": f"http://{self.host}", "Content-Type": "application/json"}
         if self.cookie:
             headers["Cookie"] = self.cookie
@@ -242,10 +242,10 @@ class Visitor:
 
 
 class Person:
-    """Somebody who takes part, by what a model believes of the events, with lapses.
+    """A scripted participant who answers by a model's posterior, with lapses.
 
-    Films are told by their hash. ``confirmed`` is told every answer that the server has confirmed:
-    person, page, attempt, answers.
+    Films are identified by their hash. ``confirmed`` is called with every answer that the server
+    has confirmed: person, page, attempt, answers.
     """
 
     def __init__(
@@ -358,7 +358,7 @@ class Person:
 
 
 def _figures(kind: str, out: Path, copy: Study) -> list[str]:
-    """Draw what can be drawn of an export; return what to say of it."""
+    """Draw the possible figures of an export; return lines about them."""
     if kind == "tagging":
         ppl.figures.tags(out / "tags.csv", out / "tags.png")
         return [f"\nFigure: {out / 'tags.png'}"]
@@ -374,6 +374,6 @@ def _figures(kind: str, out: Path, copy: Study) -> list[str]:
     if any(event.id in judged.judgments for event in events):
         right = judged.accuracy(events)
         for name in ("goal_accuracy", "relation_accuracy"):
-            if right[name] is not None:  # a single agent has no relation
+            if right[name] is not None:  # a lone agent has no relation
                 lines.append(f"{name}: {right[name]['value']:.2f}")
     return lines

@@ -1,4 +1,4 @@
-"""What a study knows: a SQLite database that one server process writes.
+"""The data of a study: a SQLite database that one server process writes.
 
 Every answer is on the disk (``synchronous=FULL``) before it is confirmed. Uploads are idempotent:
 the first answer to a page and attempt counts, and a repeated one changes nothing.
@@ -74,10 +74,10 @@ CREATE TABLE step(
 """
 _COUNTS: Final = """p.excluded IS NULL
   AND (p.outcome='finished' OR p.outcome IS NULL AND p.assigned>?)"""
-"""Of participants p, those whose videos count as seen: who finished, or began after a time."""
+"""Condition on participants p whose viewings count: they finished, or began after a time."""
 
 COMPLETE: Final = ("goals", "time")
-"""Outcomes of sessions that went to their end; "left" and others are kept but marked."""
+"""Outcomes of complete sessions; "left" and others are kept but marked."""
 
 
 class Stimulus(NamedTuple):
@@ -92,7 +92,7 @@ class Stimulus(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """An answered page: which, at which attempt, and, of a quiz, whether all was right."""
+    """An answered page, the attempt, and for a quiz whether all was right."""
 
     page: str
     attempt: int
@@ -101,17 +101,17 @@ class Answer(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Participant:
-    """Somebody who came, and how far they are."""
+    """A participant, and how far they are."""
 
-    id: str  # as exports name them
-    seen: float  # when they were last heard of, in seconds since 1970
+    id: str  # as in exports
+    seen: float  # time of their last request, seconds since 1970
     outcome: str | None  # how it ended; None: it has not
-    answers: Sequence[Answer]  # to pages, in the order in which they came
-    trials: Sequence[str] | None  # names of the videos that they are to see; None: yet to be drawn
+    answers: Sequence[Answer]  # to pages, oldest first
+    trials: Sequence[str] | None  # names of their videos; None: not drawn yet
 
     @property
     def passed(self) -> set[str]:
-        """The pages that are behind them; not a quiz with wrong answers."""
+        """The pages that they have passed; a quiz with wrong answers is not."""
         return {answer.page for answer in self.answers if answer.correct is not False}
 
     def attempts(self, page: str) -> int:
@@ -120,14 +120,14 @@ class Participant:
 
 
 class Refused(Exception):
-    """Somebody cannot come in: "full", "repeated" or "busy"."""
+    """A person is refused: "full", "repeated" or "busy"."""
 
 
 class Store:
-    """The database. Its methods belong into one thread; each is a transaction of its own.
+    """The database. Use it in one thread only; each method is a transaction of its own.
 
     Raises:
-        InvalidEventError: it is no database of a study, or of another version.
+        InvalidEventError: it is no database of a study, or has another version.
     """
 
     def __init__(self, path: Path) -> None:
@@ -155,7 +155,7 @@ class Store:
 
     @classmethod
     def create(cls, path: Path, kind: str, stimuli: Iterable[Stimulus]) -> Store:
-        """Make a new database, which its owner alone can read."""
+        """Make a new database, which only its owner can read."""
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
         db = sqlite3.connect(path, isolation_level=None)
         with contextlib.closing(db):
@@ -188,11 +188,11 @@ class Store:
             raise
 
     def rows(self, query: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
-        """Return what a SELECT finds."""
+        """Return the rows of a SELECT."""
         return [dict(row) for row in self._db.execute(query, values)]
 
     def _value(self, query: str, *values: Any) -> Any:
-        """Return the first column of the first row that a SELECT finds; None: there is no row."""
+        """Return the first column of the first row of a SELECT; None: there is no row."""
         row = self._db.execute(query, values).fetchone()
         return None if row is None else row[0]
 
@@ -201,13 +201,13 @@ class Store:
         return str(self._value("SELECT value FROM study WHERE name=?", name))
 
     def snapshot(self, path: Path) -> Store:
-        """Return a copy as of now, made while the study may go on."""
+        """Return a copy of the present data; the study may go on meanwhile."""
         self._db.execute("VACUUM INTO ?", (str(path),))
         path.chmod(0o600)
         return Store(path)
 
     def use_settings(self, settings: Settings) -> None:
-        """Keep the settings that people come under from now on."""
+        """Store the settings that apply to people from now on."""
         values = settings.sha256, settings.text, time.time()
         with self._writing() as run:
             run("INSERT OR IGNORE INTO config VALUES(?,?,?)", values)
@@ -220,9 +220,9 @@ class Store:
     # --- people -----------------------------------------------------------------------------------
 
     def enter(self, settings: Settings, person: str = "") -> tuple[str, str]:
-        """Let somebody in; return their id and a secret token.
+        """Admit somebody; return their id and a secret token.
 
-        Of the ``person``, the id on a platform, only a keyed hash is kept.
+        Only a keyed hash of ``person``, the id on a platform, is stored.
         """
         now, repeat = time.time(), None
         if person:
@@ -245,7 +245,7 @@ class Store:
         return who, token
 
     def _places(self, settings: Settings) -> float:
-        """Return how many people can come in, beside those whose places are kept."""
+        """Return how many more people can enter, beside those whose places are reserved."""
         since = time.time() - 60 * settings.place_kept
         if self.fact("kind") == "play":
             seen, share = [*self.played(since).values()], 2
@@ -260,7 +260,7 @@ class Store:
         return wanted / settings.trials - float(coming)
 
     def _viewings(self, settings: Settings) -> dict[int, int]:
-        """Return main video -> viewings of those who finished, or whose places are kept."""
+        """Return main video -> viewings by people who finished, or whose places are reserved."""
         found = self._db.execute(
             f"""SELECT s.id, s.event, count(p.id) FROM stimulus s
             LEFT JOIN assignment a ON a.stimulus=s.id AND a.role='main'
@@ -270,10 +270,10 @@ class Store:
         return {row[0]: row[2] for row in found if row[1] not in settings.checks}
 
     def assign(self, who: str, settings: Settings) -> None:
-        """Draw the videos of a participant, once: those with the fewest viewings, ties at random.
+        """Draw a participant's videos, once: those with the fewest viewings, ties at random.
 
-        Of a study with groups, the group with the fewest people first. Of reflected copies a
-        person sees one. Checks come among the others.
+        In a study with groups, the group with the fewest people comes first. Of reflected copies, a
+        person sees one. Checks are placed among the others.
         """
         chance = secrets.SystemRandom()
         with self._writing() as run:
@@ -313,7 +313,7 @@ class Store:
         return secrets.choice(sorted(str(name) for name, n in people.items() if n == fewest))
 
     def by_token(self, token: str) -> Participant | None:
-        """Return whose token it is; None: nobody's."""
+        """Return the participant with that token; None: nobody has it."""
         who = self._value("SELECT id FROM participant WHERE token=?", hashed(token))
         return None if who is None else self.participant(who)
 
@@ -341,16 +341,16 @@ class Store:
         correct: bool | None = None, times: Mapping[str, float | None] | None = None,
         outcome: Callable[[Participant], str | None] = lambda participant: None,
     ) -> bool:  # fmt: skip
-        """Keep an answer; return whether it is the first to this page and attempt.
+        """Store an answer; return whether it is the first to this page and attempt.
 
         Args:
             who: the participant.
-            page, attempt: what is answered, and at which attempt, from 1.
-            answers: question -> answer; of the page "person", age and gender, which go into a
-                table of their own.
-            correct: of a quiz, whether all was right; of consent, whether it was given.
+            page, attempt: the answered page, and the attempt, from 1.
+            answers: question -> answer. Age and gender, of the page "person", go into a table of
+                their own.
+            correct: whether all answers of a quiz were right, or consent was given.
             times: ``rt_ms``, ``shown_ms``, ``plays``, ``first_end_ms``.
-            outcome: says how the study has ended with this answer; None: it has not. It belongs to
+            outcome: returns how the study ended with this answer; None: it has not. It belongs to
                 the same transaction.
         """
         now, given = time.time(), dict(answers)
@@ -372,7 +372,7 @@ class Store:
         return new
 
     def end(self, who: str, outcome: str) -> None:
-        """Say how it ended with somebody, unless it is said already."""
+        """Store how the study ended for somebody, unless it is stored already."""
         with self._writing():
             self._end(who, outcome)
 
@@ -386,7 +386,7 @@ class Store:
     def note(
         self, who: str, what: str, page: str | None = None, detail: float | None = None
     ) -> None:
-        """Keep what happened beside the answers; no more than 500 notes a participant."""
+        """Store a note beside the answers; at most 500 notes a participant."""
         with self._writing() as run:
             if self._value("SELECT count(*) FROM note WHERE participant=?", who) < 500:
                 run("INSERT INTO note VALUES(?,?,?,?,?)", (who, time.time(), what, page, detail))
@@ -398,16 +398,16 @@ class Store:
         return self._value(query, who, name)
 
     def exclude(self, who: str, reason: str) -> None:
-        """Mark a participant as not to be exported; their videos are shown to others instead."""
+        """Exclude a participant from exports; their videos are shown to others instead."""
         self.participant(who)
         query = "UPDATE participant SET excluded=?, reason=? WHERE id=?"
         with self._writing() as run:
             run(query, (time.time(), reason, who))
 
     def withdraw(self, who: str) -> None:
-        """Delete all that a participant gave, for good; that somebody withdrew remains.
+        """Delete all data of a participant, for good; only the fact of the withdrawal remains.
 
-        Sessions that they played go too, with what the other player did in them.
+        Their sessions are deleted too, including the other player's part.
         """
         self.participant(who)
         with self._writing() as run:
@@ -428,8 +428,8 @@ class Store:
     def least_played(self, since: float, players: Sequence[str] = ()) -> str:
         """Return the event whose scene has the fewest sessions, ties at random.
 
-        Sessions that have not ended count if they began after ``since``; what one of the players
-        has played already is taken only where there is no other.
+        Running sessions count if they began after ``since``. Scenes that one of the players has
+        played already are taken only if no other is left.
         """
         query = f"""SELECT s.event FROM session s JOIN player p ON p.session=s.id
             WHERE p.participant IN ({_marks(players)})"""
@@ -438,7 +438,7 @@ class Store:
         return min(load, key=lambda event: (event in known, load[event], chance.random()))
 
     def played(self, since: float) -> dict[str, int]:
-        """Return event -> sessions that went to their end, or began after ``since`` and go on."""
+        """Return event -> number of complete sessions, and of those that began after ``since``."""
         query = f"""SELECT s.event, count(g.id) FROM stimulus s LEFT JOIN session g
             ON g.event=s.event AND (g.outcome IN ({_marks(COMPLETE)})
               OR g.outcome IS NULL AND g.started>?)
@@ -451,8 +451,8 @@ class Store:
     ) -> str:  # fmt: skip
         """Begin a session; return its id.
 
-        ``goals`` are effective ones, ``players`` None for the computer; ``settings`` all that it is
-        made under.
+        ``goals`` are effective ones; ``players`` are None for the computer; ``settings`` are all
+        that it is made under.
         """
         session = secrets.token_hex(8)
         with self._writing() as run:
@@ -465,7 +465,7 @@ class Store:
         return session
 
     def add_steps(self, session: str, steps: Iterable[tuple[int, int, int, Any, float]]) -> None:
-        """Keep steps: number, actions of red and green, keys (JSON), lag in milliseconds."""
+        """Store steps: number, actions of red and green, keys (JSON), lag in milliseconds."""
         with self._writing() as run:
             for number, red, green, keys, lag in steps:
                 values = session, number, red, green, json.dumps(keys), lag
@@ -504,7 +504,7 @@ def _marks(values: Sequence[str]) -> str:
 
 
 def hashed(token: str) -> str:
-    """Return what is kept of a token."""
+    """Return the hash of a token that is stored."""
     return hashlib.sha256(token.encode(errors="replace")).hexdigest()
 
 

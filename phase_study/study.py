@@ -1,4 +1,4 @@
-"""A study: a folder with its settings, its films and what people said."""
+"""A study: a folder with its settings, its films and people's answers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PathLike = str | os.PathLike[str]
 
 
 def check_extra() -> None:
-    """Raise InvalidSettingError where the extra ``study`` is not installed."""
+    """Raise InvalidSettingError if the extra ``study`` is not installed."""
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         raise ppl.errors.InvalidSettingError(
@@ -57,8 +57,8 @@ class Study:
         folder: made by :meth:`new`.
 
     Raises:
-        InvalidEventError: it holds no study.
-        InvalidSettingError, UnknownNameError: its ``study.toml`` cannot be used.
+        InvalidEventError: the folder holds no study.
+        InvalidSettingError, UnknownNameError: its ``study.toml`` is invalid.
     """
 
     def __init__(self, folder: PathLike) -> None:
@@ -89,26 +89,26 @@ class Study:
         workers: int | None = None,
         progress: bool | None = None,
     ) -> Study:
-        """Make a study: ``study.toml``, the films under names that say nothing, and the database.
+        """Make a study: ``study.toml``, films with meaningless names, and the database.
 
         Args:
-            folder: empty, or yet to be made.
-            events: to be shown, all of one world; of a study of play, those whose scenes, goals and
-                strengths are to be played; of likeness, those that people played.
+            folder: empty, or not yet existing.
+            events: the events to show, all of one world. For a study of play, the events whose
+                scenes, goals and strengths are played; for likeness, those that people played.
             kind: "judgment", "tagging", "likeness" or "play".
-            generated: of likeness, the counterparts of ``events``: same scene, goals, strengths.
-                Default: they are simulated.
-            title: as the pages say.
-            trials, raters: videos per person, and people per video, 10 and 20 by default; of play,
-                sessions per pair, and sessions of each scene, 3 and 5 by default.
+            generated: for likeness, the counterparts of ``events``: same scene, goals, strengths.
+                By default they are simulated.
+            title: title of the pages.
+            trials, raters: videos per person, and people per video, by default 10 and 20. For play,
+                sessions per pair, and sessions of each scene, by default 3 and 5.
             workers: processes that make films; default one per usable core.
             progress: whether to show a bar; None: where stderr is a terminal.
 
         Raises:
             UnknownNameError: there is no such kind.
-            InvalidSettingError: events are of several worlds; or of another than PHASE, and it is
-                a study of play.
-            InvalidEventError: events have no truth where it is needed, or no counterpart.
+            InvalidSettingError: events are of several worlds, or of another than PHASE in a study
+                of play.
+            InvalidEventError: events lack a truth that is needed, or a counterpart.
             OutputError: the folder is not empty, or cannot be written.
         """
         ppl.errors.check_name("kind", kind, KINDS)
@@ -139,7 +139,7 @@ class Study:
                 ]
             ppl.save_events(shown, target / EVENTS)
             Store.create(target / store_module.FILE, kind, stimuli).close()
-            if kind != "play":  # a person sees one group, and of copies one
+            if kind != "play":  # a person sees one group, and one of several copies
                 alike = {s.copies or s.event for s in stimuli if s.grp in (None, "played")}
                 trials = min(trials, len(alike))
             text = template(
@@ -149,7 +149,7 @@ class Study:
         return cls(target)
 
     def store(self) -> contextlib.closing[Store]:
-        """Open the database, for a ``with``; the server may be at work in it."""
+        """Open the database, for a ``with``; the server may be using it."""
         return contextlib.closing(Store(self.folder / store_module.FILE))
 
     @functools.cached_property
@@ -165,10 +165,10 @@ class Study:
     # --- serving ----------------------------------------------------------------------------------
 
     def check(self) -> list[str]:
-        """Find out whether the study can be run; return what a researcher should still look at.
+        """Check that the study can be run; return what a researcher should still look at.
 
         Raises:
-            InvalidEventError: a film is missing or is another than it was.
+            InvalidEventError: a film is missing or was changed.
         """
         with self.store() as store:
             for stimulus in store.stimuli().values():
@@ -192,11 +192,11 @@ class Study:
         return warnings
 
     def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
-        """Return the application, for a server of ASGI of one's own; it must be one process.
+        """Return the application, for an ASGI server of your own; it must be one process.
 
         Args:
-            url: by which people reach it; ``https`` makes its cookies be for TLS only.
-            host: at which it listens.
+            url: address by which people reach it; with ``https``, its cookies are for TLS only.
+            host: address at which it listens.
         """
         check_extra()
         from phase_study.server import Site, create_app
@@ -228,16 +228,16 @@ class Study:
         """Serve the study until it is interrupted.
 
         Args:
-            port: 0: one that is free.
+            port: port at which to listen; 0: a free one.
             host: address at which to listen. Others than this machine's need TLS before them.
-            url: by which people reach it, as in "https://study.example.org".
-            ready: is told the address once people can come.
-            keep: is given uvicorn's server before it runs, whose ``should_exit`` ends it.
+            url: address by which people reach it, as in "https://study.example.org".
+            ready: called with the address once people can come.
+            keep: called with uvicorn's server before it runs; its ``should_exit`` ends it.
 
         Raises:
             InvalidEventError: a film is missing or was changed.
-            InvalidSettingError: the extra ``study`` is missing, or the url cannot be one.
-            OutputError: another server is at work in the folder, or has the port.
+            InvalidSettingError: the extra ``study`` is missing, or the url is invalid.
+            OutputError: another server uses the folder or the port.
         """
         check_extra()
         if host in _ANY and not url:
@@ -264,7 +264,7 @@ class Study:
             address = url or f"http://{shown}:{listener.getsockname()[1]}/"
 
             async def tell() -> None:
-                ready(address)  # who comes before the first request is answered waits
+                ready(address)  # people who come before the first request is answered wait
 
             app.state.site.opening.append(tell)
             server = uvicorn.Server(config)
@@ -273,7 +273,7 @@ class Study:
             if not server.started:
                 raise ppl.errors.OutputError("the server did not start")
 
-    # --- what came of it --------------------------------------------------------------------------
+    # --- results ----------------------------------------------------------------------------------
 
     def status(self) -> Status:
         """Return how many people came, how far they got, and how often each video was judged."""
@@ -283,19 +283,19 @@ class Study:
     def export(
         self, out: PathLike, *, include: Sequence[str] = ("flagged",), demographics: bool = False
     ) -> Path:
-        """Write what people said, as of now, into a folder; the study may go on.
+        """Write all answers so far into a folder; the study may go on meanwhile.
 
         Args:
-            out: folder; what an export wrote there before is replaced.
-            include: who is exported beside those who finished: "unfinished", "excluded" and
-                "flagged" (by attention checks) people.
-            demographics: write age and gender of each participant, instead of totals only.
+            out: folder; files of an earlier export in it are replaced.
+            include: people to export beside those who finished: "unfinished", "excluded" and
+                "flagged" (by attention checks).
+            demographics: whether to write age and gender of each participant, not totals only.
 
         Returns:
             The folder.
 
         Raises:
-            UnknownNameError: ``include`` names others.
+            UnknownNameError: ``include`` has another value.
             OutputError: the folder cannot be written, or holds other files.
         """
         for name in include:
@@ -310,12 +310,12 @@ class Study:
         return target
 
     def withdraw(self, participant: str) -> None:
-        """Delete all that somebody gave (UnknownNameError: there is no such participant)."""
+        """Delete all data of somebody (UnknownNameError: there is no such participant)."""
         with self.store() as store:
             store.withdraw(participant)
 
     def exclude(self, participant: str, reason: str) -> None:
-        """Leave somebody out of exports, and give their videos to others.
+        """Exclude somebody from exports, and give their videos to others.
 
         Raises:
             UnknownNameError: there is no such participant.
@@ -344,7 +344,7 @@ def _digest(path: Path) -> str:
 
 
 def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[ppl.Event], list[Stimulus]]:
-    """Return the events of a study in its order, and what is to be kept of each."""
+    """Return the events of a study in its order, and the data to store of each."""
     is_path = isinstance(events, str | os.PathLike)
     is_generated = is_path and (ppl.files.as_path(events) / "manifest.json").is_file()
     source = ppl.load_events(events) if is_generated else events
@@ -396,7 +396,7 @@ def _check_truth(event: ppl.Event, kind: str) -> None:
         )
 
 
-# --- what people played beside what was generated: the pairs of a study of likeness ---------------
+# --- pairs of played and generated events, for a study of likeness --------------------------------
 
 
 def counterparts(
@@ -404,8 +404,8 @@ def counterparts(
 ) -> list[ppl.Event]:
     """Return for each played event the generated one of the same scene, goals and strengths.
 
-    Where none are given they are simulated, by the agents' planner, as long as the played ones, in
-    a world whose agents keep their velocities.
+    By default the agents' planner simulates them, as long as the played ones, in a world whose
+    agents keep their velocities.
     """
     if generated is None:
         return [_simulated(event, seed) for seed, event in enumerate(played)]
@@ -417,7 +417,7 @@ def counterparts(
 
 
 def _counterpart(event: ppl.Event, left: list[ppl.Event]) -> ppl.Event:
-    """Take the counterpart of an event out of those that are left."""
+    """Take the counterpart of an event out of ``left``."""
     for place, other in enumerate(left):
         if other.truth is not None and _are_alike(event, other):
             return left.pop(place)

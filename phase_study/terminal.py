@@ -55,7 +55,7 @@ def run(options: Any) -> None:
         FOLDER: of the study
         --port N: default 8000; 0: any
         --host NAME: default 127.0.0.1: this machine only
-        --url URL: by which people come, such as https://study.example.org
+        --url URL: address by which people come, such as https://study.example.org
 
     example: phase-ppl study run my-study
     """
@@ -63,7 +63,7 @@ def run(options: Any) -> None:
 
 
 def status(options: Any) -> None:
-    """Say how many people came, and how far they got.
+    """Print how many people came, and how far they got.
 
     Args:
         FOLDER: of the study
@@ -74,13 +74,13 @@ def status(options: Any) -> None:
 
 
 def export(options: Any) -> None:
-    """Write what people said: CSV, events and a README.
+    """Write people's answers: CSV, events and a README.
 
     Args:
         FOLDER: of the study
         --out DIR: required
         --include NAME...: people beside those who finished: unfinished or excluded
-        --without-flagged: leave out who missed a check
+        --without-flagged: leave out people who missed a check
         --demographics: age and gender of each, not only totals
 
     example: phase-ppl study export my-study --out data
@@ -91,7 +91,7 @@ def export(options: Any) -> None:
 
 
 def withdraw(options: Any) -> None:
-    """Delete all that somebody gave, for good.
+    """Delete all data of a participant, for good.
 
     Args:
         FOLDER: of the study
@@ -106,7 +106,7 @@ def withdraw(options: Any) -> None:
 
 
 def exclude(options: Any) -> None:
-    """Leave somebody out of exports, and give their videos to others.
+    """Exclude a participant from exports, and give their videos to others.
 
     Args:
         FOLDER: of the study
@@ -126,7 +126,7 @@ def demo(options: Any) -> None:
         --kind judgment|tagging|likeness|play: default judgment
         --port N: default 8000; 0: any
         --host NAME: default 127.0.0.1: this machine only
-        --url URL: by which people come, such as https://study.example.org
+        --url URL: address by which people come, such as https://study.example.org
 
     example: phase-ppl study demo
     """
@@ -139,7 +139,7 @@ def demo(options: Any) -> None:
 
 
 def simulate(options: Any) -> None:
-    """Send scripted people through a copy of a study, by HTTP, and export what they say.
+    """Send scripted people through a copy of a study, by HTTP, and export their answers.
 
     The study itself stays as it is.
 
@@ -147,11 +147,11 @@ def simulate(options: Any) -> None:
         FOLDER: of the study
         --people N: default 200
         --out DIR: for the export; required
-        --model NAME: whose posterior they answer from; default stepwise
+        --model NAME: the model whose posterior gives the answers; default stepwise
         --predictions DIR: of an evaluation of the same events, instead
         --option NAME=VALUE...: of the model; may be given several times
-        --lapse X: share of answers at random; default 0.1
-        --drop-outs X: share who leave midway; default 0.1
+        --lapse X: share of random answers; default 0.1
+        --drop-outs X: share of people who leave midway; default 0.1
         $seed
         $progress
 
@@ -178,7 +178,7 @@ def _with_extra() -> type[Study]:
 
 
 def _serve(study: Study, options: Any) -> None:
-    # clean up where a service is ended; the server has written everything by then
+    # clean up if a service is ended; the server has written everything by then
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with contextlib.suppress(KeyboardInterrupt):
         options.call(study.run, ready=lambda url: print(f"{url}   Ctrl-C ends", flush=True))

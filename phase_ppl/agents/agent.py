@@ -1,12 +1,12 @@
-"""Agents: what each believes, which subgoal it takes up, and what it does next.
+"""Agents: their beliefs, their subgoals and their next actions.
 
 Source: paper, Algorithm 1, the inner loop. Policy and dynamics are separate: agents can be asked
 in any true state; they never move the world.
 
-What an agent sees and believes does not depend on its goal, and a search depends on the subgoal,
-the particles that agree with it and the actions only. So :class:`Policies` of many sets of goals
-have one filter of beliefs, and make each search once for all the goals that call for it. An
-:class:`Agent` is the same with one set of goals, and acts.
+What an agent sees and believes does not depend on its goal. A search depends only on the subgoal,
+the particles that agree with it, and the actions. So :class:`Policies` of many sets of goals share
+one filter of beliefs, and make each search once for all goals that need it. An :class:`Agent` has
+one set of goals, and acts.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.goals import goal_literal, planned_as
 from phase_ppl.world.names import AGENTS, STOP, Literal, Predicate
 
-NO_INTENT = -1  # of goals that cannot be, or were not asked for
+NO_INTENT = -1  # for impossible goals, and for goals that were not asked for
 
 
 class Intent(NamedTuple):
-    """What an agent is about: all that its next action depends on."""
+    """An agent's subgoal and all else that its next action depends on."""
 
-    subgoal: Literal  # the literal that it serves
+    subgoal: Literal  # the subgoal
     agreeing: tuple[int, ...]  # indices of the particles that agree with it
     contested: bool  # whether another agent wants the opposite, which allows more actions
 
@@ -45,7 +45,7 @@ class Intent(NamedTuple):
 class RootStatistics(NamedTuple):
     """What a search found at the root of its tree."""
 
-    # (A,) actions considered; where no search is needed there is one, visited once
+    # (A,) actions considered; a single one, visited once, if no search is needed
     actions: IntArray
     visits: IntArray  # (A,) of the actions
     values: FloatArray  # (A,) mean returns, NaN if unvisited
@@ -68,7 +68,7 @@ def best_subgoal(
         costs: (K,) cost C of each particle, units.
         done: share of the particles in which the agent's goal is reached.
         config: settings of the planner.
-        n_agents: of the entities, so many are agents.
+        n_agents: number of agents, which are the first entities.
     """
     if len(agreeing) == 1:
         return next(iter(agreeing))
@@ -78,7 +78,7 @@ def best_subgoal(
         for subgoal, members in agreeing.items()
     }
     candidates = sorted(value)
-    # particles in which nothing is left to do are cheap; they must not end a search
+    # particles in which the goal is reached cost little, but must not end a search
     ends = not config.stops_when_done or (done > 0.5 and len(agreeing.get(STOP, ())) > n / 2)
     if not ends:
         candidates = [c for c in candidates if c != STOP]
@@ -91,17 +91,17 @@ def best_subgoal(
 
 
 class Policies(Perception):
-    """One agent's beliefs, and its intents under the effective goals that all may have.
+    """One agent's beliefs, and its intents under every possible set of effective goals.
 
     Args:
-        agent, model, config: as of :class:`Perception`.
-        seed: of beliefs and searches. With a whole number each search has a seed of its own, made
-            of that, the step and the intent, so that its result does not depend on what else is
-            searched. With a generator the searches take random numbers from it in turn.
-        goals: of all agents, that it can be asked for; None: all.
+        agent, model, config: as in :class:`Perception`.
+        seed: of beliefs and searches. With a whole number, each search has its own seed from that
+            number, the step and the intent: its result does not depend on other searches. With a
+            generator, the searches draw from it in turn.
+        goals: sets of goals of all agents that can be asked for; None: all.
 
     Attributes:
-        intents: those of the last observation.
+        intents: intents at the last observation.
         intent_of: (standpoint,) index into ``intents``, or ``NO_INTENT``. The standpoints are those
             of :func:`~phase_ppl.agents.standpoints.standpoints`, or the given ``goals``.
     """
@@ -139,7 +139,7 @@ class Policies(Perception):
             planned_as(literal, holder, model.scene)
             for literal, (holder, _) in zip(literals, self._rows, strict=True)
         ]
-        # facts know no goal to be in a room; what is there of it does not depend on the place
+        # facts leave out the goal to be in a room; the rest does not depend on the place
         known = (
             plan._replace(predicate=Predicate.ON, target=0)
             if plan.predicate is Predicate.CLOSE
@@ -157,7 +157,7 @@ class Policies(Perception):
         self._facts = np.zeros((particles, self._row.size), np.int8)
         self._done = np.zeros((len(asked), particles), np.bool_)
         self._costs = np.zeros((len(asked), particles))
-        # how far a place in a room is from a goal of the world's own only its predicate knows
+        # only a user-defined predicate knows how far a place in a room is from its goal
         rooms = [plan.predicate is Predicate.CLOSE for plan in self._plans]
         self._whole = (config.cost == "plan") & ~np.array(rooms, np.bool_)
         self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
@@ -168,11 +168,11 @@ class Policies(Perception):
     def observe(
         self, bodies: FloatArray, held: IntArray, weld: FloatArray, wanted: BoolArray | None = None
     ) -> None:
-        """Look at the true state; bring beliefs and intents up to date.
+        """Observe the true state; update beliefs and intents.
 
         Args:
-            bodies, held, weld: as of :meth:`Perception.observe`.
-            wanted: (standpoint,) those whose intents are needed; None: all.
+            bodies, held, weld: as in :meth:`Perception.observe`.
+            wanted: (standpoint,) whether its intent is needed; None: all are.
         """
         self._step += 1
         super().observe(bodies, held, weld)
@@ -194,7 +194,7 @@ class Policies(Perception):
         self.intents = list(found)
 
     def _describe(self) -> None:
-        """Put the particles into words: which differ in more than the goals that are reached."""
+        """Describe the particles in symbols; group those that differ only in goals reached."""
         beliefs, model = self.beliefs, self.model
         symbols.describe(
             *(beliefs.bodies, beliefs.held, self.agent, self._codes, self._whole),
@@ -209,7 +209,7 @@ class Policies(Perception):
         self._groups = {}
 
     def _describe_own(self) -> None:
-        """Say where the predicates of the world's own are reached, and the way into rooms."""
+        """Note where user-defined predicates are reached, and the path lengths into rooms."""
         if not self._own:
             return
         (bodies, held), scene = (self.beliefs.bodies, self.beliefs.held), self.model.scene
@@ -228,7 +228,7 @@ class Policies(Perception):
     def _by_done(
         self, others: Iterable[tuple[int, int]], stance: Stance
     ) -> Iterable[list[tuple[int, int]]]:
-        """Return the other's goals with their standpoints, by where they are reached."""
+        """Return the other's goals with their standpoints; goals reached alike are together."""
         classes: dict[bytes, list[tuple[int, int]]] = defaultdict(list)
         for other in others:
             done = self._done[self._rows[stance.other, other[0]]]
@@ -236,12 +236,12 @@ class Policies(Perception):
         return classes.values()
 
     def _intent(self, one: Group, other: int) -> Intent:
-        """Return what the agent is about with its own goal and the other's."""
+        """Return the agent's intent for its own goal and the other's."""
         row, stance = self._rows[self.agent, one.own], one.stance
         done = self._done[row]
         kinds = 4 * self._kind + 2 * done
         if stance.helps_along:
-            # it matters whether the other is where it wants to be
+            # helping along depends on whether the other has reached its goal
             kinds += self._done[self._rows[stance.other, other]]
         planner = self._planner(self._plans[row], stance, one.literal.predicate is Predicate.OWN)
         agreeing: dict[Literal, list[int]] = defaultdict(list)
@@ -254,13 +254,13 @@ class Policies(Perception):
         return Intent(best, tuple(agreeing[best]), stance.contested)
 
     def _grouped(self, kinds: IntArray) -> list[tuple[symbols.SymbolicState, list[int]]]:
-        """Return the symbolic states among the particles, and which particles are in each.
+        """Return the symbolic states among the particles, and the particles in each.
 
         Args:
             kinds: (K,) 4 x index into ``_facts_of_kind`` + 2 x own goal reached + other's.
         """
         key = kinds.tobytes()
-        if key not in self._groups:  # most goals are reached in the same particles: in none
+        if key not in self._groups:  # most goals are reached in the same particles: none
             members: dict[int, list[int]] = defaultdict(list)
             for particle, kind in enumerate(kinds.tolist()):
                 members[kind].append(particle)
@@ -276,9 +276,9 @@ class Policies(Perception):
         return self._groups[key]
 
     def searches(self) -> list[list[int]]:
-        """Return the intents, as indices, in groups that differ in the subgoal alone.
+        """Return the indices of intents in groups that differ only in the subgoal.
 
-        The searches of a group share what they imagine; see :mod:`phase_ppl.agents.pomcp`.
+        The searches of a group share their playouts; see :mod:`phase_ppl.agents.pomcp`.
         """
         groups: dict[tuple[tuple[int, ...], bytes], list[int]] = defaultdict(list)
         for place, intent in enumerate(self.intents):
@@ -286,10 +286,10 @@ class Policies(Perception):
         return list(groups.values())
 
     def root_statistics(self, intents: Sequence[Intent]) -> list[RootStatistics]:
-        """Return what the planner makes of intents; only this much depends on chance.
+        """Return the planner's results for intents; this is the only random part of a decision.
 
         Args:
-            intents: one, or a group of :meth:`searches`. Each finds the same as alone.
+            intents: one, or a group of :meth:`searches`. The results are as for each alone.
         """
         actions = self._considered(intents[0])
         if len(actions) > 1:
@@ -299,9 +299,9 @@ class Policies(Perception):
         return [reflex for _ in intents]
 
     def _considered(self, intent: Intent) -> IntArray:
-        """Return the actions to search among, or the one that needs no search.
+        """Return the actions to search among, or one action that needs no search.
 
-        That is to stop, to let go, or to grab what is in reach.
+        Stopping, letting go, and grabbing an item in reach need none.
         """
         subgoal, first = intent.subgoal, intent.agreeing[0]
         bodies, held = self.beliefs.bodies[first], self.beliefs.held[first]
@@ -310,7 +310,7 @@ class Policies(Perception):
         if subgoal.predicate is Predicate.ATTACH:
             if not subgoal.positive:
                 return np.array([Action.DETACH])
-            # nothing is found by an agent that holds something
+            # an agent that holds something cannot grab
             if compiled.find_grab(bodies, held, self.agent, self.model.params)[0] == subgoal.target:
                 return np.array([Action.ATTACH])
         return pomcp.actions_for(
@@ -318,7 +318,7 @@ class Policies(Perception):
         )
 
     def _search_actions(self, intents: Sequence[Intent], actions: IntArray) -> list[RootStatistics]:
-        """Search for the best of some actions over the particles that agree with the subgoals."""
+        """Search for the best of ``actions``, on the particles that agree with each subgoal."""
         beliefs, model, found = self.beliefs, self.model, []
         playouts = pomcp.make_playouts(self._search, len(intents), *self._counts)
         scratch = compiled.make_scratch(*self._counts)
@@ -340,32 +340,32 @@ class Policies(Perception):
     def _rng(self, intent: Intent) -> NDArray[np.uint64]:
         if self._seed is None:
             return self.rng
-        # subgoals have random numbers in common, which compares them like with like too
+        # subgoals share random numbers too, so that they are compared like with like
         text = repr((self._seed, self.agent, self._step, intent.agreeing))
         digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
         return np.frombuffer(digest, np.uint64).copy()
 
 
 class Decision(NamedTuple):
-    """What an agent does, and why."""
+    """An agent's action, and its reasons."""
 
-    intent: Intent  # what it is about
-    root: RootStatistics  # what the planner made of that
+    intent: Intent  # its intent
+    root: RootStatistics  # the planner's result for it
     held: int  # item that it holds when it decides, or ``NOTHING``
-    beliefs: Beliefs  # its particles, as they are until it decides again
+    beliefs: Beliefs  # its particles, valid until it decides again
 
     @property
     def action(self) -> Action:
-        """The action to execute."""
+        """The action to carry out."""
         return self.root.best
 
 
 class Agent(Policies):
-    """An agent with given goals of all: it has one intent, and acts on it.
+    """An agent that knows the goals of all: it has one intent, and acts on it.
 
     Args:
-        goals: effective goals of all agents, indices into the world's; all agents know all.
-        agent, model, config, generator: as of :class:`Perception`.
+        goals: effective goals of all agents, indices into the world's.
+        agent, model, config, generator: as in :class:`Perception`.
     """
 
     def __init__(
@@ -380,7 +380,7 @@ class Agent(Policies):
 
     @property
     def intent(self) -> Intent:
-        """What the last observation made it take up: the subgoal of highest value V."""
+        """The intent at the last observation: the subgoal of highest value V."""
         return self.intents[0]
 
     def decide(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> Decision:
@@ -391,7 +391,7 @@ class Agent(Policies):
         return Decision(self.intent, root, int(held[self.agent]), self.beliefs)
 
     def look(self, bodies: FloatArray, held: IntArray, weld: FloatArray, action: Action) -> None:
-        """Observe a past state, and take note of what was done then, without deciding anything."""
+        """Observe a past state, and note the action taken then, without a decision."""
         self.observe(bodies, held, weld, np.zeros_like(self.intent_of, np.bool_))
         self.acted(action)
 
@@ -399,5 +399,5 @@ class Agent(Policies):
 def all_agents(
     goals: tuple[int, ...], model: WorldModel, config: PlannerConfig, rng: np.random.Generator
 ) -> list[Agent]:
-    """Return all agents, each with random numbers of its own; arguments as of the agent."""
+    """Return all agents, each with its own random numbers; arguments as for ``Agent``."""
     return [Agent(agent, goals, model, config, rng.spawn(1)[0]) for agent in range(len(goals))]

@@ -1,8 +1,8 @@
 """Belief particles: possible world states consistent with what an agent has observed.
 
-Source: paper, Appendix "Belief Representation and Update": K particles; each step predict with
-the physics, overwrite what is observed, and resample what contradicts the observation. Ours is
-that a hand which closed on nothing counts as an observation: no item was in reach.
+Source: paper, Appendix "Belief Representation and Update": K particles. Each step predicts them
+with the physics, overwrites what is observed, and resamples what contradicts the observation. We
+add that a hand that closed on nothing is an observation: no item was in reach.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Beliefs(NamedTuple):
     ever_seen: BoolArray  # (cells,) cells that have ever been in view
     visible: BoolArray  # (cells,) cells in view now
     observed: BoolArray  # (entity,) entities observed now
-    actions: IntArray  # (agent,) what is imagined of the agents in a prediction
+    actions: IntArray  # (agent,) the agents' actions in a prediction
     cells: IntArray  # scratch
     open_cells: IntArray
 
@@ -69,7 +69,7 @@ def _consistent(
     params: Params,
     layout: Layout,
 ) -> bool:
-    """Whether a particle's unobserved entity agrees with what is seen and felt.
+    """Whether a particle's unobserved entity agrees with what the agent sees and feels.
 
     Args:
         missed_by: the agent, if it has just tried to grab and holds nothing; else NOTHING.
@@ -118,8 +118,8 @@ def _resample(
 ) -> None:
     """Draw a new place for ``entity`` among the open cells, at rest and holding nothing.
 
-    Bounded: up to 10 draws that must be consistent and free of overlap, 10 more that must be
-    consistent, then the last draw stands.
+    Up to 10 draws must be consistent and free of overlap, 10 more only consistent; else the last
+    draw stands.
     """
     for column in range(bodies.shape[1]):
         bodies[entity, column] = 0.0
@@ -128,7 +128,7 @@ def _resample(
         for turn in range(N_HEADINGS):
             angle = 2.0 * math.pi * turn / N_HEADINGS
             bodies[entity, 2] = angle
-            # the drawn corner is where the body origin goes
+            # the body origin goes to the drawn corner
             cog = params.cog[entity]
             bodies[entity, 0] = layout.origin[0] + cell % layout.columns - math.sin(angle) * cog
             bodies[entity, 1] = layout.origin[1] - cell // layout.columns + math.cos(angle) * cog
@@ -142,7 +142,7 @@ def _resample(
 
 @bare_kernel
 def _list_open_cells(beliefs: Beliefs) -> int:
-    """List the cells never seen; if none is left, those not in view; else all. Return how many."""
+    """List the cells never seen; if none, those not in view; else all. Return their number."""
     for excluded in (beliefs.ever_seen, beliefs.visible):
         n = 0
         for cell in range(excluded.shape[0]):
@@ -170,14 +170,14 @@ def update(
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> None:
-    """Bring all particles up to date in place.
+    """Update all particles in place.
 
     Args:
-        beliefs: with ``visible`` and ``observed`` already those of this step.
+        beliefs: its ``visible`` and ``observed`` must already be of this step.
         truth, truth_held, truth_weld: true state; only observed entities are read.
         agent: whose beliefs.
-        own_action: the action it has just executed; other agents are taken to coast.
-        predict: simulate one step first (not before the first action).
+        own_action: the agent's last action; other agents are taken to coast.
+        predict: whether to simulate one step first (not before the first action).
     """
     n_bodies, n_agents = truth.shape[0], truth_held.shape[0]
     for cell in range(beliefs.visible.shape[0]):
@@ -208,7 +208,7 @@ def update(
         for other in range(n_agents):
             if not beliefs.observed[other] and held[other] >= 0 and beliefs.observed[held[other]]:
                 held[other] = NOTHING
-        # keep what agrees first, so that what must move can avoid it
+        # what agrees is kept first, so that moved entities can avoid it
         moved = 0
         for entity in range(n_bodies):
             if beliefs.observed[entity]:
@@ -229,9 +229,9 @@ def update(
 
 
 def _closed_off(model: WorldModel, own: FloatArray) -> BoolArray | None:
-    """Return which cells are no part of the floor plan, as beside an L-shaped flat; None: none.
+    """Return (cells,) cells outside the floor plan, as beside an L-shaped flat; None: no such cell.
 
-    No way leads there, neither from where the agent is nor from a landmark.
+    No way leads there from the agent or from a landmark.
     """
     rooms, layout = model.scene.rooms, model.layout
     closed = rooms.closed_off([own, *layout.landmarks])
@@ -246,7 +246,7 @@ def _closed_off(model: WorldModel, own: FloatArray) -> BoolArray | None:
 
 
 class Perception:
-    """The belief particles of one agent, kept up to date with what it sees, whatever its goal.
+    """The belief particles of one agent, updated by what it sees; they do not depend on its goal.
 
     Args:
         agent: which one.
@@ -256,7 +256,7 @@ class Perception:
 
     Attributes:
         beliefs: the particles.
-        rng: random numbers of the agent, as compiled code wants them.
+        rng: the agent's random numbers, for compiled code.
         scratch: work space.
     """
 
@@ -291,21 +291,21 @@ class Perception:
         self._closed_off = _closed_off(model, truth[agent, :2])
 
     def acted(self, action: Action) -> None:
-        """Say what the agent has just executed, which its next prediction starts from."""
+        """Note the agent's last action, from which the next prediction starts."""
         self._last_action = action
 
     def observe(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> None:
-        """Look at the true state and bring the belief particles up to date.
+        """Observe the true state and update the belief particles.
 
         Args:
-            bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
+            bodies, held, weld: the true state, as from ``physics.compiled.from_state``.
         """
         model, beliefs = self.model, self.beliefs
         vision.observe(
             *(bodies, held, self.agent, self.config.full_observation, model.params, model.layout),
             *(beliefs.visible, beliefs.cells, beliefs.observed),
         )
-        if self._closed_off is not None:  # nothing need be looked for there
+        if self._closed_off is not None:  # nothing can be hidden there
             beliefs.visible[self._closed_off] = True
         if self.config.true_state:
             beliefs.bodies[:], beliefs.held[:], beliefs.weld[:] = bodies, held, weld

@@ -15,7 +15,7 @@ from phase_ppl.world.errors import (
 )
 
 _REMOVED: Final = {"tree_reuse": False}
-"""Settings of older versions -> the value that all of the present ones behave as."""
+"""Removed settings -> the value as which all present versions behave."""
 
 Cost = Literal["leg", "plan"]
 COSTS: Final = get_args(Cost)
@@ -25,32 +25,32 @@ PLANNERS: Final = ("paper", "fast", "as_printed", "as_printed_fast")
 
 @dataclasses.dataclass(frozen=True)
 class PlannerConfig:
-    """How agents believe and plan. The numbers are the paper's (Appendix 3).
+    """Settings of an agent's beliefs and planning. The numbers are the paper's (Appendix 3).
 
-    Where the paper's words and its numbers leave agents that do not search or carry as those of its
-    videos do, the defaults are the authors' code's; :meth:`as_printed` has what is printed.
+    With some printed rules, agents do not search or carry as in the paper's videos. There the
+    defaults follow the authors' code; :meth:`as_printed` has the printed rules.
 
     Attributes:
         particles: K, belief particles per agent.
         cost_weight: lambda, weight of the mean cost in the value V of a subgoal.
-        cost: C, of "leg": the way to the item that is to be moved or, once it is held, on to its
-            goal (authors' code); or of the whole "plan": both (printed).
+        cost: C, path length of the present "leg": to the item or, once it is held, on to its
+            goal (authors' code); or of the whole "plan": both legs (printed).
         stops_when_done: an agent stops only if its goal is reached in more than half of its
-            particles; else to stop is a subgoal as any other in the maximum of V (printed).
+            particles. If False, stopping is one more subgoal in the maximum of V (printed).
         simulations: POMCP simulations per decision.
         rollout_length: random steps after each new node.
         c_init, c_base: constants of PUCT.
         discount: of rewards per step (authors' code).
         early_stop: end a search once no other action can catch up; never changes the action.
-        paired: all root actions meet the same particles and random numbers, so that they are
-            compared like with like (common random numbers); a deviation.
+        paired: all root actions meet the same particles and random numbers (common random
+            numbers), so that they are compared like with like; a deviation from the paper.
         inner_steps: solver steps per physics substep in imagination.
         swivel: agents imagine that a held item hangs on a rod, free to swivel (authors' code);
-            else that it is rigidly held (printed).
+            if False, that it is rigidly held (printed).
         touch_override: ablation: a subgoal to touch something wins over V (authors' code).
         full_observation: ablation: agents see everything.
-        true_state: ablation: agents plan on the true state in place of belief particles; what they
-            see only decides what they head straight for.
+        true_state: ablation: agents plan on the true state instead of belief particles; sight
+            only decides which items they head straight for.
     """
 
     particles: int = 50
@@ -84,32 +84,32 @@ class PlannerConfig:
     def fast(cls) -> PlannerConfig:
         """Return the fast preset: 100 simulations per decision, paired over the root actions.
 
-        Measured by ``benchmarks/realism.py`` on 50 real videos: it agrees with 71 % of the real
-        agents' decisions (the paper's setting with 73 %, 300 unpaired simulations with 70 %).
-        Simulations under the true hypothesis come as near to the videos as with the paper's
-        setting: 6.7 units per frame in the mean, fast minus paper -0.02 [-0.35, 0.29];
-        log-likelihood +0.8 [-0.6, 2.1] nats (8 seeds, 95 % bootstrap intervals over videos).
+        ``benchmarks/realism.py`` compares it with the paper's setting on 50 real videos. It agrees
+        with 71 % of the real agents' decisions (paper's setting 73 %, 300 unpaired simulations
+        70 %). Simulations under the true hypothesis come equally near to the videos: 6.7 units per
+        frame in the mean, fast minus paper -0.02 [-0.35, 0.29]; log-likelihood +0.8 [-0.6, 2.1]
+        nats (8 seeds, 95 % bootstrap intervals over videos).
         """
         return cls(simulations=100, paired=True)
 
     def as_printed(self) -> PlannerConfig:
-        """Return these settings with what Algorithm 1 and Appendix 3 print in place of ours.
+        """Return these settings with the rules printed in Algorithm 1 and Appendix 3.
 
-        To stop takes part in the maximum of V, C is the cost of the whole plan, and grips are
-        rigid; the numbers stay, so that ``PlannerConfig.fast().as_printed()`` searches as little as
-        the fast preset.
+        Stopping takes part in the maximum of V, C is the cost of the whole plan, and grips are
+        rigid. The numbers stay: ``PlannerConfig.fast().as_printed()`` searches as little as the
+        fast preset.
         """
         return dataclasses.replace(self, cost="plan", stops_when_done=False, swivel=False)
 
     @classmethod
     def named(cls, planner: str | PlannerConfig) -> PlannerConfig:
-        """Return the preset of a name, or ``planner`` itself if it is a config.
+        """Return the preset of that name, or ``planner`` itself if it is a config.
 
-        "paper" has the paper's numbers, "fast" is :meth:`fast`; "as_printed" and "as_printed_fast"
-        are these with what is printed in all other respects too (:meth:`as_printed`).
+        "paper" has the paper's numbers, "fast" is :meth:`fast`. "as_printed" and "as_printed_fast"
+        are these with the printed rules (:meth:`as_printed`).
 
         Raises:
-            UnknownNameError: another name.
+            UnknownNameError: no preset has that name.
         """
         if isinstance(planner, PlannerConfig):
             return planner
@@ -122,15 +122,15 @@ class PlannerConfig:
         """Return the settings that :meth:`to_dict` wrote, also in a file of an older version.
 
         Raises:
-            InvalidSettingError: they hold a setting that there is not, or no longer.
+            InvalidSettingError: a setting is unknown, or was removed.
         """
         given = {name: value for name, value in stored.items() if _REMOVED.get(name) != value}
         known = [field.name for field in dataclasses.fields(cls)]
         for name, value in given.items():
             if name in _REMOVED:
                 raise InvalidSettingError(
-                    f"planner with {name}={value!r}: that setting was removed; only what was made "
-                    f"with {name}={_REMOVED[name]!r} can be gone on with"
+                    f"planner with {name}={value!r}: that setting was removed; only files with "
+                    f"{name}={_REMOVED[name]!r} can be continued"
                 )
             check_name("setting of the planner", name, known)
         return cls(**given)

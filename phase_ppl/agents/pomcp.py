@@ -4,10 +4,10 @@ Source: paper, Appendix "Hierarchical Planner"; Silver and Veness (2010); the PU
 Silver et al. (2018). Each simulation draws a particle, walks down the tree of the agent's own
 actions (the others coast), adds one node, and rolls out with random actions of all.
 
-Ours is the pairing of simulations: the n-th one through each root action meets the same particle
-and random numbers, which compares the actions like with like and needs far fewer simulations.
-Searches for several subgoals from the same particles and random numbers then imagine the same
-until the paths through their trees part: such playouts are imagined once, and valued by each.
+We pair simulations: the n-th one through each root action meets the same particle and random
+numbers. That compares the actions like with like and needs far fewer simulations. Searches for
+several subgoals from the same particles and random numbers imagine the same until the paths
+through their trees part. Such playouts are imagined once, and valued by each search.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def actions_for(
         agent: who plans.
         held: item it holds or ``NOTHING``.
         contested: another agent wants to keep it from the landmark it wants to be on.
-        n_agents: of the entities, so many are agents.
+        n_agents: number of agents, which are the first entities.
     """
     predicate, subject = literal.predicate, literal.subject
     without: tuple[Action, ...]
@@ -94,7 +94,7 @@ def _distance(
     room = room_of(x, y, layout)
     if room == target:
         inside = math.sqrt((x - px) ** 2 + (y - py) ** 2)
-        # as in the original, an item in its room is worth more than any way that leads there
+        # as in the original, an item in its room is worth more than any way there
         return inside - UNREACHABLE if subject >= params.force.shape[0] else inside
     door = layout.neighbour[room, target]
     if door < 0:
@@ -164,7 +164,7 @@ _STREAM_STEP = np.uint64(0xD1342543DE82EF95)
 
 @record
 class SearchSettings(NamedTuple):
-    """Settings of one search, as compiled code wants them (see ``PlannerConfig``)."""
+    """Settings of one search, for compiled code (see ``PlannerConfig``)."""
 
     simulations: int
     rollout_length: int
@@ -176,7 +176,7 @@ class SearchSettings(NamedTuple):
 
     @classmethod
     def of(cls, config: PlannerConfig) -> SearchSettings:
-        """Return those of a planner."""
+        """Return the search settings of a planner."""
         return cls(*(getattr(config, name) for name in cls._fields))
 
 
@@ -188,23 +188,23 @@ class Tree(NamedTuple):
     visits: NDArray[np.int32]  # (nodes,)
     total: FloatArray  # (nodes,) sum of returns
     used: IntArray  # (1,) number of nodes in use
-    path: IntArray  # (nodes,) scratch of one simulation: nodes,
-    columns: IntArray  # the actions that led to them
+    path: IntArray  # (nodes,) scratch: nodes of one simulation
+    columns: IntArray  # (nodes,) scratch: the actions that led to them
     rewards: FloatArray
     particle: FloatArray  # scratch state of one simulation
     particle_held: IntArray
     particle_weld: FloatArray
-    actions: IntArray  # (agent,) scratch, what they do in a step
+    actions: IntArray  # (agent,) scratch: the agents' actions in a step
     stream: NDArray[np.uint64]  # (1,) state of the random numbers of one simulation
     statistics: IntArray  # (3,) simulations run, physics steps, sum of depths
 
 
 @record
 class Playouts(NamedTuple):
-    """What simulations went through: of every step all that a reward depends on.
+    """Recorded simulations: everything in each step that a reward depends on.
 
-    Those that may serve a later search are found by ``key``, a digest of all that they follow
-    from: the random numbers left and the actions in the tree.
+    A later search finds a playout by its ``key``, a digest of all that it follows from: the
+    random numbers left and the actions in the tree.
     """
 
     key: NDArray[np.uint64]  # (slots,) a hash table; no slots: nothing is kept
@@ -215,7 +215,7 @@ class Playouts(NamedTuple):
     action: IntArray  # (step,) the agent's own
 
 
-_MOST_KEPT: Final = 200_000  # steps; beyond, playouts are imagined for each search
+_MOST_KEPT: Final = 200_000  # steps; above, playouts are imagined anew for each search
 
 
 def make_playouts(
@@ -224,7 +224,7 @@ def make_playouts(
     n_bodies: int = len(ENTITIES),
     n_agents: int = len(AGENTS),
 ) -> Playouts:
-    """Return room for the playouts of some searches, which share them if they are paired."""
+    """Return space for the playouts of some searches, which share them if they are paired."""
     longest = search.simulations + 2 + search.rollout_length
     slots = kept = 0
     if search.paired and n_searches > 1:
@@ -244,7 +244,7 @@ def make_playouts(
 def make_tree(
     n_simulations: int, n_bodies: int = len(ENTITIES), n_agents: int = len(AGENTS)
 ) -> Tree:
-    """Return an empty tree with room for ``n_simulations`` with so many bodies and agents."""
+    """Return an empty tree with space for ``n_simulations``."""
     nodes = n_simulations + 2
     return Tree(
         np.full((nodes, N_ACTIONS), NO_NODE, np.int32),
@@ -340,7 +340,7 @@ def _load_particle(
 def _descend(
     tree: Tree, first: int, n_actions: int, search: SearchSettings, stream: NDArray[np.uint64]
 ) -> int:
-    """Walk down the tree to a new node; return its depth. No state is needed for that."""
+    """Walk down the tree to a new node; return its depth. It needs no state."""
     node, depth, column = 0, 0, first
     while True:
         tree.columns[depth] = column
@@ -360,7 +360,7 @@ def _descend(
 
 @bare_kernel
 def _slot(tree: Tree, playouts: Playouts, depth: int) -> int:
-    """Return where in the table a playout is, or would have to be."""
+    """Return the slot of a playout in the table, or a free one for it."""
     key = tree.stream[0]
     for level in range(depth):
         key = _mixed((key ^ np.uint64(tree.columns[level] + 1)) + _INCREMENT)
@@ -385,7 +385,7 @@ def _play(
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> None:
-    """Imagine from the loaded particle on: the path in the tree, then random actions of all."""
+    """Imagine on from the loaded particle: the path in the tree, then random actions of all."""
     state, held, n_actions = tree.particle, tree.particle_held, actions.shape[0]
     for step in range(depth + search.rollout_length):
         if step < depth:
@@ -416,7 +416,7 @@ def _value(
     params: Params,
     layout: Layout,
 ) -> float:
-    """Return the discounted rewards of a rollout; those in the tree go into ``rewards``."""
+    """Return the discounted rewards of a rollout; write those in the tree into ``rewards``."""
     value, weight = 0.0, 1.0
     for step in range(depth + search.rollout_length):
         at = start + step
@@ -448,16 +448,16 @@ def run(
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> int:
-    """Search until the root has been visited as often as is set; return the best action's column.
+    """Search until the root has the set number of visits; return the best action's column.
 
     Args:
         tree: from ``make_tree``, empty.
-        playouts: from ``make_playouts``; of earlier searches too, that differed in the subgoal
-            alone and began with the same ``rng``.
+        playouts: from ``make_playouts``, empty or from earlier searches that differed only in the
+            subgoal and began with the same ``rng``.
         bodies, held, weld: (K, ...) the agent's belief particles.
         agreeing: indices of the particles that agree with the subgoal.
         subgoal: (4,) from ``subgoal_code``.
-        actions: (A,) actions to consider; columns of the tree stand for them in this order.
+        actions: (A,) actions to consider; the tree's columns are in this order.
     """
     n_actions, sharing = actions.shape[0], playouts.key.shape[0] > 0
     longest = search.simulations + 2 + search.rollout_length

@@ -1,8 +1,8 @@
-"""Which goals of all agents come to the same for one of them.
+"""Standpoints: assignments of goals to all agents that pose the same problem to one of them.
 
-An agent's subgoal depends on its own goal, on whether somebody wants the same or the opposite, and,
-where it helps another to get somewhere, on whether that one is where it wants to be. So of the
-goals of all, whose number is a product over the agents, few *standpoints* are left.
+An agent's subgoal depends on its own goal, and on whether another wants the same or the opposite.
+If it helps another to get somewhere, it also depends on whether that one has arrived. So there are
+few standpoints, although the number of assignments is a product over the agents.
 """
 
 from __future__ import annotations
@@ -20,25 +20,24 @@ from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.scene import World
 
-_SAME, _OPPOSITE = 1, 2  # what another agent wants; 0: neither
+_SAME, _OPPOSITE = 1, 2  # another agent wants the same, or the opposite; 0: neither
 _KINDS: Final = 3
 
 
 class Stance(NamedTuple):
-    """All that matters to an agent of what others want."""
+    """The others' goals, reduced to what matters to one agent."""
 
-    # whom its goal concerns: the agent that it is about; else one that wants the same, or the
-    # opposite where the goal is to prevent something; else any. ``NOTHING``: nobody
+    # the agent that its goal concerns: the one that it is about; else one that wants the same (or,
+    # if the goal is to prevent something, the opposite); else any; ``NOTHING``: it is alone
     other: int
     cooperative: bool  # that one wants the same
     contested: bool  # somebody wants the opposite
-    # the agent's goal is that the other one gets somewhere, so that it matters whether the other is
-    # where it wants to be
+    # the agent's goal is that the other gets somewhere; then it matters whether the other is there
     helps_along: bool
 
 
 def stance_of(agent: int, goals: Sequence[Literal]) -> Stance:
-    """Return how an agent stands to the others, given the goals of all, in order."""
+    """Return an agent's stance, from the goals of all agents in order."""
     own = goals[agent]
     others = [other for other in range(len(goals)) if other != agent]
     about = [own.subject] if own.subject in others else []
@@ -54,34 +53,34 @@ def stance_of(agent: int, goals: Sequence[Literal]) -> Stance:
 
 
 def wants(own: Literal, agent: int, theirs: Literal, other: int) -> bool:
-    """Return whether another agent wants what ``own`` of an agent says.
+    """Return whether ``theirs``, another agent's goal, is the same as ``own`` of ``agent``.
 
-    Two who are to touch each other each have a goal of their own.
+    Two agents that shall touch each other each have a goal of their own.
     """
     return own == theirs or (own.says(theirs) and {own.subject, own.target} != {agent, other})
 
 
 class Group(NamedTuple):
-    """Standpoints of one agent with the same goal and stance: they differ in another's goal."""
+    """Standpoints of one agent with the same own goal and stance; another's goal differs."""
 
     own: int
     literal: Literal
     stance: Stance
     others: list[int]  # goals of the other agent
-    places: list[int]  # the number of the standpoint with each of these
+    places: list[int]  # standpoints that belong to these
 
 
 class Standpoints:
-    """The standpoints of one agent, whatever goals all have.
+    """All standpoints of one agent.
 
     Args:
         agent: which one.
         world: whose goals.
 
     Attributes:
-        groups: all of them, by what they have in common.
-        n: standpoints. Of two agents they are the pairs of effective goals, the first agent's times
-            the number of goals plus the second's.
+        groups: the standpoints, grouped by own goal and stance.
+        n: number of standpoints. With two agents they are the pairs of effective goals; the number
+            of a pair is the first agent's goal times the number of goals, plus the second's goal.
     """
 
     def __init__(self, agent: int, world: World) -> None:
@@ -94,7 +93,7 @@ class Standpoints:
             self._of_any(world)
 
     def of(self, goals: IntArray) -> IntArray:
-        """Return (...) the standpoints of (..., agent) effective goals; -1 where it has none."""
+        """Return (...) standpoints of (..., agent) effective goals; -1 if the goals have none."""
         own = goals[..., self._agent]
         if self._table is None:
             return np.asarray(goals[..., 0] * self._n_goals + goals[..., 1])
@@ -136,7 +135,7 @@ class Standpoints:
             for kinds in itertools.product(range(_KINDS), repeat=len(others)):
                 goals = [int(self._wanted[kind, place, own]) for place, kind in enumerate(kinds)]
                 if any(kind and goal < 0 for kind, goal in zip(kinds, goals, strict=True)):
-                    continue  # nobody can want that
+                    continue  # no agent can have that goal
                 everyone: list[Literal] = [STOP] * len(literals)
                 everyone[agent] = literal
                 for other, goal in zip(others, goals, strict=True):
@@ -154,7 +153,7 @@ class Standpoints:
             self.groups += known.values()
 
     def _place(self, one: Group, goal: int) -> int:
-        """Return the number of the standpoint with another's goal, a new one if need be."""
+        """Return the standpoint with another's goal; it is created if need be."""
         if goal not in one.others:
             one.others.append(goal)
             one.places.append(self.n)
@@ -164,19 +163,19 @@ class Standpoints:
 
 @functools.cache
 def standpoints(agent: int, world: World) -> Standpoints:
-    """Return the standpoints of an agent of a world."""
+    """Return the standpoints of an agent in a world."""
     return Standpoints(agent, world)
 
 
 def grouped(
     agent: int, goals: Iterable[tuple[int, ...]], places: Iterable[int], world: World
 ) -> list[Group]:
-    """Return the standpoints from which an agent sees the goals of all, in groups.
+    """Return the standpoints of an agent under given goals of all, in groups.
 
     Args:
         agent: which one.
         goals: effective goals of all.
-        places: the number of the standpoint of each.
+        places: the standpoint of each.
         world: whose goals.
     """
     groups: dict[tuple[int, Literal, Stance], tuple[list[int], list[int]]] = defaultdict(

@@ -1,9 +1,9 @@
 """The high-level planner: one subgoal per belief particle, by A* over symbolic states.
 
 Source: paper, Algorithm 1 (HP) and Appendix "Hierarchical Planner". The planning agent first
-looks for a plan of its own; where its body cannot do it, for a plan with another; where there
-is none, it goes as near as it can. An agent that hinders looks for the cheapest state from which
-the opponent's plan is broken, and from there acts on the negated goal itself.
+looks for a plan of its own. If its body cannot do that, it looks for a plan with another agent. If
+there is none, it goes as near as it can. An agent that hinders looks for the cheapest state in
+which the opponent's plan is broken. From there it acts on the negated goal itself.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 
 
 class SubgoalPlanner:
-    """Chooses subgoals of one agent, by ``subgoal``, which remembers what it has planned for.
+    """Chooses an agent's subgoals; ``subgoal`` remembers its earlier answers.
 
     Args:
         agent: who plans.
         own: literal of its effective goal.
-        stance: how it stands to those of others.
+        stance: its stance towards the others' goals.
         abilities: what the bodies can do.
-        settles: whether it stops where its goal is reached, whatever the goal.
-        plans: what finds those of given abilities.
+        settles: whether it stops once its goal is reached, for any kind of goal.
+        plans: returns the plan finder for given abilities.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class SubgoalPlanner:
     ) -> None:
         self.agent, self.own = agent, own
         self.stance, self.other = stance, stance.other
-        if own.predicate is Predicate.ON:  # of a room with several landmarks, this one counts
+        if own.predicate is Predicate.ON:  # if the room has several landmarks, this one counts
             landmarks = list(abilities.landmark_in)
             landmarks[abilities.landmark_rooms[own.target]] = own.target
             abilities = dataclasses.replace(abilities, landmark_in=tuple(landmarks))
@@ -58,9 +58,9 @@ class SubgoalPlanner:
         self._settles = settles and own.positive
         self._touches = own.predicate is Predicate.TOUCH
         ends = (own.subject, own.target) if self._touches else (own.subject,)
-        # these may have gone since they were last seen
+        # unseen entities may have gone since they were last seen
         self._others = tuple(end for end in ends if end < self._n_agents and end != agent)
-        # the item that it is about may be held; to clear or to fill a door, any may
+        # if the goal is about an item, that may be held; to clear or fill a door, any item may
         brought = ends[-1] >= self._n_agents and own.subject != agent
         self._item = ends[-1] if brought else NOTHING
         self._minds_doors = bool(self._others) and not self._touches
@@ -71,7 +71,7 @@ class SubgoalPlanner:
 
         Args:
             state: facts of a belief particle.
-            observed: (entity,) those the agent observes now; it heads straight for them.
+            observed: (entity,) whether the agent sees it now; it heads straight for such items.
         """
         subject = self.own.subject
         if self._settles and state.own_done and all(observed[other] for other in self._others):
@@ -92,7 +92,7 @@ class SubgoalPlanner:
                 return self._guard_item(state, observed)
             if subject == self.other and not self._touches:
                 return self._keep_away(state, observed)
-        # nobody to hinder, or no doors to do it by: the goal itself
+        # there is nobody to hinder, or no door to do it with: act on the goal itself
         return self._free_hands(state, keep=self._item) or self.own
 
     # --- own goals and helping -------------------------------------------------------------
@@ -140,7 +140,7 @@ class SubgoalPlanner:
         return self._press_on(state, state.rooms[item])
 
     def _bring_together(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
-        """TOUCH(other, third) or its negation: an item is brought or taken away, others pushed."""
+        """TOUCH(other, third) or its negation: bring or take away an item; push an agent."""
         subject, target = self.own.subject, self.own.target
         if target < self._n_agents:
             return self.own
@@ -155,10 +155,10 @@ class SubgoalPlanner:
         return self.own
 
     def _must_wait(self, state: SymbolicState, item: int, room: int, has_plan: bool) -> bool:
-        """Whether doors leave this agent nothing to do for an item of both but to wait.
+        """Whether doors leave this agent nothing to do for a shared item but to wait.
 
-        They keep it from the item or from bringing it to ``room``, and the other can do without
-        it; or they keep it from both.
+        Either the other agent has a plan without it, and doors keep this agent from the item or
+        from bringing it to ``room``. Or doors keep this agent from both the item and ``room``.
         """
         route = self.abilities.route
         reaches = route((self.agent,), state.rooms[self.agent], state.rooms[item]) is not None
@@ -174,9 +174,9 @@ class SubgoalPlanner:
         state: SymbolicState,
         observed: tuple[bool, ...],
     ) -> Literal:
-        """Return how to begin a step towards bringing an item somewhere."""
+        """Return the first subgoal of a step towards bringing an item somewhere."""
         if literal.predicate is Predicate.ATTACH and literal.positive and not alone:
-            # what is to be handed over may be pushed as well; the search decides
+            # an item to be handed over may be pushed as well; the search decides
             following = self._next_room((item,), state.rooms[item], state.rooms[self.other])
             if following is not None:
                 return Literal(Predicate.CLOSE, item, following)
@@ -208,7 +208,7 @@ class SubgoalPlanner:
         return self._in_sight(step, item, observed)
 
     def _can_start(self, steps: list[Step] | None, step: Step, state: SymbolicState) -> bool:
-        """Whether the first own step of a joint plan needs nothing of the other agent first."""
+        """Whether the first own step of a joint plan does not have to wait for the other agent."""
         if not steps or steps[0] is step:
             return True
         item = step.literal.target if step.literal.predicate is Predicate.TOUCH else NOTHING
@@ -292,21 +292,21 @@ class SubgoalPlanner:
         return Literal(Predicate.CLOSE, item, following)
 
     def _hold_back(self, item: int, room: int) -> Literal:
-        """Pull an item into the corner of its room; where that is the goal, off the goal."""
+        """Pull an item into the corner of its room; in the goal's room, off the goal."""
         return self.own if room == self._goal_room() else self._aside(item, room)
 
     def _aside(self, entity: int, room: int) -> Literal:
-        """Bring an entity to the landmark of a room, or into a corner where there is none."""
+        """Bring an entity to the landmark of a room, or into a corner if there is none."""
         landmark = self.abilities.landmark_in[room]
         where = (Predicate.CLOSE, room) if landmark == NOTHING else (Predicate.ON, landmark)
         return Literal(where[0], entity, where[1])
 
     def _door(self, entity: int, door: int) -> Literal:
-        """Stand in a door; in literals the doors come after the rooms."""
+        """Stand in a door; literals number the doors after the rooms."""
         return Literal(Predicate.CLOSE, entity, len(self.abilities.neighbours) + door)
 
     def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
-        """Return the rooms, but for that of the goal, to which this agent can take an item."""
+        """Return the rooms, except the goal's, to which this agent can take an item."""
         goal_room = self._goal_room()
         return [
             room
@@ -316,7 +316,7 @@ class SubgoalPlanner:
         ]
 
     def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
-        """Go to the nearest door on the rival's way that this agent can get to."""
+        """Go to the nearest door on the rival's way that this agent can reach."""
         here = self._doors_of(state.rooms[self.agent])
         for door in reversed(self._doors(rival_way)):
             if door in here and self.abilities.walled[door]:
@@ -324,28 +324,28 @@ class SubgoalPlanner:
         target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
         return self._press_on(state, target)
 
-    # --- what all have in common ------------------------------------------------------------
+    # --- shared by all goals ------------------------------------------------------------------
 
     def _free_hands(self, state: SymbolicState, keep: int = NOTHING) -> Literal | None:
-        """Return the subgoal to let go of whatever is held (other than ``keep``), if anything."""
+        """Return the subgoal to let go of an item other than ``keep``; None: no such item."""
         held = state.held[self.agent]
         if held in (NOTHING, keep):
             return None
         return Literal(Predicate.ATTACH, self.agent, held, positive=False)
 
     def _next_room(self, entities: tuple[int, ...], start: int, end: int) -> int | None:
-        """Return where to go first, through doors that all ``entities`` pass; None: nowhere."""
+        """Return the first room on a way whose doors all ``entities`` pass; None: no way."""
         way = self.abilities.route(entities, start, end)
         return way[1] if way is not None and len(way) > 1 else None
 
     def _walk(self, state: SymbolicState, rooms: set[int], to: int) -> Literal:
-        """Go to one of some rooms; where that is impossible, as near to a room as can be."""
+        """Go to one of ``rooms``; if that is impossible, as near as possible to the room ``to``."""
         there = Target("rooms", self.agent, frozenset(rooms))
         steps = self._plan(state, (self.agent,), frozenset(), there)
         return steps[0].literal if steps else self._press_on(state, to)
 
     def _press_on(self, state: SymbolicState, room: int) -> Literal:
-        """Head for a room that the body does not fit into: as near as the walls allow."""
+        """Head for a room that the body does not fit into, as near as the walls allow."""
         following = self._next_room((), state.rooms[self.agent], room)
         return STOP if following is None else Literal(Predicate.CLOSE, self.agent, following)
 
@@ -400,9 +400,9 @@ class SubgoalPlanner:
 def subgoal_planners(
     agent: int, abilities: Abilities
 ) -> Callable[[Literal, Stance, bool], SubgoalPlanner]:
-    """Return (own goal, stance, settles) -> planner; simulations that agree share its memory.
+    """Return (own goal, stance, settles) -> planner; equal simulations share its memory.
 
-    Many goals call for the same plans: planners share these too.
+    Planners of different goals share plans too, since many goals need the same ones.
     """
     plans = functools.cache(plans_of)
 

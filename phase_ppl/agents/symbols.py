@@ -1,11 +1,12 @@
-"""The world in symbols, as the subgoal planner sees it: states, operators, and A* over them.
+"""The world in symbols for the subgoal planner: states, operators, and A* over them.
 
 A belief particle becomes a symbolic state. Operators of agents: go to a room, touch, attach, carry
 (one or more holders) to a room, place on the landmark, let go, settle on a landmark, stand in a
 door. Preconditions come from the physics: door width against size, force of the holders against
-floor friction, who holds. Costs are path lengths between rooms. Source: paper, Appendices
-"Predicates, Symbolic States, Goals, and Subgoals" and "Hierarchical Planner" (the paper names A*
-and the predicates; the operators are ours).
+floor friction, and holds. Costs are path lengths between rooms.
+
+Source: paper, Appendices "Predicates, Symbolic States, Goals, and Subgoals" and "Hierarchical
+Planner". The paper names A* and the predicates; the operators are ours.
 """
 
 from __future__ import annotations
@@ -46,19 +47,19 @@ _ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
 
 
 class SymbolicState(NamedTuple):
-    """Which facts hold in one particle."""
+    """The facts that hold in one particle."""
 
     rooms: tuple[int, ...]  # room of each entity (0 for all in an arena without inner walls)
     held: tuple[int, ...]  # item held by each agent, or ``NOTHING``
     in_reach: tuple[bool, ...]  # agent by agent, whether it can grab each item
-    # whether the positive form of the agent's own and of the other's goal is reached
+    # whether the positive forms of the agent's own goal and of the other's are reached
     own_done: bool
     other_done: bool
     door_filled_by: tuple[int, ...]  # the door that each item closes, or ``NO_DOOR``
 
 
 class Facts(NamedTuple):
-    """The rows of facts that :func:`describe` writes of so many entities, some of them agents."""
+    """The layout of a row of facts from :func:`describe`, by numbers of entities and agents."""
 
     n_entities: int
     n_agents: int
@@ -131,24 +132,24 @@ def describe(
     done: BoolArray,
     costs: FloatArray,
 ) -> None:
-    """Write the facts of every particle, and how far goals are reached in it.
+    """Write the facts of every particle, and how near goals are in it.
 
     Args:
         bodies, held: (K, ...) particles.
         agent: who plans.
         goals: (G, 4) codes of goal literals, the agent's own or the other's.
-        whole: (G,) whether the cost of each is that of the whole plan, not of a leg.
-        facts: (K, Facts.size) output, the fields of :class:`SymbolicState` in order, but for what
-            depends on goals.
+        whole: (G,) whether its cost is of the whole plan, not of a leg.
+        facts: (K, Facts.size) output, the fields of :class:`SymbolicState` in order, without those
+            that depend on goals.
         done: (G, K) output, whether the positive form of each goal is reached.
-        costs: (G, K) output, the cost C of Algorithm 1 to each goal: path length of the leg the
-            agent is on, to the item it is after or from there to the goal, or of both, units; 0
-            for negative goals.
+        costs: (G, K) output, the cost C of Algorithm 1 to each goal, units; 0 for negative goals.
+            It is the path length of the present leg, to the item or from there to the goal, or of
+            both.
     """
     n_bodies, n_agents = bodies.shape[1], held.shape[1]
     n_items = n_bodies - n_agents
     reach, filled = n_bodies + n_agents, n_bodies + n_agents + n_agents * n_items
-    others = params.radius[agent] if n_agents == 1 else 0.0  # size of the largest of them
+    others = params.radius[agent] if n_agents == 1 else 0.0  # size of the largest other agent
     for a in range(n_agents):
         if a != agent:
             others = max(others, params.radius[a])
@@ -188,7 +189,7 @@ MAX_EXPANSIONS: Final = 4000
 
 
 class Node(NamedTuple):
-    """A state of the search: rooms and holds change; ``near`` and ``placed`` are reached facts."""
+    """A state of the search: rooms and holds change; ``near`` and ``placed`` are facts reached."""
 
     rooms: tuple[int, ...]
     held: tuple[int, ...]
@@ -201,15 +202,15 @@ class Node(NamedTuple):
 
 
 class Target(NamedTuple):
-    """What a plan is to attain: something of an entity has one of some values."""
+    """What a plan shall attain: a field of an entity has one of some values."""
 
     field: typing.Literal["rooms", "held", "door_filled_by"]
-    entity: int  # as ``field`` of a node counts: all entities, the agents, or the items
+    entity: int  # index in ``field`` of a node: among entities, agents or items
     values: frozenset[int]
-    placed: bool = False  # and it has been brought to the landmark of its room
+    placed: bool = False  # and the entity has been brought to the landmark of its room
 
     def reached(self, node: Node) -> bool:
-        """Whether a state has it."""
+        """Whether a state attains it."""
         value = getattr(node, self.field)[self.entity]
         return value in self.values and (not self.placed or node.placed[self.entity])
 
@@ -293,7 +294,7 @@ def moves(
     emptied = _set(filled, item - n_agents, NO_DOOR)
     apart = [e for e in movers if abilities.route((e,), rooms[e], rooms[item]) is None]
     for door, following in abilities.neighbours[rooms[item]]:
-        # a holder beyond the door need not pass it; one before it must also be with the item
+        # a holder beyond the door need not pass it; one before it must be with the item
         passing = all(
             abilities.passes[e][door] and e not in apart for e in movers if rooms[e] != following
         )
@@ -327,8 +328,8 @@ def plan(
         targets: entities that matter to the goal; others are not touched or carried.
         is_goal: goal test.
         heuristic: admissible lower bound of the cost left.
-        hopeless: states from which such a goal is known to be out of reach; where a search ends as
-            no state is left, all that it saw are added.
+        hopeless: states known not to lead to the goal. If a search runs out of states, all states
+            that it saw are added.
     """
     if hopeless is not None and start in hopeless:
         return None
@@ -364,12 +365,12 @@ def plan(
 Finder = Callable[
     [Node, tuple[int, ...], frozenset[int], Target, tuple[int, int] | None], list[Step] | None
 ]
-"""Arguments as of :func:`plan`; at last an entity, and a room that it has to get to, if there is
-one: a lower bound of the cost left."""
+"""Arguments as for :func:`plan`, then an entity and the room that it must reach, or none. The room
+gives a lower bound of the cost left."""
 
 
 def plans_of(abilities: Abilities) -> Finder:
-    """Return what finds the cheapest plans of bodies; each is looked for once."""
+    """Return the finder of cheapest plans for bodies; it remembers each plan."""
     distance = abilities.room_distance
     hopeless: defaultdict[tuple[object, ...], set[Node]] = defaultdict(set)
 

@@ -34,7 +34,7 @@ def cell_of(x: float, y: float, layout: Layout) -> int:
 def corner(
     bodies: FloatArray, agent: int, k: int, scale: float, params: Params
 ) -> tuple[float, float]:
-    """Return corner ``k`` of an agent, its shape enlarged by ``scale`` about the centre of mass."""
+    """Return corner ``k`` of an agent, enlarged by ``scale`` about its centre of mass."""
     c, s = math.cos(bodies[agent, 2]), math.sin(bodies[agent, 2])
     lx, ly = params.vertices[agent, k, 0] * scale, params.vertices[agent, k, 1] * scale
     return bodies[agent, 0] + lx * c - ly * s, bodies[agent, 1] + lx * s + ly * c
@@ -46,7 +46,7 @@ def outline_cells(
 ) -> int:
     """Write the cells that the outline of ``entity`` touches into ``cells``; return their number.
 
-    Agents: the grid line between the cells of neighbouring corners; items: 16 points on the rim.
+    An agent: the grid line between cells of neighbouring corners. An item: 16 points on the rim.
     """
     if entity >= params.force.shape[0]:
         for i in range(RIM_POINTS):
@@ -113,7 +113,7 @@ def _agent_meets_disc(
         t = min(1.0, max(0.0, (cx * ex + cy * ey) / (ex * ex + ey * ey)))
         dx, dy = cx - t * ex, cy - t * ey
         nearest = min(nearest, dx * dx + dy * dy)
-        # the signed side tells inside from outside whichever way the corners run
+        # the signed side distinguishes inside from outside in either order of the corners
         ox, oy = bodies[agent, 0] - x1, bodies[agent, 1] - y1
         if (ex * cy - ey * cx) * (ex * oy - ey * ox) < 0:
             inside = False
@@ -124,7 +124,7 @@ def _agent_meets_disc(
 def shapes_meet(
     bodies: FloatArray, first: int, second: int, scale_1: float, scale_2: float, params: Params
 ) -> bool:
-    """Whether two entities' shapes, enlarged by the scales, overlap."""
+    """Whether two entities' shapes overlap when enlarged by the scales."""
     n_agents = params.force.shape[0]
     if first >= n_agents and second < n_agents:
         first, second = second, first
@@ -166,8 +166,9 @@ def visible_cells(
 ) -> None:
     """Mark in ``visible`` (cell,) the cells in the agent's field of view.
 
-    A cell is in view if its centre lies in the cone and no wall and no other entity (a disc of
-    its size R around its centre of mass, if that lies between eye and cell) is on the line to it.
+    A cell is in view if its centre lies in the cone, and the line to it meets no wall and no other
+    entity. An entity counts as a disc of its size R around its centre of mass, if that lies between
+    eye and cell.
     """
     ex, ey, angle = bodies[agent, 0], bodies[agent, 1], bodies[agent, 2]
     hx, hy = -math.sin(angle), math.cos(angle)
@@ -216,8 +217,9 @@ def observe(
 ) -> None:
     """Fill ``visible`` (cells) and ``observed`` (entity,) for one agent in the true state.
 
-    Observed is: itself; whatever has an outline cell in view; whatever it touches or holds, and
-    the other holder of its item; and, along the chain, what an observed entity touches or holds.
+    An agent observes itself, entities with an outline cell in view, what it touches or holds, and
+    the other holder of its item. Along the chain, it also observes what an observed entity
+    touches or holds.
 
     Args:
         bodies, held: true state.

@@ -1,4 +1,4 @@
-"""What all agents of a simulation know alike: the layout, what bodies can do, and the physics.
+"""Shared knowledge of all agents of a simulation: layout, abilities of bodies, and physics.
 
 The layout is the static part of a scene as flat arrays for compiled code: rooms, doors, landmarks
 and a grid of 1 x 1 cells.
@@ -28,7 +28,7 @@ DISTANCE_UNIT: Final[float] = 20.0 * math.sqrt(2.0)
 """Length by which distances are divided in rewards and proposals: the diagonal of PHASE's arena."""
 
 ROOM_POINT_INSET: Final = 1.25
-"""The point that stands for a room in the planner is this far from the arena's border, units."""
+"""Distance from the arena's border of the point that represents a room in the planner, units."""
 
 AGENT_WIDTH: Final = 3.0
 """Width of an agent driving straight, in units of its size R: the base of the trapezoid."""
@@ -44,7 +44,7 @@ class Layout(NamedTuple):
     rows: int  # number of 1 x 1 cells along a side
     columns: int
     walls: FloatArray  # (n, 4) inner walls as x1, y1, x2, y2
-    lines_x: FloatArray  # (n,) of the lines that cut the arena into rooms, ascending
+    lines_x: FloatArray  # (n,) lines that cut the arena into rooms, ascending
     lines_y: FloatArray
     rooms: IntArray  # (row from the bottom, column) number of the room between those lines
     is_open: bool  # no inner walls
@@ -52,7 +52,7 @@ class Layout(NamedTuple):
     doors: FloatArray  # (door, 2) door middles
     door_width: FloatArray  # (door,)
     landmarks: FloatArray  # (landmark, 2) centres
-    room_points: FloatArray  # (room, 2) the point that stands for each room
+    room_points: FloatArray  # (room, 2) the point that represents each room
     neighbour: IntArray  # (room, room) the widest door that joins two rooms directly, -1 for none
 
     @classmethod
@@ -128,25 +128,25 @@ def body_origin(bodies: FloatArray, entity: int, cog: FloatArray) -> tuple[float
 
 @dataclasses.dataclass(frozen=True)
 class Abilities:
-    """What the bodies of a scene can do; all of the physics that plans depend on."""
+    """What the bodies of a scene can do; plans depend on no other physics."""
 
     passes: tuple[tuple[bool, ...], ...]  # (entity, door): whether the entity fits through the door
-    # (item, door): whether the item, standing at the door, closes it: it is wider than the gap, so
-    # that nobody can push it through
+    # (item, door): whether the item, standing at the door, closes it. It does if it is wider than
+    # the gap, so that nobody can push it through
     fills: tuple[tuple[bool, ...], ...]
-    # (door,) whether a wall stands beside the door, so that it can be stood in
+    # (door,) whether there is a wall beside the door, so that an agent can fill it
     walled: tuple[bool, ...]
-    # (pulling agents, number of holders) whose pull beats the floor friction of an item and all
-    # that hold it; the others hang on without helping
+    # (pulling agents, number of holders): whether the pull beats the floor friction of an item and
+    # all its holders; the other holders do not help
     strong: frozenset[tuple[tuple[int, ...], int]]
-    # (room, room) length of the way, inf for none; doors only by ``passes``
+    # (room, room) length of the way, inf for none; through doors as in ``passes``
     room_distance: tuple[tuple[float, ...], ...]
-    # per room the (door, room) pairs that open doors join
+    # for each room, the (door, room) pairs that open doors join
     neighbours: tuple[tuple[tuple[int, int], ...], ...]
-    landmark_rooms: tuple[int, ...]  # (landmark,) the room that each is in
-    landmark_in: tuple[int, ...]  # (room,) a landmark that is in each, or ``NOTHING``
+    landmark_rooms: tuple[int, ...]  # (landmark,) the room of each
+    landmark_in: tuple[int, ...]  # (room,) a landmark in each, or ``NOTHING``
     is_open: bool  # no inner walls
-    # the routes that were asked for, by (entities, start, end)
+    # cache of routes, by (entities, start, end)
     _routes: dict[tuple[tuple[int, ...], int, int], tuple[int, ...] | None] = dataclasses.field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -195,7 +195,7 @@ class Abilities:
         )
 
     def carries(self, *pulling: int, holders: int) -> bool:
-        """Whether these agents can pull an item that so many hold."""
+        """Whether ``pulling`` agents can pull an item with ``holders`` holders."""
         return (tuple(sorted(pulling)), holders) in self.strong
 
     def route(self, entities: tuple[int, ...], start: int, end: int) -> tuple[int, ...] | None:

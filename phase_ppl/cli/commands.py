@@ -1,6 +1,6 @@
-"""The way to all commands: a function each, whose docstring says what it does and what it takes.
+"""All commands: each is a function whose docstring is its help and defines its options.
 
-A line of the docstring's section ``Args:`` is an option or a positional argument, and is its help::
+A line of the docstring's section ``Args:`` is an option or a positional argument, with its help::
 
     EVENT: a positional one; ``[EVENT]`` may be left out, of ``EVENTS...`` there can be several
     --seed N: N is a whole number, X or S any number, FILE and DIR are paths, B is a budget
@@ -12,8 +12,8 @@ A line of the docstring's section ``Args:`` is an option or a positional argumen
     | --preset NAME: not together with the one before
     --out DIR: one whose text ends so must be given: required
 
-``$name`` stands for a text of :data:`SHARED`, be it lines of their own or words in one. What stands
-before the section is said first by ``--help``, what stands after it last.
+``$name`` stands for a text of :data:`SHARED`: whole lines, or words within a line. ``--help``
+begins with the text before the section, and ends with the text after it.
 """
 
 from __future__ import annotations
@@ -48,20 +48,20 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder
 
 MODULES: Final = ("infer", "results", "evaluate", "events", "generate")
-"""Those beside this one whose public functions are commands."""
+"""Other modules whose public functions are commands."""
 
 APPLICATIONS: Final = "phase_ppl.commands"
-"""Group of entry points with the commands of applications, which are loaded where one of them, or
-the list of all, is asked for: a function as here, or a module with one for each of its parts."""
+"""Group of entry points for commands of applications: a function as here, or a module with one for
+each of its parts. They are loaded only for such a command, or for the list of all."""
 
 FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
-"""Exit codes, which functions return beside 0 or None."""
+"""Exit codes that functions can return, beside 0 or None."""
 
 POSTERIOR: Final = "posterior.nc"  # the file in the folder of results that holds the posterior
 
-_DASK_SECONDS: Final = 10  # that a scheduler may take to answer
+_DASK_SECONDS: Final = 10  # seconds to wait for a scheduler's answer
 
 SHARED: Final = {
     "FILE": "FILE.py:NAME takes one of your own, and runs that file",
@@ -113,38 +113,38 @@ $progress""",
 FILE: a posterior's .nc file, or the folder of infer
 --weights NAME: count, stratified or likelihood; default: the file's""",
 }
-"""What several commands say."""
+"""Help texts that several commands share."""
 
 
 class Options(argparse.Namespace):
-    """What a command was given: ``--on-failure`` as ``on_failure``, and so on.
+    """The options of a command: ``--on-failure`` as ``on_failure``, and so on.
 
-    What was not given is None, or empty. ``progress`` is what ``--quiet`` and ``--progress``
-    say, as functions take it; ``executor`` is the one of ``--dask``, if any.
+    Options that were not given are None, or empty. ``progress`` combines ``--quiet`` and
+    ``--progress``, as functions take it; ``executor`` is the one of ``--dask``, if any.
     """
 
     def given(self, *names: str) -> dict[str, Any]:
-        """Return those of the options that were given, by name."""
+        """Return the named options that were given."""
         found = {name: getattr(self, name, None) for name in names}
         return {name: v for name, v in found.items() if not (v is None or v in ([], {}))}
 
     def of(self, function: Callable[..., Any], /, **own: Any) -> dict[str, Any]:
-        """Return arguments of a function: options of the same names that were given, and others."""
+        """Return a function's arguments: given options of the same names, and ``own``."""
         return {**self.given(*inspect.signature(function).parameters), **own}
 
     def call(self, function: Callable[..., Any], /, **own: Any) -> Any:
-        """Call a function with options of the names of its arguments, and with other arguments."""
+        """Call a function with given options of the names of its arguments, and ``own``."""
         return function(**self.of(function, **own))
 
     def load(self) -> Event:
-        """Return the event that ``$event`` asked for."""
+        """Return the event of ``$event``."""
         return phase_ppl.load_event(self.event, video=self.video, turning=self.turning)
 
     def suffix(self, *allowed: str) -> str:
-        """Return the ending of ``--out``, for which there is then a folder.
+        """Return the ending of ``--out``, and make its folder.
 
         Raises:
-            OutputError: it is none of the allowed ones, or there can be no such folder.
+            OutputError: the ending is not allowed, or the folder cannot be made.
         """
         if self.out.suffix.lower() not in allowed:
             raise OutputError(f"--out {self.out}: expected a file ending in {' or '.join(allowed)}")
@@ -181,7 +181,7 @@ def run(arguments: Sequence[str] | None) -> int:
 
 
 def _add_commands(commands: Any, asked: str) -> None:
-    """Add our commands, and those of applications where one of them, or the list, is asked for."""
+    """Add our commands; also applications', if one of them, or the list, is asked for."""
     names = set()
     for module in MODULES:
         for name, function in _functions(importlib.import_module(f"phase_ppl.cli.{module}")):
@@ -194,7 +194,7 @@ def _add_commands(commands: Any, asked: str) -> None:
     for entry in chosen or offered:
         try:
             _add(commands, entry.name, entry.load())
-        except Exception as error:  # it must not break the others
+        except Exception as error:  # a broken application must not break other commands
             problem = f"command {entry.name!r} cannot be loaded: {one_line(error)}"
             if chosen:
                 raise InvalidSettingError(problem) from error
@@ -208,8 +208,8 @@ def _functions(module: ModuleType) -> Iterator[tuple[str, Callable[[Options], in
 
 
 def _add(commands: Any, name: str, command: Any) -> None:
-    """Add a command as its docstring says."""
-    if not command.__doc__:  # it can also be that Python was told to leave them out
+    """Add a command as its docstring defines it."""
+    if not command.__doc__:  # Python may have been told to leave docstrings out
         raise InvalidSettingError(
             f"command {name!r} has no docstring to make its options of (-OO?)"
         )
@@ -244,7 +244,7 @@ _ENTRY: Final = re.compile(r"(\| )?([^\s:]+(?: \S+)?):(?:\s+(.*))?", re.DOTALL)
 
 
 def _entries(text: str) -> Iterator[tuple[str, str, str]]:
-    """Yield "| " or "", name and value, help of a section's lines, the shared ones included."""
+    """Yield "| " or "", name and value, and help of a section's lines, with shared texts."""
     for entry in re.split(r"\n(?=\S)", text.strip()):
         if entry.startswith("$"):
             yield from _entries(SHARED[entry[1:]])
@@ -280,7 +280,7 @@ def _add_entry(to: Any, entry: str, says: str, required: bool) -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a usage error in one line, exit code 2, with near names."""
+    """Reports a usage error in one line, with close names; exit code 2."""
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
@@ -291,7 +291,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class _Pairs(argparse.Action):
-    """NAME=VALUE, which may be given several times."""
+    """NAME=VALUE pairs; the option may be given several times."""
 
     def __call__(self, parser: Any, options: Any, text: Any, option: Any = None) -> None:
         name, equals, value = text.partition("=")
@@ -304,7 +304,7 @@ class _Pairs(argparse.Action):
 
 
 def option_value(text: str) -> Any:
-    """Return numbers, true and false as such, anything else as text."""
+    """Return numbers, true and false as such, other values as text."""
     try:
         return json.loads(text)
     except json.JSONDecodeError:
@@ -340,7 +340,7 @@ _TYPES: Final = {
 
 @contextlib.contextmanager
 def _executor(address: str | None) -> Iterator[Executor | None]:
-    """Yield the executor of a dask cluster; None where there is none."""
+    """Yield the executor of a dask cluster; None: no cluster."""
     if address is None:
         yield None
         return
@@ -359,10 +359,10 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
 
 
 def one_line(error: BaseException) -> str:
-    """Return what an error says, in one line."""
+    """Return an error's message in one line."""
     return " ".join(str(error).split())
 
 
 def report_hint(out: Path) -> str:
-    """Return how to make a page of what is in the folder ``out``."""
+    """Return how to make an HTML page of the folder ``out``."""
     return f"For one page of it all: phase-ppl report {shlex.quote(str(out))}"

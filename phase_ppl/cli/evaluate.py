@@ -20,42 +20,42 @@ if TYPE_CHECKING:
     from phase_ppl.evaluation.evaluation import Evaluation
 
 AGAINST: Final = "against.json"
-"""The file in the folder of results that holds the differences from another model."""
+"""The file in the folder of results with the differences from another model."""
 
-PAGES: Final = "pages"  # the folder of the pages, one per event, in that of a comparison
-_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # what pages are called (``entry_name``)
+PAGES: Final = "pages"  # the folder of the pages, one per event, of a comparison
+_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # names of pages (``entry_name``)
 
 _SHORT_FOR: Final = ("preset", "planner", "kernel", "prior", "simulator", "budget", "weights")
-"""Options of models that have options of the command of their own."""
+"""Options of models that are options of the command."""
 
 _SHOWS: Final = ("out", "against", "workers", "progress", "no_figures", "run", "executor")
-"""Options that may be given where an evaluation is only shown again."""
+"""Options that are allowed when a stored evaluation is shown again."""
 
 
 def evaluate(options: Options) -> int:
-    """Ask a model about many events, and score what it answers.
+    """Ask a model about many events, and score its answers.
 
-    The longest events come first. Without EVENTS, the evaluation in --out is read and
-    shown again, to be compared by --against. The last options are those of the model; of
-    several models, of all that take them.
+    The longest events come first. Without EVENTS, the evaluation in --out is read and shown
+    again; --against then compares it. The last options are the model's; with several models,
+    they go to all that take them.
 
     Args:
         [EVENTS]: an event file, a folder of event files, or a bundled event's name
-        --model NAME...: stepwise, the closed loop (the default), simple or another; given several
-            times, all are evaluated, each in a folder of its name in --out, and compared;
+        --model NAME...: stepwise, the closed loop (the default), simple or another. Given several
+            times, all are evaluated and compared, each in a folder of its name in --out;
             LABEL=NAME gives another name
         --out DIR: for predictions, metrics, figures and pages
-        --resume: go on with what is in --out; events may have been added at the end
-        --observer NAME: through whom the model is seen: people, who come with the package, or a
-            file of fit-people
+        --resume: continue the evaluation in --out; events may have been added at the end
+        --observer NAME: observer through which the model is seen: people, which comes with the
+            package, or a file of fit-people
         --split NAME: of a generated set, such as test
         --limit N: the first N events only
         $cluster
         $seed
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
         --against NAME: results of another model, or a model whose predictions the events carry, for
-            paired differences; written to against.json. With several models: the one of them from
-            which the others' differences are wanted; default: every pair
+            paired differences; written to against.json. With several models: the one to compare the
+            others with; default: every pair
         $stored
         --no-figures: draw no figures and pages
         $progress
@@ -66,8 +66,8 @@ def evaluate(options: Options) -> int:
         --simulator FILE.py:NAME: runs that file
         --budget B: $BUDGET
         --weights NAME: of SIMPLE's posteriors; of SocialGNN its folder
-        --option NAME=VALUE...: any other, such as chains=15 or rule=paper, or of one of several
-            models, such as simple.chains=15; may be given several times
+        --option NAME=VALUE...: any other option, such as chains=15 or rule=paper; for one of
+            several models, such as simple.chains=15; may be given several times
 
     example: phase-ppl evaluate videos.json --model simple --planner fast --out out
     """
@@ -93,7 +93,7 @@ def evaluate(options: Options) -> int:
 
         if options.stored:
             raise InvalidSettingError("--stored is for several models; --against compares with one")
-        if options.against is not None:  # what is wrong with it is said before the model is asked
+        if options.against is not None:  # its errors come before the model is asked
             opponent(events[: options.limit], options.against)
     if options.out is not None:
         writable_folder(options.out)
@@ -103,7 +103,7 @@ def evaluate(options: Options) -> int:
     for label, model in models.items():
         named = f"{label}: " if labelled else ""
         out = options.out / label if labelled and options.out is not None else options.out
-        # the events are those of the split already
+        # the events are already those of the split
         asked = {"events": events, "model": model, "out": out, "split": None, **of_models[label]}
         try:
             evaluation = found[label] = options.call(phase_ppl.evaluate, **asked)
@@ -116,7 +116,7 @@ def evaluate(options: Options) -> int:
             if not (named and kept is not None and isinstance(error, AnswerError)):
                 hint = "; --resume goes on" if out is not None and kept is not None else ""
                 raise type(error)(f"{named}{error}{hint}") from None
-            evaluation = found[label] = kept  # other models may do better
+            evaluation = found[label] = kept  # other models may succeed
         if labelled:
             for event, failure in evaluation.failures.items():
                 print(f"{label}: failed: {event}: {failure}", file=sys.stderr)
@@ -141,7 +141,7 @@ def _check_several(
     models: Mapping[str, str],
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    """Find out what is wrong before the first model is asked."""
+    """Check several models before the first is asked."""
     from phase_ppl.evaluation.comparison import check_names, chosen_references
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.evaluation import SETTINGS, ResultsFolder, holds_predictions
@@ -170,7 +170,7 @@ def _check_several(
 
 
 def _show_again(options: Options) -> int:
-    """Show an evaluation that is there."""
+    """Show a stored evaluation."""
     of_work = [f"--{name}" for name in options.given(*vars(options)) if name not in _SHOWS]
     if options.out is None or of_work:
         needed = f" with {', '.join(of_work)}" if of_work else ""
@@ -184,7 +184,7 @@ def _show_again(options: Options) -> int:
 
 
 def _end_of_one(found: Evaluation, options: Options) -> None:
-    """Say where an evaluation is kept, and how it differs from another."""
+    """Print where an evaluation is stored, and how it differs from another."""
     from phase_ppl.evaluation.evaluation import difference_table
 
     _say_where(None if found.folder is None else found.folder.path)
@@ -204,15 +204,15 @@ def _say_where(folder: Path | None) -> None:
 
 
 def _references(options: Options) -> str | list[str]:
-    """Return what ``compare_models`` takes for the reference models named by ``--stored``."""
+    """Return the reference models of ``--stored``, as ``compare_models`` takes them."""
     return "all" if "all" in options.stored else list(options.stored)
 
 
 def _drawn(source: Any, out: Path, options: Options, named: str = "") -> int:
     """Draw the figures of an evaluation or a comparison into ``out``, and the events' pages.
 
-    The results are there, whatever becomes of their pictures: what could not be drawn is said, and
-    the exit code.
+    The results are there even if drawing fails. Failures are printed and set the exit code, which
+    is returned.
     """
     if options.no_figures:
         return 0
@@ -241,7 +241,7 @@ def _drawn(source: Any, out: Path, options: Options, named: str = "") -> int:
 
     quiet = options.progress is False
     attempt("the figures", lambda: figures.draw_figures(source, out, progress=not quiet))
-    for old in (out / PAGES).glob(_PAGE):  # of an earlier comparison, perhaps of other events
+    for old in (out / PAGES).glob(_PAGE):  # of an earlier comparison, maybe with other events
         old.unlink(missing_ok=True)
     answered = getattr(source, "predictions", None)
     for place, event in counted([*enumerate(source.events)], options.progress, "page", "drawing"):
@@ -253,15 +253,15 @@ def _drawn(source: Any, out: Path, options: Options, named: str = "") -> int:
 def compare_models(options: Options) -> int:
     """Compare evaluations of several models, and people, on the same events.
 
-    Tells accuracy, agreement with people, paired differences with Holm's correction,
-    equivalence with people, cost.
+    Prints accuracy, agreement with people, paired differences with Holm's correction,
+    equivalence with people, and cost.
 
     Args:
         FOLDERS...: written by evaluate --out, of one model or of several; NAME=DIR gives it a name
         $stored
         --against NAME: differences from this model only; default: every pair
         --common: compare on the events that all folders share
-        --margin X: difference of shares up to which a model and people are equivalent; default 0.1
+        --margin X: largest difference of shares at which a model equals people; default 0.1
         --seed N: of the resamples; default 0
         --resamples N: of the events, default 10000
         --out DIR: for tables, figures and pages
@@ -283,7 +283,7 @@ def compare_models(options: Options) -> int:
 
 
 def _sources(given: Sequence[str]) -> dict[str, str] | list[str]:
-    """Return the folders, with names where there are some."""
+    """Return the folders, by name if names are given."""
     named = dict(text.split("=", 1) for text in given if "=" in text and not Path(text).exists())
     if not named:
         return list(given)
@@ -305,23 +305,23 @@ def _keep(found: ModelComparison, options: Options) -> int:
 
 
 def reproduce(options: Options) -> None:
-    """Make the paper's tables and figures anew, cell by cell.
+    """Reproduce the paper's tables and figures, cell by cell.
 
-    Runs the models of the paper, and holds every number and figure of it against what comes
-    out, on one page. Without --videos it is a try on generated events, no reproduction.
+    Runs the models of the paper, and compares every number and figure with the results, on one
+    page. Without --videos it uses generated events: a trial, no reproduction.
 
     Args:
         --videos FILE: phase-test JSON or the authors' release
         --out DIR: required
-        --profile quick|paper|full: quick (the default): few simulations and searches; paper: as the
-            paper has it; full: and all lesions, and what is beyond the paper
+        --profile quick|paper|full: quick (the default): few simulations and searches; paper: as in
+            the paper; full: also all lesions, and results beyond the paper
         --judgments FILE: people's judgments: a .csv file, or a folder of raters' files
         --vlm-store DIR: stored answers of a vision-language model
         --tags FILE: people's labels, a .csv file
         --likeness FILE: people's ratings of likeness, a .csv file
         --steered FILE: a file or folder of events that people steered, with judgments in them
         $seed
-        --resume: go on with what is in DIR
+        --resume: continue the run in DIR
         $workers
         $progress
 

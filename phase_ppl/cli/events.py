@@ -13,7 +13,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output, writable_folder
 
 _EVENTS, _FILMS = (".json", ".nc"), (".mp4", ".gif")  # endings of files
-_STRIP = 6  # frames of a film strip, where the event has as many
+_STRIP = 6  # frames of a film strip, if the event has that many
 
 
 def goals(options: Options) -> None:
@@ -50,7 +50,7 @@ def simulate(options: Options) -> None:
         --strength NAME=NEWTON...: of an agent; default 450
         $planner
         --frames N: default: as long as the event
-        --overlapping: though bodies overlap at the start
+        --overlapping: simulate even if bodies overlap at the start
         --out FILE: .json, .nc, .mp4 or .gif; required
 
     example: phase-ppl simulate collaborate --goal-red 'Get blue item to red lm'
@@ -70,7 +70,7 @@ def simulate(options: Options) -> None:
 
 
 def _roles(options: Options, event: Event) -> phase_ppl.Hypothesis:
-    """Return who wants what."""
+    """Return the hypothesis of the options."""
     of_phase = options.goal_red, options.goal_green
     world = event.scene.world
     if options.goal or options.relation or options.strength:

@@ -20,7 +20,7 @@ from phase_ppl.world.files import writable_folder
 def generate(options: Options) -> int:
     """Make a data set of simulated social events.
 
-    Draws situations like those of PHASE, simulates them, keeps those that show what they should.
+    Draws situations like those of PHASE, simulates them, and keeps those that show their scenario.
 
     Args:
         --n N: events, of PHASE in the paper's proportions
@@ -28,17 +28,17 @@ def generate(options: Options) -> int:
         | --cell FAMILY=N...: events of a family, such as chasing=10 or hinder:LMA=5; may be given
             several times; $FILE, which registers it
         --out DIR: required
-        --world NAME: $WORLDS; without --cell events of others than PHASE, or with --prior, are
+        --world NAME: $WORLDS; other worlds than PHASE without --cell, and all with --prior, give
             random scenes with roles; $FILE
-        --prior NAME: over who wants what in random scenes, default uniform; $FILE
+        --prior NAME: of goals and relations in random scenes, default uniform; $FILE
         $planner
         $seed
         --copies N: of each event, with other reflections and colours; default 0
         --turning both|ccw|cw: which way agents can turn, before any reflection; default both
         $cluster
-        --keep-rejected: keep the draws that were not good enough
-        --videos: film every event, rejected draws too if they are kept, and draw all on one picture
-        --resume: go on with what DIR holds
+        --keep-rejected: keep the rejected draws, too
+        --videos: film every event, also kept rejected draws, and draw all in one picture
+        --resume: continue the set in DIR
         $progress
         $versions
 
@@ -85,7 +85,7 @@ def generate(options: Options) -> int:
 
 
 def _family(cell: str) -> str:
-    """Return what a cell is called when the file of ``FILE.py:NAME`` has been run."""
+    """Return the name of a cell's family, after running the file of ``FILE.py:NAME``."""
     return cell if own.taken(cell, "family") is cell else cell.rpartition(":")[2]
 
 
@@ -107,7 +107,7 @@ def verify(options: Options) -> int:
 def train(options: Options) -> None:
     """Train a model of social perception on a generated data set.
 
-    Networks from several seeds, whose answers are averaged. Needs the extra neural (PyTorch).
+    Trains networks from several seeds and averages their answers. Needs the extra neural (PyTorch).
 
     Args:
         MODEL: socialgnn
@@ -116,9 +116,9 @@ def train(options: Options) -> None:
         --seeds N: networks; default 5
         --seed N: first one; default 0
         --variant extended|original|message_passing: default extended
-        --option NAME=VALUE...: how to train, such as epochs=100 or looks=false; may be given
+        --option NAME=VALUE...: option of training, such as epochs=100 or looks=false; may be given
             several times
-        --resume: go on with what DIR holds
+        --resume: continue the training in DIR
         $progress
 
     example: phase-ppl train socialgnn --data events --out gnn
@@ -143,7 +143,7 @@ def train(options: Options) -> None:
 
 
 def _scores(by_split: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return right answers about goals and relation by split, as columns in percent."""
+    """Return shares of right answers about goals and relation by split, as columns in percent."""
     cells = ""
     for scores in by_split.values():
         for figure in (scores.get("goal_accuracy"), scores.get("relation_accuracy")):

@@ -45,12 +45,12 @@ def infer(options: Options) -> int:
         $event
         $planner
         --preset NAME: $PRESET
-        --model simple|stepwise: stepwise, the closed loop: every frame given those before it,
-            summed over all hypotheses (the default); simple: whole simulations, sampled, as with
-            --kernel local_mh
+        --model simple|stepwise: stepwise (the default), the closed loop: each frame is predicted
+            from those before, summed over all hypotheses; simple: whole simulations, sampled, as
+            with --kernel local_mh
         $model
-        --watch: of the stepwise model: show what it believes as the video plays, and film it
-        --kernel NAME: sample by it; local_mh is SIMPLE; default none, nothing is sampled; $FILE
+        --watch: for the stepwise model: show its beliefs as the video plays, and film it
+        --kernel NAME: sample with it; local_mh is SIMPLE; default none, nothing is sampled; $FILE
         --chains N: default 15
         --option NAME=VALUE...: of the kernel, such as rule=paper, of SIMPLE's settings, such as
             beta=0.1, or of the stepwise model, such as weight=1 or planner_seeds=8; may be given
@@ -98,7 +98,7 @@ def infer(options: Options) -> int:
 
 
 def _is_stepwise(options: Options, samples: bool) -> bool:
-    """Return whether the video is read by the closed loop, be it for a kernel to sample from."""
+    """Return whether the closed loop reads the video, also when a kernel then samples from it."""
     if options.likelihood is None and (options.model == "stepwise" or not samples):
         options.likelihood = "stepwise"
     named = (options.likelihood or "").partition(":")[0] == "stepwise"
@@ -114,13 +114,13 @@ def _kernel(options: Options) -> dict[str, Any]:
 
 
 def resume(options: Options) -> int:
-    """Go on with an interrupted run, or extend one, as if it had never stopped.
+    """Continue an interrupted run, or extend one, with the same result as without a break.
 
     Args:
-        FILE: the run.ckpt that it left
+        FILE: the run's run.ckpt
         $model
-        --kernel NAME: as before, if it was one of your own
-        --out DIR: default: where FILE is
+        --kernel NAME: as before, if it was user-defined
+        --out DIR: default: the folder of FILE
         $overwrite
         $versions
         $run
@@ -139,7 +139,7 @@ def resume(options: Options) -> int:
         options.noise = options.noise or before["noise"]
         model = own.model(options, planner)
     folder = options.file.parent
-    # what is beside the file is of the same run
+    # a posterior beside the file is of the same run
     elsewhere = options.out is not None and options.out.resolve() != folder.resolve()
     with _results_folder(options, options.out or folder, _RESULTS if elsewhere else ()) as out:
         given = {**options.of(phase_ppl.resume, model=model), **_kernel(options)}
@@ -151,7 +151,7 @@ def resume(options: Options) -> int:
 def _results_folder(
     options: Options, out: Path | None, names: Sequence[str]
 ) -> Iterator[Path | None]:
-    """Keep the folder of results to this process, from before any work is done."""
+    """Lock the folder of results, before any work is done."""
     if out is None:
         yield None
         return
@@ -168,7 +168,7 @@ def _results_folder(
 def _finish(
     run: Callable[[], Any], event: Event, out: Path | None, kept: Path | None, options: Options
 ) -> int:
-    """Do a run, print and write what came out, and delete the file of one that is complete."""
+    """Do a run, print and write the results, and delete the checkpoint if it is complete."""
     code, told = 0, "interrupted"
     try:
         post = run()
@@ -190,7 +190,7 @@ def _finish(
     if kept is not None and kept.exists():
         if code:
             found = options.given(*own.PARTS, "kernel")
-            # a file cannot hold all of a run
+            # a file cannot hold everything of a run
             needed = any(".py:" in text or "stepwise" in text for text in found.values())
             again = [f" --{name} {shlex.quote(text)}" for name, text in found.items() if needed]
             print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}{''.join(again)}")
@@ -200,7 +200,7 @@ def _finish(
 
 
 def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
-    """Write the posterior, a summary with what else is told, figures and a film into ``out``."""
+    """Write the posterior, a summary with ``told``, figures and a film into ``out``."""
     post.save(out / POSTERIOR)
     write_json(out / "summary.json", {**post.summary(), **told})
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
@@ -214,7 +214,7 @@ def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
         phase_ppl.plot.why(post, f"{asked}={best}", f"{asked}={second}", path=out / "why.png")
         phase_ppl.watch_film(post, out / "watch.mp4")
         written = _STEPWISE
-    for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
+    for name in set(_RESULTS) - set(written):  # of another run, to be overwritten
         (out / name).unlink(missing_ok=True)
     print(f"\nWritten to {out}: {', '.join(written)}")
     if event.scene.world == PHASE:
@@ -224,11 +224,11 @@ def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
 # --- watching --------------------------------------------------------------------------------
 
 _LINES_A_SECOND: Final = 4
-"""Frames between two lines where the output is no terminal: one a second of the video."""
+"""Frames between two lines if the output is no terminal: one line a second of the video."""
 
 
 def _watched(event: Event, model: phase_ppl.Model, options: Options) -> StepwisePosterior:
-    """Show the posterior after every frame, in place in a terminal; return the last one."""
+    """Show the posterior after every frame, in a terminal in place; return the last one."""
     drawn = 0
     with phase_ppl.watch(
         event.scene, model, seed=options.seed or 0, threads=options.workers, event_id=event.id
@@ -262,7 +262,7 @@ def _bars(post: StepwisePosterior) -> Iterator[str]:
 
 
 def _followed(post: StepwisePosterior) -> Iterator[tuple[str, Any]]:
-    """Yield title and leading values of what is shown as the video plays."""
+    """Yield title and leading values of the quantities shown as the video plays."""
     for title, name in (*post.goals_of.items(), *post.relations_of.items()):
         yield title.removesuffix(" agent"), post.top(name, 3)
 
@@ -283,11 +283,11 @@ def compare(options: Options) -> int:
         $model
         $planner
         --reference R: a posterior's .nc file, 'enumeration' (more precise:
-            enumeration:per_pair=16) or a kernel, with options as in --kernels; default: what is
-            affordable
+            enumeration:per_pair=16) or a kernel, with options as in --kernels; default: the best
+            affordable one
         --weights NAME: default count
         $cluster
-        --checkpoint FILE: .json; keeps and takes up finished runs
+        --checkpoint FILE: .json; stores finished runs and continues from them
         --out DIR: for the runs and a figure
         $overwrite
         $progress

@@ -1,4 +1,4 @@
-"""Parts of a model by options: ready-made ones by name, a user's own out of a file of theirs."""
+"""Parts of a model from options: ready-made ones by name, user-defined ones from a file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SUFFIX: Final = ".py"
 def model(
     options: Options, planner: str | PlannerConfig | None = None, **settings: Any
 ) -> phase_ppl.Model:
-    """Return the model of the options, with further settings of its likelihood."""
+    """Return the model of the options; ``settings`` are of its likelihood."""
     given = options.given(*PARTS)
     if "prior" in given:
         given["prior"] = taken(options.prior, "prior")
@@ -39,14 +39,14 @@ def model(
 
 
 def taken(text: str, what: str, named: bool = True) -> Any:
-    """Return of ``FILE.py:NAME`` what that file calls so; of another text the text.
+    """Return the object NAME of ``FILE.py:NAME``, or the text itself if it has another form.
 
-    The file is run, which is said on stderr.
+    The file is run, which is announced on stderr.
 
     Args:
         text: of the option.
         what: "prior", "simulator" and so on, for messages.
-        named: whether there are such by name as well.
+        named: whether ready-made ones by name exist as well.
     """
     file, _, name = text.rpartition(":")
     if not file.endswith(_SUFFIX):
@@ -66,10 +66,10 @@ def taken(text: str, what: str, named: bool = True) -> Any:
 
 @functools.cache
 def _run(path: Path, *_: int) -> dict[str, Any]:
-    """Return what a file defines; as long as it stays the same it is run once."""
+    """Return what a file defines; it is run once unless it changes."""
     try:
         return runpy.run_path(str(path), run_name=path.stem)
-    except Exception as error:  # whatever a user's file does
+    except Exception as error:  # a user's file can raise anything
         reason = f"{type(error).__name__}: {one_line(error)}"
         raise InvalidSettingError(f"{path} cannot be run: {reason}") from error
 
@@ -124,7 +124,7 @@ def stepwise_settings() -> set[str]:
 
 
 def models_of(given: Sequence[str]) -> dict[str, str]:
-    """Return label -> model of ``--model NAME`` or ``LABEL=NAME``; the closed loop by default."""
+    """Return label -> model from ``--model NAME`` or ``LABEL=NAME``; by default the closed loop."""
     found: dict[str, str] = {}
     for text in given or ["stepwise"]:
         label, equals, name = text.partition("=")
@@ -145,8 +145,8 @@ def options_of(
 
     Args:
         models: label -> model.
-        plain: options of every model that takes them; of a single model all.
-        named: those of ``--option``, where "LABEL.NAME" is of one model, "NAME" plain.
+        plain: options of every model that takes them; a single model gets all.
+        named: those of ``--option``; "LABEL.NAME" is for one model, "NAME" is plain.
     """
     from phase_ppl.evaluation.registry import model_info
 

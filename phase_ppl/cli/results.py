@@ -1,4 +1,4 @@
-"""The commands on what was inferred or evaluated: ``query``, ``diagnose`` and ``report``."""
+"""The commands on results: ``query``, ``diagnose`` and ``report``."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import as_path, writable_folder
 from phase_ppl.world.picture import plain
 
-_MOST_LINES: Final = 40  # entries of a table that are printed, at most
-_LEAST: Final = 0.0005  # probability below which they are not printed one by one
+_MOST_LINES: Final = 40  # most entries of a printed table
+_LEAST: Final = 0.0005  # less probable values are not printed one by one
 
 
 def query(options: Options) -> None:
@@ -66,7 +66,7 @@ def query(options: Options) -> None:
 
 
 def _posterior(options: Options) -> Any:
-    """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
+    """Return the posterior of a file, or of a folder of results with posterior.nc."""
     file: Path = options.file
     if as_path(file).is_dir():
         if not (file / POSTERIOR).is_file():
@@ -86,9 +86,9 @@ def _print_json(record: Any, indent: int) -> None:
 def _record(found: Any) -> dict[str, Any]:
     """Return an answer as plain data.
 
-    One of ``value`` and ``error``; ``bounds``, a list of two such; or ``values``, a list of those
-    with a probability above 0, the most probable first, each with its labels by quantity (by
-    ``value`` for top).
+    It has one of: ``value`` and ``error``; ``bounds``, a list of two such; or ``values``, a list of
+    such with a probability above 0, the most probable first. Values have labels by quantity
+    (for top, by ``value``).
     """
     if isinstance(found, phase_ppl.Estimate):
         return {"value": float(found), "error": found.error}
@@ -135,7 +135,7 @@ def _bounds(found: Any) -> list[phase_ppl.Estimate]:
 
 
 def _ranked(found: Any) -> list[tuple[tuple[str, ...], phase_ppl.Estimate]]:
-    """Return (labels, probability) of what has any, the most probable first, ties in order."""
+    """Return (labels, probability) of positive probabilities, descending, ties in order."""
     if isinstance(found, list):
         return [((label,), p) for label, p in found]
     table = found.to_dataframe("p").query("p > 0").sort_values("p", ascending=False, kind="stable")

@@ -1,4 +1,4 @@
-"""From a file's bytes to JSON and its fields or to rows of CSV, or one line that says why not."""
+"""JSON documents with checked fields, rows of CSV files, and one-line errors for bad files."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 _PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _FAULTS_SHOWN: Final = 8
 _PICKLE: Final = re.compile(rb"\x80[\x00-\x0f]|\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
-"""How pickles begin; JSON never does."""
+"""The first bytes of pickles; JSON never has them."""
 
 
 def is_pickle(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is a pickle by its first bytes, or claims to be one by its name."""
+    """Return whether a file is a pickle, by its first bytes or by its name."""
     try:
         with open(path, "rb") as file:
             head = file.read(64)
-    except OSError:  # said by who reads it
+    except OSError:  # the reader reports it
         return False
     return bool(_PICKLE.match(head)) or Path(path).suffix.lower() in _PICKLE_SUFFIXES
 
 
 @contextlib.contextmanager
 def reading_bytes(expected: str) -> Iterator[None]:
-    """Say in one line why a file cannot be read that was expected to be such."""
+    """Turn errors of reading into one line; ``expected`` is what the file should be."""
     try:
         yield
     except IsADirectoryError:
@@ -64,8 +64,8 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the JSON object in a file.
 
     Raises:
-        InvalidEventError: there is no such file, or it holds no JSON object, or numbers that are
-            not finite. The message names the file and the place.
+        InvalidEventError: there is no such file, it holds no JSON object, or a number is not
+            finite. The message names the file and the place.
     """
     with in_front(f"{path}: "):
         return read_document(path)
@@ -105,12 +105,12 @@ _WORDS = {dict: "an object", list: "a list", str: "a string", int: "a whole numb
 
 
 def converted(value: object, form: type[T], where: str = "") -> T:
-    """Return a value of a file in the form of a type, as msgspec has them.
+    """Return a value of a file, converted to a type by msgspec.
 
     Raises:
-        InvalidEventError: a part is missing or of another form; ``where`` and the path of the part
-            are named.
-        UnknownNameError: a field that there is not.
+        InvalidEventError: a part is missing or has a wrong type; the message names ``where`` and
+            the path of the part.
+        UnknownNameError: a field is unknown.
     """
     try:
         return msgspec.convert(value, form)
@@ -126,7 +126,7 @@ def converted(value: object, form: type[T], where: str = "") -> T:
 
 
 def of_kind(path: str, value: object, kind: type[T]) -> T:
-    """Return a value of a file, which must be of a type; ``path`` is where it stands."""
+    """Return a value of a file, which must be of a type; ``path`` is its place in the file."""
     fits = isinstance(value, Mapping if kind is dict else kind) and not isinstance(value, bool)
     if not fits:
         raise InvalidEventError(f"{path} is {shown(value)}, expected {_WORDS[kind]}")
@@ -134,7 +134,7 @@ def of_kind(path: str, value: object, kind: type[T]) -> T:
 
 
 def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
-    """Return the values of an object whose fields must be exactly ``names``, in that order."""
+    """Return the values of an object with exactly the fields ``names``, in that order."""
     for name in record:
         check_name(f"field of {where}", name, names)
     missing = [name for name in names if name not in record]
@@ -151,7 +151,7 @@ def event_id(name: object) -> str:
 
 
 def check_ids(ids: Sequence[str]) -> None:
-    """Raise InvalidEventError if there are no ids, or one is there twice."""
+    """Raise InvalidEventError if there are no ids, or an id is there twice."""
     if not ids:
         raise InvalidEventError("holds no videos: the list is empty")
     twice = [name for name, n in Counter(ids).items() if n > 1]
@@ -160,7 +160,7 @@ def check_ids(ids: Sequence[str]) -> None:
 
 
 def check_schema(record: Mapping[str, Any], schema: str, where: object = "") -> None:
-    """Raise InvalidEventError unless a document, which is in the file ``where``, is of a schema."""
+    """Raise InvalidEventError unless a document of the file ``where`` has the format ``schema``."""
     if record.get("schema") != schema:
         words = f"its schema is {shown(record.get('schema'))}, not {schema!r}"
         raise InvalidEventError(f"{where}: {words}" if where else words)
@@ -171,7 +171,7 @@ def check_schema(record: Mapping[str, Any], schema: str, where: object = "") -> 
 
 @contextlib.contextmanager
 def in_front(words: str) -> Iterator[None]:
-    """Put words in front of an error's message."""
+    """Put words in front of the message of any error."""
     try:
         yield
     except PhasePPLError as error:
@@ -180,7 +180,7 @@ def in_front(words: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def naming(path: str | os.PathLike[str], video: str | None = None) -> Iterator[None]:
-    """Put the file, and the video where there is one, in front of an error's message."""
+    """Put the file, and the video if given, in front of the message of any error."""
     where = str(path) if video is None or video == Path(path).stem else f"{path}, video {video}"
     try:
         with in_front(f"{where}: "):
@@ -193,14 +193,14 @@ def naming(path: str | os.PathLike[str], video: str | None = None) -> Iterator[N
 
 
 class Faults:
-    """Collects what is wrong with a thing, to say it all at once."""
+    """Collects faults of one thing, to report them all at once."""
 
     def __init__(self) -> None:
         self._found: list[PhasePPLError] = []
 
     @contextlib.contextmanager
     def noted(self, where: str = "") -> Iterator[None]:
-        """Go on after the block where it finds something wrong; ``where`` comes before it."""
+        """Note an error of the block and go on after it; ``where`` comes before its message."""
         try:
             with in_front(where):
                 yield
@@ -208,7 +208,7 @@ class Faults:
             self._found.append(error)
 
     def check(self) -> None:
-        """Raise all that was found as one error, of one line."""
+        """Raise all noted faults as one error, of one line."""
         if not self._found:
             return
         kinds = {type(error) for error in self._found}
@@ -225,13 +225,13 @@ def read_rows(
     check_header: Callable[[list[str]], None],
     once: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """Return the rows of a CSV file; an error's message begins with the file and has all faults.
+    """Return the checked rows of a CSV file; an error names the file and all faults.
 
     Args:
         path: of the file.
-        check: makes what is returned of a row, of column -> cell.
-        check_header: is given the names of the columns.
-        once: columns whose values no two rows have in common.
+        check: turns a row, column -> cell, into the result for that row.
+        check_header: is called with the names of the columns.
+        once: columns whose values together must differ between rows.
     """
     source = existing_file(path)
     found: list[dict[str, Any]] = []
@@ -289,9 +289,9 @@ def read_columns(
     required: Sequence[str],
     once: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """Return some columns of a CSV file, row by row, as ``check`` leaves or refuses them.
+    """Return some columns of a CSV file, row by row, as ``check`` returns or refuses them.
 
-    Cells of the ``required`` ones must not be empty; other columns are not read.
+    Cells of ``required`` columns must not be empty; other columns are not read.
     """
 
     def header(given: list[str]) -> None:

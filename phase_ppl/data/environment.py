@@ -1,4 +1,4 @@
-"""A world in which others' agents act, trained, scripted or human: a PettingZoo environment."""
+"""A PettingZoo environment: a world for trained, scripted or human agents."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from phase_ppl.world.hypothesis import STRENGTH, Hypothesis
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene, World
 
-_ParallelEnv: Any = object  # without the extra `env`, which `env()` then says
+_ParallelEnv: Any = object  # if the extra `env` is missing, as `env()` then says
 with contextlib.suppress(ImportError):
     import gymnasium
     from pettingzoo import ParallelEnv as _ParallelEnv  # type: ignore[no-redef]
 
 FEATURES: Final = ("x", "y", "cos", "sin", "vx", "vy", "spin")
-"""Of a body in an observation: units, of its angle, units per simulated second, rad per second."""
+"""Features of a body: units; of its angle; units per simulated second; rad per second."""
 
 Observed = dict[str, Any]
 Infos = dict[str, dict[str, Any]]
@@ -49,25 +49,26 @@ def env(
     steps: int = 100,
     full_view: bool = False,
 ) -> WorldEnv:
-    """Return a world as a PettingZoo ``ParallelEnv``, for agents of your own to act in.
+    """Return a world as a PettingZoo ``ParallelEnv``, for agents of your own.
 
     Example:
         ``game = ppl.env(ppl.worlds.TRIO); observations, infos = game.reset(seed=0)``; then
-        ``game.step({name: action for name in game.agents})``; whatever takes an event takes
-        ``game.event()``.
+        ``game.step({name: action for name in game.agents})``. ``game.event()`` is an event, for any
+        function that takes one.
 
     Args:
-        world: who and what there is, or the name of a ready-made world.
-        scene: where everybody starts, and sizes and walls; None: drawn anew at every reset.
-        goals: name of an agent -> its own goal, of all that neither help nor hinder; None: goals
-            of their own, drawn at every reset. They give the rewards.
+        world: the world, or the name of a ready-made one.
+        scene: starts, sizes and walls; None: drawn anew at every reset.
+        goals: name of an agent -> its own goal, for all that neither help nor hinder; None: drawn
+            at every reset. The goals determine the rewards.
         relation: (who, whom) -> "help" or "hinder" with the other's own goal.
-        strength: maximum force by name, or of all, newtons.
-        steps: after which an episode is truncated; each lasts a twelfth of a simulated second.
+        strength: maximum force by name, or one for all, newtons.
+        steps: length of an episode, after which it is truncated; a step lasts a twelfth of a
+            simulated second.
         full_view: whether agents see everything.
 
     Raises:
-        InvalidSettingError: PettingZoo is not installed, or a setting that cannot be.
+        InvalidSettingError: PettingZoo is not installed, or a setting is impossible.
         UnknownNameError: there is no such world, agent or goal.
     """
     if _ParallelEnv is object:
@@ -80,25 +81,25 @@ def env(
 class WorldEnv(_ParallelEnv):  # type: ignore[misc]
     """A world as a ``ParallelEnv``; made by :func:`env`.
 
-    Agents are called as in the world. All act at once, each by one of the fourteen actions of
-    :class:`phase_ppl.Action`, which last one step, in the physics that the joint
-    simulator steps. An observation is a dictionary:
+    Agents have the names of the world. All act at once, each by one of the fourteen actions of
+    :class:`phase_ppl.Action`, which last one step. The physics is the joint simulator's. An
+    observation is a dictionary:
 
-    * ``bodies``: (entity, 7) float32 of :data:`FEATURES`; zeros for those that are not observed.
-    * ``observed``: (entity,) 0 or 1: itself, what is in its field of view and not hidden by walls
-      or bodies, what it touches or holds, and what those that it observes touch or hold.
-    * ``holds``: (agent, item) 0 or 1: who of those observed holds what.
-    * ``goal``: what it is rewarded for, an index into the world's goals.
+    * ``bodies``: (entity, 7) float32 of :data:`FEATURES`; zeros if not observed.
+    * ``observed``: (entity,) 0 or 1. An agent observes itself, what is in its field of view and not
+      hidden, and what it touches or holds. It also observes what these touch or hold.
+    * ``holds``: (agent, item) 0 or 1: whether an observed agent holds the item.
+    * ``goal``: the goal that it is rewarded for, an index into the world's goals.
 
-    The reward of a step is 1 where the agent's effective goal (its own, that of whom it helps, the
-    negation of that of whom it hinders) is true after it, else 0. Nobody is ever terminated; all
-    are truncated after the given number of steps.
+    The reward of a step is 1 if the agent's effective goal is true after it, else 0. A helper's
+    effective goal is the other's, a hinderer's its negation. No agent is ever terminated; all are
+    truncated after the given number of steps.
 
     Attributes:
         possible_agents: all agents.
-        agents: the same while an episode goes on, else nobody.
+        agents: the same during an episode, else empty.
         scene: of this episode.
-        roles: who wants what in it.
+        roles: goals and relations of this episode.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -136,7 +137,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         self.action_spaces = {name: spaces.Discrete(N_ACTIONS) for name in self.possible_agents}
         self._rng = np.random.default_rng()
         self._frames: list[FloatArray] = []
-        self._begin(self._given, np.random.default_rng(0))  # refuses what cannot be, now
+        self._begin(self._given, np.random.default_rng(0))  # refuses impossible settings now
 
     def observation_space(self, agent: str) -> Any:
         """Return the space of an agent's observations, always the same."""
@@ -152,9 +153,9 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         """Begin an episode; return observations and infos by agent.
 
         Args:
-            seed: from which scenes and goals are drawn, from now on; None: go on drawing.
-            options: ``scene``, ``goals`` or ``relation``, instead of those of the environment, for
-                this episode. Others are for wrappers, and no concern of this one.
+            seed: of all scenes and goals drawn from now on; None: go on drawing.
+            options: ``scene``, ``goals`` or ``relation``, instead of the environment's, for this
+                episode. Other options are for wrappers, and ignored.
         """
         if seed is not None:
             self._rng = np.random.default_rng(whole_number("seed", seed, 0))
@@ -189,7 +190,7 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
     def step(
         self, actions: Mapping[str, int]
     ) -> tuple[dict[str, Observed], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Let all agents act for a step.
+        """Advance by one step, in which all agents act.
 
         Args:
             actions: name of every agent -> its action, 0 to 13.
@@ -198,8 +199,8 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
             Observations, rewards, terminations, truncations and infos by agent.
 
         Raises:
-            InvalidSettingError: the episode is over or has not begun, an agent has no action, or
-                one that there is not.
+            InvalidSettingError: the episode is over or has not begun, or an agent has no action or
+                an unknown one.
         """
         if not self.agents:
             raise InvalidSettingError("no episode goes on: reset() begins one")
@@ -251,13 +252,13 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         return infos
 
     def render(self) -> NDArray[np.uint8]:
-        """Return a picture of where everybody is, (height, width, 3) RGB values."""
+        """Return a picture of the present scene, (height, width, 3) RGB values."""
         if self._painter is None:
             self._painter = Painter(self.scene)
         return np.asarray(self._painter.draw(self._frames[-1]), np.uint8)
 
     def event(self, id: str = "played") -> Event:
-        """Return what has happened since the reset, with the goals that were rewarded as truth.
+        """Return the episode so far as an event; its truth has the rewarded goals.
 
         Raises:
             InvalidEventError: nothing has happened yet.

@@ -1,4 +1,4 @@
-"""Events as JSON that a person can read and write, and the authors' test videos in theirs.
+"""Events as JSON that people can read and write, and the JSON of the authors' test videos.
 
 One event::
 
@@ -25,15 +25,15 @@ One event::
       "predictions": {...}
     }
 
-Lengths are in units of the world, y up, angles in radians (counter-clockwise, 0 looks up, not
-wrapped); a row is [x, y, angle], frame 0 the start, frame k the mean over planner step k; walls
-are inner walls [[x, y], [x, y]]; strengths are in newtons. In ``scene`` only ``radius`` must be
-given: the rest defaults to the original world without inner walls, ``start`` to the first frame.
-``"resets_velocity": true`` is there where agents stand still after each step, as those that people
-steer, and is not written elsewhere.
-``truth`` (effective goals), ``judgments`` and ``predictions`` may be missing or null.
+Lengths are in units of the world, y up. Angles are in radians (counter-clockwise, 0 looks up, not
+wrapped). A row is [x, y, angle]; frame 0 is the start, frame k the mean over planner step k. Walls
+are inner walls [[x, y], [x, y]]; strengths are in newtons. ``scene`` requires only ``radius``: the
+rest defaults to the original world without inner walls, ``start`` to the first frame.
+``"resets_velocity": true`` means that agents stand still after each step, as people steer them; it
+is left out elsewhere. ``truth`` (effective goals), ``judgments`` and ``predictions`` may be missing
+or null.
 
-An event of another world than PHASE has its names in place of these, and a field ``world``::
+An event of another world than PHASE has that world's names, and a field ``world``::
 
       "world": {"name": "yard", "agents": ["red agent", "green agent"], "items": ["ball"],
                 "landmarks": {"home": [4.0, 4.0, 2.5]}, "arena": [0.0, 36.0, 0.0, 24.0],
@@ -43,20 +43,20 @@ An event of another world than PHASE has its names in place of these, and a fiel
                 "relation": [["green agent", "red agent", "hinder"]],
                 "strengths": {"red agent": 450.0, "green agent": 300.0}}
 
-Its goals are the agents' own; who helps or hinders another has none.
+Its goals are the agents' own; agents that help or hinder have none.
 
 Several events: ``{"format": "phase-ppl-events-1", "events": [...]}``, each as above (without
 ``format``), with different ids.
 
 Writing and reading changes no number.
 
-The ``phase-test-1`` format has the authors' PHASE test videos: one object, whose head gives the
-arena and the landmarks' half width, and ``videos``, a list. Per video, ``observed`` holds what an
+The ``phase-test-1`` format has the authors' PHASE test videos. It is one object, whose head gives
+the arena and the landmarks' half width, and a list ``videos``. Per video, ``observed`` is what an
 observer may use (walls, landmarks, sizes, trajectories), ``truth`` the generating parameters,
 ``human`` counts of people's relation judgments, ``models`` the predictions of other models. Goals
 are effective ones: helper and helpee share a goal, a hinderer holds the negation.
-``mirror_of_original`` is not read. Any events of one arena can be written so. It has no place for a
-start other than the first frame, for ``turning``, which is read off the angles, or for
+``mirror_of_original`` is not read. Any events of one arena can be written in this format. It cannot
+hold a start other than the first frame, ``turning`` (inferred from the angles), or
 ``resets_velocity``.
 """
 
@@ -98,12 +98,12 @@ EVENTS_FORMAT: Final = "phase-ppl-events-1"
 VIDEOS_FORMAT: Final = "phase-test-1"
 
 Entries = list[tuple[str, Callable[[], Event]]]
-"""What a file holds: per event its id and the function that reads it."""
+"""The events of a file: for each its id and the function that reads it."""
 
 ARRAYS: Final = ("start", "radius", "walls", "landmark_centres", "landmark_half_width", "arena")
-"""Of a scene, which also has ``turning``, a text, and perhaps ``resets_velocity``."""
+"""Arrays of a scene, which also has a text ``turning``, and perhaps ``resets_velocity``."""
 
-DOCUMENTS: Final = ("judgments", "predictions")  # of any content
+DOCUMENTS: Final = ("judgments", "predictions")  # with any content
 _LINE_CHARACTERS = 100
 
 
@@ -115,7 +115,7 @@ _Document = dict[str, Any]
 
 
 class _Own(msgspec.Struct, forbid_unknown_fields=True):
-    """What the package wrote, of which it knows all fields; a field may be null for its default."""
+    """A record in the package's own format: unknown fields are refused, null means the default."""
 
 
 class _Arena(_Own):
@@ -158,7 +158,7 @@ class _Events(_Own):
 
 
 def read(document: Mapping[str, Any]) -> Entries:
-    """Return the events of a document in one of these formats, each still to be read."""
+    """Return the events of a document in one of these formats; each is read when it is used."""
     tag, reader = document.get("format"), event_from_record
     if tag == EVENT_FORMAT:
         records = [dict(document)]

@@ -1,18 +1,18 @@
-"""Event files in NetCDF 4, for xarray and whatever else reads HDF5.
+"""Event files in NetCDF 4, for xarray and other readers of HDF5.
 
 A file of one event is the Dataset of :func:`event_dataset` with the attribute
 ``format`` = "phase-ppl-event-1".
 
-A file of several, ``format`` = "phase-ppl-events-1", is ragged in time: the frames of all events
-follow each other along ``time`` and their inner walls along ``wall``; ``n_frames`` and ``n_walls``
-(event) say how many are whose. All else has a first dimension ``event``, whose coordinate holds
-the ids, so that ``xarray.open_dataset("all.nc").goal_red`` is a column.
+A file of several, ``format`` = "phase-ppl-events-1", is ragged in time. The frames of all events
+follow each other along ``time``, and their inner walls along ``wall``; ``n_frames`` and ``n_walls``
+(event) are the numbers for each event. All else has a first dimension ``event``, whose coordinate
+holds the ids, so that ``xarray.open_dataset("all.nc").goal_red`` is a column.
 
-Events of another world than PHASE have it as JSON in the text ``world``, and their truth in the
-text ``truth``; those of one file are of one world.
+Events of another world than PHASE have the world as JSON in the text ``world``, and their truth in
+the text ``truth``. All events of a file are of one world.
 
-Arrays carry a checksum of their bytes, and each event one of all it holds, ``sha256``, which is
-compared when the file is read.
+Each array carries a checksum of its bytes, and each event one of all its contents, ``sha256``.
+Reading compares them.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ LABELS: Final[Mapping[str, Sequence[str]]] = {
     "landmark": LANDMARKS,
     "bound": ("x_min", "x_max", "y_min", "y_max"),
 }
-"""Dimension of an array -> names of the places along it."""
+"""Dimension of an array -> names along it."""
 
 _LENGTH: Final = "units of length"
 _POSE: Final = "units of length (x, y), radians (angle)"
@@ -91,10 +91,10 @@ _ARRAYS: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
 _GOALS: Final = ("goal_red", "goal_green")
 _STRENGTHS: Final = ("strength_red", "strength_green")
 _RESETS: Final = "resets_velocity"
-"""1 or 0, where agents of any of a file's events stand still after each step; else not there."""
+"""1 or 0, if agents of any of a file's events stand still after each step; else left out."""
 
 _TIME_TOLERANCE: Final = 1e-3
-"""Relative deviation of a time step from 1/12 s that is put down to rounding."""
+"""Largest relative deviation of a time step from 1/12 s that counts as rounding."""
 
 
 def labels_of(world: World) -> Mapping[str, Sequence[str]]:
@@ -103,7 +103,7 @@ def labels_of(world: World) -> Mapping[str, Sequence[str]]:
 
 
 def _arrays_of(world: World) -> Mapping[str, tuple[tuple[str, ...], str]]:
-    """Return :data:`_ARRAYS`; squares of landmarks have sizes of their own but in PHASE."""
+    """Return :data:`_ARRAYS`; except in PHASE, each landmark's square has its own size."""
     each = {"landmark_half_width": (("landmark",), _LENGTH)}
     return _ARRAYS if world == PHASE else {**_ARRAYS, **each}
 
@@ -112,8 +112,8 @@ def event_dataset(event: Event) -> xr.Dataset:
     """Return ``event`` as a Dataset; :func:`event_from_dataset` gives the same event back.
 
     Raises:
-        InvalidEventError: judgments or predictions hold something that JSON has no form for, or
-            the id is no printable text.
+        InvalidEventError: judgments or predictions have no form in JSON, or the id is no
+            printable text.
     """
     instance_of("event", event, Event, "a phase_ppl.Event")
     scene, world, truth = event.scene, event.scene.world, event.truth
@@ -126,7 +126,7 @@ def event_dataset(event: Event) -> xr.Dataset:
         for name in (*_GOALS, "relation", "scenario"):
             values[name] = getattr(truth, name, "")
         for name in _STRENGTHS:
-            values[name] = np.array(getattr(truth, name, None), float)  # NaN: not known
+            values[name] = np.array(getattr(truth, name, None), float)  # NaN: unknown
     else:
         values["landmark_half_width"] = scene.half_widths
         documents = {"world": world.to_dict(), "truth": truth and truth.to_dict()}
@@ -147,13 +147,13 @@ def event_dataset(event: Event) -> xr.Dataset:
 
 
 def event_from_dataset(dataset: xr.Dataset) -> Event:
-    """Return the event that a Dataset as of :func:`event_dataset` describes.
+    """Return the event in a Dataset as from :func:`event_dataset`.
 
-    Dimensions and labels may come in any order, further variables do no harm; what belongs to the
+    Dimensions and labels may come in any order; further variables are ignored. Variables of the
     truth, judgments and predictions may be missing.
 
     Raises:
-        InvalidEventError: something is missing, of the wrong type or shape, or impossible, or the
+        InvalidEventError: something is missing, of the wrong type or shape, or impossible, or
             frames are not 1/12 s apart.
         UnknownNameError: an entity, coordinate, goal, relation or scenario is unknown.
         InvalidSettingError: a strength is no positive force.
@@ -205,7 +205,7 @@ def _check_time(dataset: xr.Dataset) -> None:
 def _values(
     dataset: xr.Dataset, name: str, dims: tuple[str, ...], labels: Mapping[str, Sequence[str]]
 ) -> Any:
-    """Return the values of a variable along ``dims``, everything in the package's order."""
+    """Return the values of a variable along ``dims``, in the package's order."""
     if name not in dataset.variables:
         raise InvalidEventError(f"has no variable {name}")
     variable = dataset.variables[name]
@@ -224,7 +224,7 @@ def _values(
 
 
 def _order(dataset: xr.Dataset, dim: str, names: Sequence[str]) -> list[int]:
-    """Return where the labels of ``dim`` stand, in the package's order."""
+    """Return the positions of the labels of ``dim``, in the package's order."""
     if dim not in dataset.coords:
         raise InvalidEventError(f"has no coordinate {dim}, which says what is where along it")
     labels = map(_plain, dataset.variables[dim].values.tolist())
@@ -251,7 +251,7 @@ def _text(dataset: xr.Dataset, name: str, *default: str) -> str:
 
 
 def _plain(value: object) -> Any:
-    """Return text that a file holds as bytes as a string, anything else as it is."""
+    """Return text that a file holds as bytes as a string, other values unchanged."""
     return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
@@ -264,18 +264,18 @@ def _document(dataset: xr.Dataset, name: str) -> dict[str, Any] | None:
 # --- files -----------------------------------------------------------------------------------
 
 _RAGGED: Final = {"time": "n_frames", "wall": "n_walls"}
-"""Per dimension along which events follow each other the variable with their lengths."""
+"""Dimension along which events follow each other -> the variable with their lengths."""
 
 _CHECKSUM: Final = "sha256"
 _LISTED_AT_MOST: Final = 16
-"""Files of which it is kept where in them their events are."""
+"""Most files whose listings are cached."""
 
 Place = dict[str, int | slice]
-"""Where an event is in a file of several: dimension -> index or slice."""
+"""Place of an event in a file of several: dimension -> index or slice."""
 
 
 class Listing(NamedTuple):
-    """What a file of several events holds: their ids and places, and each variable's dimensions."""
+    """The contents of a file of several events: ids, places, and each variable's dimensions."""
 
     ids: list[str]
     places: list[Place]
@@ -283,7 +283,7 @@ class Listing(NamedTuple):
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
-    """Return the events of the file ``path``, in memory, each still to be checked."""
+    """Return the events of the file ``path``, in memory; each is checked when it is used."""
     check_hdf5(path)
     with reading():
         dataset = content_of(path)["/"]
@@ -326,15 +326,15 @@ def _sealed(event: Event) -> xr.Dataset:
 
 
 def _to_bytes(dataset: xr.Dataset) -> bytes:
-    """Return the bytes of a file (InvalidEventError: more than can be read again)."""
-    # nothing but a strength is ever missing
+    """Return the bytes of a file (InvalidEventError: it would be too large to read)."""
+    # only strengths can be missing
     content = netcdf_bytes({"/": dataset}, {"_FillValue": None, "fletcher32": True})
     check_hdf5(io.BytesIO(content))
     return content
 
 
 def checksum(event: Event) -> str:
-    """Return the SHA-256 of all that an event holds, as hexadecimal digits."""
+    """Return the SHA-256 of all contents of an event, as hexadecimal digits."""
     # names of judgments may be numbers; JSON has strings
     record = json.loads(to_text(event_record(event), compact=True))
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
@@ -352,9 +352,9 @@ def _checked_event(dataset: xr.Dataset, place: Mapping[str, Any]) -> Event:
 
 
 def event_at(path: Path, listed: Listing, index: int) -> Event:
-    """Return one event of a file of several; of the others nothing is read.
+    """Return one event of a file of several; nothing of the others is read.
 
-    Straight from HDF5, since xarray takes several times as long to open a file and find its way.
+    It uses HDF5 directly, since xarray takes several times as long.
     """
     place, variables = listed.places[index], {}
     with reading(), opened(path) as file:
@@ -368,7 +368,7 @@ def event_at(path: Path, listed: Listing, index: int) -> Event:
 
 
 def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Return one dataset of several events; each has the same variables."""
+    """Return one dataset of several events, which have the same variables."""
     packed: dict[str, xr.Variable] = {}
     for name, variable in datasets[0].variables.items():
         parts = [dataset.variables[name].values for dataset in datasets]
@@ -398,7 +398,7 @@ def _listed(dataset: xr.Dataset) -> tuple[list[str], list[Place]]:
         if counter not in dataset.variables or dataset[counter].dims != ("event",):
             raise InvalidEventError(f"has no {counter} (event)")
         lengths, size = dataset[counter].values, dataset.sizes.get(dim, 0)
-        # no length beyond the whole, so that no sum can overflow
+        # no length above the total, so that no sum can overflow
         whole = lengths.dtype.kind in "iu" and not ((lengths < 0) | (lengths > size)).any()
         if not whole or int(lengths.sum()) != size:
             raise InvalidEventError(f"{counter} does not add up to the {size} along {dim}")
@@ -416,23 +416,22 @@ class _Stored(NamedTuple):
 
     id: str
     file: int
-    place: int  # of it in that file
+    place: int  # its place in that file
 
 
 class StoredEvents(Sequence[Event]):
-    """Events of files of several, of which an event is read each time it is asked for.
+    """Events of one or more files; each is read every time it is asked for.
 
-    A file is open only while something is read, so that any number of processes and threads can
-    have the same events, and they can be pickled. Slices are of the same kind, and read nothing.
+    A file is open only while something is read. So any number of processes and threads can share
+    the events, and they can be pickled. Slices are of the same kind, and read nothing.
 
     Args:
-        path: a file as :func:`phase_ppl.data.load.save_events` writes it, ending in ".nc", or
-            several, whose events follow each other.
-        turning: "both", "ccw" or "cw" instead of what the files say.
+        path: a ".nc" file as :func:`phase_ppl.data.load.save_events` writes it, or several, whose
+            events follow each other.
+        turning: "both", "ccw" or "cw" instead of the files' values.
 
     Raises:
-        InvalidEventError: it cannot be read, now or when an event is asked for, or it was changed
-            since.
+        InvalidEventError: a file cannot be read, now or later, or has changed since.
     """
 
     def __init__(
@@ -490,7 +489,7 @@ _State = tuple[int, int]
 
 @functools.lru_cache(maxsize=_LISTED_AT_MOST)
 def _listing(path: Path, _state: _State) -> Listing:
-    """Return what a file of several events holds that was in this state; no event is read."""
+    """Return the contents of a file of several events in that state; no event is read."""
     check_hdf5(path)
     tag = root_attribute(path, "format")
     if tag != EVENTS_FORMAT:
@@ -506,7 +505,7 @@ def _listing(path: Path, _state: _State) -> Listing:
 
 
 def _state(path: Path) -> _State:
-    """Return what tells a file from another that was put in its place."""
+    """Return the state of a file, by which a change is noticed."""
     with reading_bytes("a file of events"):
         found = path.stat()
     return found.st_mtime_ns, found.st_size

@@ -3,20 +3,20 @@
 ::
 
     DIR/
-      plan.json           what was asked for
+      plan.json           the settings
       parts/00007.json    one file per finished slot, until all are done
       events.nc           all events, ragged in time
-      manifest.json       per event what is known about it beside the event itself
-      rejected.nc         rejected draws as events, where they were kept
-      rejected.json       why each of them was not kept, and its measures
-      cost.json           what the last call took, and what it made anew
+      manifest.json       how each event was made
+      rejected.nc         rejected draws as events, if they were kept
+      rejected.json       why each was rejected, and its measures
+      cost.json           time and new events of the last call
 
-A part is written whole or not at all, so interrupted generation goes on with the slots that are
-missing; the finished set is the same.
+A part is written whole or not at all. So interrupted generation goes on with the missing slots, and
+the finished set is the same.
 
-A set of more than 1000 slots has a folder for each thousand, ``blocks/00000`` and so on, with
-events.nc, rejected.nc and rejected.json of these, and entries.json in place of the manifest's
-``entries``; of its events only the ids are in memory, and what is asked for.
+A set of more than 1000 slots has a folder for each thousand, ``blocks/00000`` and so on. It holds
+events.nc, rejected.nc and rejected.json of these slots, and entries.json in place of the manifest's
+``entries``. Only the ids of its events are in memory; an event is read when it is asked for.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class _Rejected(msgspec.Struct):
 
 
 class GeneratedEvents(Printed, StoredEvents):
-    """The events of a generated data set, with its manifest; each is read when it is asked for.
+    """The events of a generated data set, with its manifest; each is read when asked for.
 
     Slices and splits are of the same kind, and read nothing; see :class:`StoredEvents`.
 
@@ -84,8 +84,8 @@ class GeneratedEvents(Printed, StoredEvents):
         manifest: of the whole set.
 
     Raises:
-        InvalidEventError: it holds no finished data set, or a file of it is damaged; where a
-            single event is, only when it is asked for.
+        InvalidEventError: the folder holds no finished data set, or a file is damaged. A damaged
+            single event is found only when it is asked for.
     """
 
     def __init__(self, path: str | os.PathLike[str], turning: Turning | None = None) -> None:
@@ -104,7 +104,7 @@ class GeneratedEvents(Printed, StoredEvents):
             )
 
     def __str__(self) -> str:
-        """How many draws of each kind were kept, and why others were not."""
+        """How many draws of each kind were kept, and why the others were rejected."""
         lines = []
         for cell, kept in self.manifest["kept"].items():
             refused = self.manifest["rejected"][cell]
@@ -123,9 +123,9 @@ class GeneratedEvents(Printed, StoredEvents):
 
     @property
     def entries(self) -> list[dict[str, Any]]:
-        """What is known about how each of these events was made, in their order.
+        """How each of these events was made, in their order.
 
-        Made anew at each access: keep it for a loop.
+        The list is made anew at each access: keep it for a loop.
         """
         told: dict[int, dict[str, dict[str, Any]]] = {}
         for number in {one.file for one in self._stored}:
@@ -141,7 +141,7 @@ class GeneratedEvents(Printed, StoredEvents):
 
     @property
     def cost(self) -> dict[str, Any]:
-        """What the call that finished it took, ``seconds`` and ``workers``; {}: it is not kept."""
+        """``seconds`` and ``workers`` of the call that finished the set; {}: not kept."""
         source = self.path / COST
         return read_json(source) if source.is_file() else {}
 
@@ -149,7 +149,7 @@ class GeneratedEvents(Printed, StoredEvents):
         """Return the events of a split, such as "train".
 
         Raises:
-            InvalidEventError: there is none in it.
+            InvalidEventError: the split has no events.
         """
         splits = [entry["split"] for entry in self.entries]
         if name not in splits:
@@ -157,7 +157,7 @@ class GeneratedEvents(Printed, StoredEvents):
         return self.chosen([index for index, split in enumerate(splits) if split == name])
 
     def rejected(self) -> list[tuple[Event, str]]:
-        """Return the draws that were not kept, each with the reason; none unless they were stored.
+        """Return the rejected draws, each with the reason; none unless they were stored.
 
         Raises:
             InvalidEventError: their files are damaged, or not of the same draws.
@@ -176,7 +176,7 @@ class GeneratedEvents(Printed, StoredEvents):
 
 
 def _read(source: Path, form: type[msgspec.Struct]) -> dict[str, Any]:
-    """Return a JSON object that is of a form, with all else that is in it."""
+    """Return a checked JSON object of a file; further fields are kept."""
     record = read_json(source)
     with in_front(f"{source}: "):
         converted(record, form)
@@ -195,7 +195,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def verify(folder: str | os.PathLike[str]) -> list[str]:
-    """Return what is wrong with a finished data set; nothing if all is well."""
+    """Return the faults of a finished data set, none if all is well."""
     found = GeneratedEvents(folder)
     wrong: list[str] = []
     if found.manifest.get("earlier_versions"):

@@ -1,8 +1,8 @@
-"""HDF5 files, as which NetCDF 4 comes: written in memory, and read only where they are plain.
+"""HDF5 files, the form of NetCDF 4: written in memory, and read only if they are plain.
 
-HDF5 can do more than hold arrays: point to other files, be sparse or compressed so that little
-becomes very much. A file that somebody else made is checked for that before its arrays are read.
-The library ends the process where a disk is full, so that it never writes to one itself.
+HDF5 can do more than hold arrays. A file can point to other files, or be so sparse or compressed
+that little becomes very much. Files are checked for that before their arrays are read. The library
+ends the process if a disk is full, so that it never writes to one itself.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
-"""How every HDF5 file, and thereby every NetCDF 4 file, begins."""
+"""The first bytes of every HDF5 file, and so of every NetCDF 4 file."""
 
 _POSTERIORS: Final = ("phase-ppl-posterior-", "phase_ppl/stepwise/")
-"""How the attribute ``schema`` of a posterior's file begins."""
+"""The beginning of the attribute ``schema`` of a posterior's file."""
 
 _BYTES_PER_CHARACTER: Final = 4
 _ENTRIES_OF_ATTRIBUTE: Final = 32
@@ -42,9 +42,9 @@ _ATTRIBUTES: Final = (str, int, float, np.generic, np.ndarray, list, tuple)
 _CONTROL: Final = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f]|(?P<escaped>\\u00(?:[01][0-9a-f]|7f|[89][0-9a-f]))", re.I
 )
-"""Characters that a terminal obeys, as they are and as JSON spells them."""
+"""Characters that control a terminal, plain and as JSON spells them."""
 
-Groups = dict[str, "xr.Dataset"]  # path of a group, "/" of the root -> its content
+Groups = dict[str, "xr.Dataset"]  # path of a group, "/" for the root -> its content
 
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:
@@ -64,13 +64,13 @@ def netcdf_bytes(
 ) -> bytes:
     """Return groups, path ("/" the root) -> content, as the content of a NetCDF 4 file.
 
-    ``how`` is the encoding of arrays of numbers, in xarray's terms; filters and checksums are for
-    those that are not empty. Where ``sealed``, the root gets a checksum of everything, which
-    :func:`read_netcdf` compares.
+    ``how`` is the encoding of numeric arrays, in xarray's terms; empty arrays get no filters or
+    checksums. If ``sealed``, the root gets a checksum of everything, which :func:`read_netcdf`
+    compares.
 
     Raises:
-        InvalidSettingError: an attribute, such as one that a user has added, is of no kind that
-            NetCDF has.
+        InvalidSettingError: an attribute, such as a user's own, is of a kind that NetCDF does not
+            have.
     """
     import h5netcdf
     from xarray.backends import H5NetCDFStore
@@ -109,14 +109,14 @@ def _check_attributes(where: str, attrs: Mapping[Any, Any]) -> None:
 
 
 def with_event_id(content: bytes, event_id: str) -> bytes:
-    """Return the content of a posterior's file, told of which event it is."""
+    """Return the content of a posterior's file with the id of its event."""
     groups = read_netcdf(io.BytesIO(content))
     groups[_ROOT].attrs["event_id"] = event_id
     return netcdf_bytes(groups, {"fletcher32": True}, sealed=True)
 
 
 def _checksum(groups: Mapping[str, xr.Dataset]) -> str:
-    """Return a hash of all that groups hold, as they are before and after they were in a file."""
+    """Return a hash of all groups; it is the same before and after they were in a file."""
     digest = hashlib.sha256()
 
     def add(*said: object) -> None:
@@ -140,12 +140,12 @@ def _checksum(groups: Mapping[str, xr.Dataset]) -> str:
 
 
 UNLOCKED: Final = {"locking": False}
-"""How HDF5 files are opened: not every drive has locks, and none are needed, as a file takes its
-place complete and never changes."""
+"""How HDF5 files are opened: without locks, which not every drive has. None are needed, since a
+file appears complete and never changes."""
 
 
 def opened(source: str | os.PathLike[str] | BinaryIO) -> h5py.File:
-    """Open an HDF5 file to read it."""
+    """Open an HDF5 file for reading."""
     import h5py
 
     return h5py.File(source, "r", **UNLOCKED)
@@ -156,7 +156,7 @@ def content_of(source: str | os.PathLike[str] | BinaryIO) -> Groups:
     import h5py
     import xarray as xr
 
-    # times stay plain numbers: "seconds" must not turn into a time type
+    # times stay plain numbers: xarray must not make "seconds" a time type
     how: dict[str, Any] = {"decode_times": False, "driver_kwds": UNLOCKED}
     with opened(source) as file:
         inner = [f"/{name}" for name, one in file.items() if isinstance(one, h5py.Group)]
@@ -168,9 +168,9 @@ def content_of(source: str | os.PathLike[str] | BinaryIO) -> Groups:
 
 
 def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
-    """Return the groups of a NetCDF 4 file, in memory, if there is no harm in it.
+    """Return the groups of a NetCDF 4 file, in memory, if it is safe to read.
 
-    Characters of attributes that would move the cursor of a terminal are replaced.
+    Characters of attributes that control a terminal are replaced.
     """
     with reading():
         check_hdf5(path, groups=True)
@@ -189,7 +189,7 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
 
 @contextlib.contextmanager
 def reading() -> Iterator[None]:
-    """Turn whatever a damaged file makes the reader stumble over into one line."""
+    """Turn any error that a damaged file causes in the reader into one line."""
     try:
         yield
     except InvalidEventError:
@@ -200,11 +200,11 @@ def reading() -> Iterator[None]:
 
 
 def root_attribute(path: str | os.PathLike[str], name: str) -> str:
-    """Return a text that the root of an HDF5 file has; "" where there is none."""
+    """Return a text attribute of the root of an HDF5 file; "": it has none."""
     try:
         with opened(path) as file:
             return _text_of(file, name)
-    except Exception:  # whoever reads it says what is wrong with it
+    except Exception:  # the reader reports what is wrong with it
         return ""
 
 
@@ -218,8 +218,8 @@ def _text_of(file: Any, name: str) -> str:
 def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = False) -> None:
     """Raise InvalidEventError unless a file is HDF5 with nothing but arrays of bounded size.
 
-    With ``groups`` it may hold groups of arrays, and is a posterior's. One that is large is read
-    then, if it is no larger in memory than twice what it is on the disk.
+    With ``groups`` it may be a posterior's file, with groups of arrays. A large one is then read
+    if it takes at most twice as much memory as on the disk.
     """
     if isinstance(source, str | os.PathLike):
         if not is_hdf5(source):
@@ -243,9 +243,9 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
 
 
 def _sizes(group: Any, n_bytes: int, inner: bool) -> Iterator[float]:
-    """Yield what a group of a file of so many bytes takes in memory, part by part.
+    """Yield the memory of each part of a group in a file of ``n_bytes`` bytes.
 
-    ``inner``: it may hold further groups. Raise InvalidEventError where it is not plain.
+    ``inner``: it may hold further groups. InvalidEventError: it is not plain.
     """
     import h5py
 
@@ -267,7 +267,7 @@ def _sizes_of_attributes(thing: Any, n_bytes: int) -> Iterator[float]:
     for name in thing.attrs:
         attribute = thing.attrs.get_id(name)
         size = np.prod(attribute.shape or (), dtype=float)
-        # texts may all be the same one, which is in the file once
+        # all texts may be the same one, which the file has once
         if attribute.dtype.kind == "O" and size > _ENTRIES_OF_ATTRIBUTE:
             raise InvalidEventError(f"attribute {name!r} has {size:g} entries")
         yield min(size * attribute.dtype.itemsize, n_bytes)
@@ -288,7 +288,7 @@ def _sizes_of_array(array: Any, name: str, n_bytes: int) -> Iterator[float]:
         if is_so:
             raise InvalidEventError(f"array {name!r} {what}")
     if text is None or text.length is not None:
-        # what is compressed is read a chunk at a time, which may be larger than the array
+        # a compressed array is read a chunk at a time, which may be larger than the array
         chunk = np.prod(array.chunks or (0,), dtype=float) * array.dtype.itemsize
         yield max(array.nbytes, chunk)
         return
@@ -296,7 +296,7 @@ def _sizes_of_array(array: Any, name: str, n_bytes: int) -> Iterator[float]:
     yield array.size * _BYTES_PER_CHARACTER
     if array.size > n_bytes:
         raise InvalidEventError(f"array {name!r} has more entries than the file has bytes")
-    longest, at_once = 1, max(1, MAX_BYTES // n_bytes)  # so few that they fit even if all are huge
+    longest, at_once = 1, max(1, MAX_BYTES // n_bytes)  # few enough to fit even if all are huge
     for row in np.ndindex(array.shape[:-1]):
         for start in range(0, array.shape[-1] if array.ndim else 1, at_once):
             place = (*row, slice(start, start + at_once)) if array.ndim else ()

@@ -1,4 +1,4 @@
-"""Reading and writing events, whatever the format of the file."""
+"""Reading and writing events in all formats."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PathLike = str | os.PathLike[str]
 _JSON: Final = ".json"
 _NETCDF: Final = ".nc"
 SUFFIXES: Final = (_JSON, _NETCDF)
-"""Endings of the files that events are written to."""
+"""Endings of event files."""
 
 EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
     "json": (_JSON,),
@@ -38,7 +38,7 @@ EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
     "phase-test": (_JSON,),
     "phase-processed": (".pkl", ".pickle", ".pik"),
 }
-"""Format -> endings of the names of its files."""
+"""Format -> endings of its file names."""
 
 
 def bundled_events() -> list[str]:
@@ -62,14 +62,13 @@ def load_event(
     """Read one event.
 
     Args:
-        path: an event file, which is known by its content: JSON
-            (:mod:`phase_ppl.data.events_json`), NetCDF
-            (:mod:`phase_ppl.data.events_netcdf`) or a pickle of PHASE's authors
-            (:mod:`phase_ppl.data.authors.videos`), of which only plain data are read: no code
-            in it is run. Or the name of a bundled event, with or without ".json", where no file
-            of that name exists.
-        video: id of the wanted event; must be given if the file holds several.
-        turning: "both", "ccw" or "cw" instead of what the file says or shows.
+        path: an event file, recognised by its content: JSON (:mod:`phase_ppl.data.events_json`),
+            NetCDF (:mod:`phase_ppl.data.events_netcdf`) or a pickle of PHASE's authors
+            (:mod:`phase_ppl.data.authors.videos`). Only plain data are read from pickles; no code
+            in them is run. Or the name of a bundled event, with or without ".json", if no file has
+            that name.
+        video: id of the wanted event; required if the file holds several.
+        turning: "both", "ccw" or "cw" instead of the file's value.
 
     Raises:
         InvalidEventError: the file cannot be read as an event; the message names file and value.
@@ -93,9 +92,9 @@ def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Even
     """Read all events of a file, in the order of the file, or of a generated data set.
 
     Args:
-        path: as for :func:`load_event`, or the folder of a generated data set, which comes as
-            :class:`~phase_ppl.data.generated.GeneratedEvents`, whose events are read
-            when they are asked for.
+        path: as for :func:`load_event`, or the folder of a generated data set. That gives
+            :class:`~phase_ppl.data.generated.GeneratedEvents`, which reads an event when it is
+            asked for.
         turning: as for :func:`load_event`.
 
     Raises:
@@ -145,7 +144,7 @@ def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turni
 
 
 def _bundled_name(path: PathLike) -> str | None:
-    """Return the bundled event that a bare name stands for, unless a file has that name."""
+    """Return the bundled event of that name, unless a file has that name."""
     plain = as_path(path)
     if os.fspath(path) != plain.name or (plain.exists() and not plain.is_dir()):
         return None
@@ -174,8 +173,8 @@ def save_event(event: Event, path: PathLike) -> None:
 
     Raises:
         OutputError: the file cannot be written.
-        InvalidEventError: judgments or predictions hold something that JSON has no form for, or
-            the id is no printable text.
+        InvalidEventError: judgments or predictions have no form in JSON, or the id is no
+            printable text.
     """
     _write(path, lambda form: form.event_bytes(event))
 
@@ -201,18 +200,18 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
 
     Args:
         events: with different ids.
-        path: a name that ends as the format's files do, see ``EXPORTS``.
+        path: its ending must be one of the format's, see ``EXPORTS``.
         format: "json" or "netcdf", as :func:`save_events` writes them;
             "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.data.events_json`);
-            "phase-processed", a pickle of plain data and arrays as the authors have them
-            (:mod:`phase_ppl.data.authors.videos`). All are read again by :func:`load_events`;
-            the first two keep everything, the others what they have a place for.
+            "phase-processed", a pickle of plain data and arrays like the authors'
+            (:mod:`phase_ppl.data.authors.videos`). :func:`load_events` reads all of them. The first
+            two keep everything, the others only what the format can hold.
 
     Raises:
         UnknownNameError: there is no such format.
-        OutputError: the file cannot be written, or its name ends otherwise.
-        InvalidEventError: no events, an id given twice, or an event has something that the format
-            has no place for.
+        OutputError: the file cannot be written, or its name has a wrong ending.
+        InvalidEventError: no events, an id given twice, or the format cannot hold something of an
+            event.
     """
     check_name("format", format, EXPORTS)
     check_output(path, EXPORTS[format])
@@ -231,7 +230,7 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
 
 
 def _write(path: PathLike, content: Callable[[ModuleType], bytes]) -> None:
-    check_output(path, SUFFIXES)  # what is wrong with the place is said before what is in it
+    check_output(path, SUFFIXES)  # errors of the path come before errors of the content
     form: ModuleType = events_json
     if _is_netcdf(path):
         from phase_ppl.data import events_netcdf as form  # which brings xarray: only where needed

@@ -1,4 +1,4 @@
-"""What the tracks of an event say about how its bodies move."""
+"""Motion of the bodies of an event, from their tracks."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from phase_ppl.world.names import AGENTS, NOTHING
 from phase_ppl.world.scene import Turning
 
 Flags = NDArray[np.bool_]
-SLOW: Final = 0.5  # units per simulated second below which a body is said to be at rest
+SLOW: Final = 0.5  # units per simulated second below which a body is at rest
 
 TAIL: Final = 5
-"""A track whose last motion is fewer frames than this before its end was not cut after it: the
-original ones that were cut go on for 5 to 9 frames."""
+"""Fewest frames after the last motion if a track was cut there. Original tracks that were cut go on
+for 5 to 9 frames."""
 
-_MOVING: Final = 0.02  # units per frame that count as motion where the end of it is looked for
+_MOVING: Final = 0.02  # units per frame that count as motion when its end is sought
 
-_ENOUGH: Final = 40  # frames in which an agent moves, to tell how it changes its speed
-_SLOW_AT: Final = 0.9  # quantile of changes of speed that is as large as any but the rarest
+_ENOUGH: Final = 40  # frames in which an agent must move before its changes of speed are judged
+_SLOW_AT: Final = 0.9  # quantile of changes of speed that leaves out only the rarest
 
 HELD_WITHIN: Final = 0.05
-"""How far a held item may be from its place at a grab point, units: frames are means over a step,
-in which a body that turns blurs."""
+"""Largest distance of a held item from its place at a grab point, units. Frames are means over a
+step, which blurs a body that turns."""
 
 _HELD_FRAMES: Final = 3
 _GAP_FRAMES: Final = 3
 
 
 def speeds(trajectory: FloatArray) -> FloatArray:
-    """Return (time - 1, entity): how fast each body goes from frame to frame, units/s simulated."""
+    """Return (time - 1, entity) speeds from frame to frame, units per simulated second."""
     steps = np.linalg.norm(np.diff(trajectory[..., :2], axis=0), axis=2)
     return np.asarray(steps * FRAMES_PER_SECOND)
 
@@ -50,8 +50,9 @@ def speeds(trajectory: FloatArray) -> FloatArray:
 def is_slow(trajectory: FloatArray, radius: FloatArray, n_agents: int) -> bool:
     """Whether agents change their speed less than the floor's friction alone would make them.
 
-    As where there are more frames a second than twelve. Of recordings with twelve the quantile is
-    at least 1.8 times what friction does, of the same with 60 at most 0.6, with 30 mostly below 1.
+    This happens with more frames a second than twelve. In recordings with twelve the quantile is at
+    least 1.8 times the effect of friction. In the same with 60 it is at most 0.6, with 30 mostly
+    below 1.
     """
     change = np.diff(trajectory[:, :n_agents, :2], axis=0)
     speed = np.linalg.norm(change, axis=2)
@@ -65,13 +66,13 @@ def is_slow(trajectory: FloatArray, radius: FloatArray, n_agents: int) -> bool:
 
 
 def last_motion(trajectory: FloatArray) -> int:
-    """Return the last frame in which something has moved; 0 where nothing ever does."""
+    """Return the last frame in which something has moved; 0: nothing ever does."""
     steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
     return int(np.flatnonzero(steps > _MOVING).max(initial=-1)) + 1
 
 
 def moves_to_the_end(trajectory: FloatArray) -> bool:
-    """Whether something still moves in the last frames, so that no rest was cut off."""
+    """Whether something still moves in the last frames, so that the track was not cut at rest."""
     last = last_motion(trajectory)
     return last > 0 and len(trajectory) - 1 - last < TAIL
 
@@ -89,14 +90,14 @@ def items_held(
 ) -> NDArray[np.int64]:
     """Return (time, agent): the item that the agent seems to hold, by its place, or -1.
 
-    Of a trajectory (time, entity, coord) of x, y [units], angle [rad], and sizes (entity,) [units];
-    the first entities are agents, the others items.
+    ``trajectory`` is (time, entity, coord) x, y [units], angle [rad], ``radius`` (entity,) sizes
+    [units]. The first entities are agents, the others items.
 
-    A held item is fixed in front of, behind or beside its holder, the two shapes touching at a grab
-    point. An item that stays ``within`` so many units of that place for three frames counts as
-    held; of two, the one nearer to its place. So do one pushed dead centre and one left where it
-    was let go of; one held for a moment does not. Of simulated events this tells the share of time
-    with an error of some 0.015.
+    A held item is fixed in front of, behind or beside its holder; the two shapes touch at a grab
+    point. An item within ``within`` units of that place for three frames counts as held; of two
+    items, the nearer one. Items pushed dead centre, or left where they were let go of, are wrongly
+    counted; items held for a moment are missed. In simulated events, the share of time has an error
+    of some 0.015.
     """
     n_items = trajectory.shape[1] - n_agents
     if not n_items:
@@ -121,7 +122,7 @@ def _lasting(flags: Flags) -> Flags:
     """Return the flags with short gaps between true values closed, then without short runs."""
     from scipy import ndimage
 
-    # beside the ends there is nothing that a gap could be closed to
+    # a gap at either end cannot be closed
     padded = np.pad(flags, _GAP_FRAMES + 1)
     closed = ndimage.binary_closing(padded, np.ones(_GAP_FRAMES + 1))
     lasting = ndimage.binary_opening(closed, np.ones(_HELD_FRAMES))
@@ -130,26 +131,25 @@ def _lasting(flags: Flags) -> Flags:
 
 # --- which way agents turn by themselves -----------------------------------------------------
 # The agents of the authors' recordings turn counter-clockwise only, those of the reflected copies
-# clockwise only; an explanation that lets them turn the other way explains something else.
+# clockwise only. A model in which they can turn either way explains something else.
 
-MIN_TURNS: Final = 3  # turns that must be seen before one direction is believed to be the only one
+MIN_TURNS: Final = 3  # turns that must be seen before agents are taken to turn one way only
 MIN_SHARE: Final = 0.8  # share of all turns that must go the same way
 
 RATE_TOLERANCE: Final = 0.05
-"""Relative deviation of a turn from the full rate: floor friction acts beside the centre of mass
+"""Relative deviation of a turn from the full rate. Floor friction acts beside the centre of mass
 and slows or speeds a turn by up to 4 %."""
 
 FIRST_PART: Final = (0.4, 0.5)
-"""Part of a lone one-step turn that shows in the first of the two frames it touches: 7/15 with
-the original engine, which averages the angle over five substeps."""
+"""Share of a lone one-step turn that shows in the first of its two frames: 7/15 with the original
+engine, which averages the angle over five substeps."""
 
 
 def full_turn(radius: float) -> float:
     """Return the angle by which a free agent of size ``radius`` turns in one step, rad.
 
-    The torque acts through all substeps, each of which first updates the spin and then the
-    angle; at the end of the step the spin is reset (1.06, 0.66, 0.47 and 0.26 for the sizes
-    0.8, 1.01, 1.2 and 1.6).
+    The torque acts in all substeps. Each updates the spin, then the angle; the end of the step
+    resets the spin. For the sizes 0.8, 1.01, 1.2 and 1.6 the angles are 1.06, 0.66, 0.47 and 0.26.
     """
     substep = STEP / SUBSTEPS
     updates = SUBSTEPS * (SUBSTEPS + 1) / 2
@@ -159,9 +159,9 @@ def full_turn(radius: float) -> float:
 def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) -> tuple[int, int]:
     """Return how often (counter-clockwise, clockwise) an agent turned at its full rate.
 
-    Frames are means over a step. A turn of several steps therefore shows as increments of the full
-    rate between a smaller first and last one, which add up to one more turn; only increments of the
-    full rate, and lone turns spread over two frames, are counted.
+    Frames are means over a step. So a turn of several steps shows as increments of the full rate
+    between a smaller first and last one, which add up to one more turn. Only increments of the full
+    rate, and lone turns spread over two frames, are counted.
     """
     counts = [0, 0]
     low, high = FIRST_PART
@@ -179,10 +179,10 @@ def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) ->
 
 
 def observed_turning(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) -> Turning:
-    """Return "ccw" or "cw" where the agents of PHASE clearly turn one way only, else "both".
+    """Return "ccw" or "cw" if the agents of PHASE clearly turn one way only, else "both".
 
-    At least ``MIN_TURNS`` turns must be seen, ``MIN_SHARE`` of them the same way, in a trajectory
-    (time, entity, coord) of x, y [units], angle [rad], of bodies of sizes (entity,) [units].
+    At least ``MIN_TURNS`` turns must be seen, ``MIN_SHARE`` of them the same way. ``trajectory`` is
+    (time, entity, coord) x, y [units], angle [rad]; ``radius`` is (entity,) sizes [units].
     """
     counter_clockwise, clockwise = count_turns(trajectory, radius)
     total = counter_clockwise + clockwise

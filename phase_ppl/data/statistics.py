@@ -1,4 +1,4 @@
-"""What is in a set of events, and how its bodies move, beside the original events."""
+"""Statistics of a set of events: contents and motion, compared with the original events."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ GOAL_TYPES: Final = ("LMO+", "LMO-", "LMA+", "LMA-", "TE+", "TE-")
 LEVELS: Final = tuple(f"{level:g}" for level in STRENGTH_LEVELS)
 """Names of the strengths of the original world, newtons."""
 
-_MADE: Final = ("family", "layout", "reflection", "split")  # what a manifest tells of an event
-OTHER: Final = "other"  # what is none of the original strengths, sizes or types of goals
+_MADE: Final = ("family", "layout", "reflection", "split")  # an event's entries in a manifest
+OTHER: Final = "other"  # a strength, size or type of goal that is not original
 _RESAMPLINGS: Final = 200
 
 Row: TypeAlias = tuple[str, str, int | None, float, float, float]
@@ -43,7 +43,7 @@ COUNTS: Final[Mapping[str, Mapping[str, int]]] = {
     "reflection": {"none": 25, "up-down": 12, "left-right": 18, "about y=x": 21, "about y=-x": 24},
     "split": {"train": 320, "validation": 80, "test": 100},
 }
-"""Of PHASE's 500 events; strengths and sizes without the test videos, reflections of these only."""
+"""PHASE's 500 events; strengths and sizes without the test videos, reflections of these only."""
 
 FIGURES: Final[Mapping[str, Mapping[str, float]]] = {
     "frames": {"min": 33, "median": 75, "max": 101},
@@ -58,7 +58,7 @@ FIGURES: Final[Mapping[str, Mapping[str, float]]] = {
     "agent_holds": {"mean": 0.25},
     "item_moves": {"mean": 0.24},
 }
-"""Of PHASE's 100 test videos; NaN is not known."""
+"""PHASE's 100 test videos; NaN: unknown."""
 
 _HOW: Final[Mapping[str, Callable[[FloatArray], Any]]] = {
     "min": np.min, "median": np.median, "mean": np.mean, "max": np.max,
@@ -73,25 +73,26 @@ def shares(quantity: str) -> dict[str, float]:
 
 
 def statistics(events: Sequence[Event]) -> pd.DataFrame:
-    """Return what is in a set of events and how its bodies move, beside the events of PHASE.
+    """Return the contents and motion of a set of events, beside those of PHASE.
 
-    Counted are ``relation``, ``scenario`` (in other worlds than PHASE of every pair of agents),
-    ``goal_type``, ``goal``, ``strength`` [N], ``agent_size`` and ``item_size`` [units], and of a
-    generated set ``family``, ``layout``, ``reflection`` and ``split``. Figures are ``frames``;
-    ``speed`` of agents [units/s simulated], ``speed_150`` and so on of those of a strength;
-    ``step`` of agents [units per frame]; ``agent_rests`` (slower than 0.5 units/s),
-    ``agent_holds`` (an item, as far as places tell) and ``item_moves``, shares of time; and
-    ``moves_to_the_end``, a share of events. What there is nothing to tell about is left out.
+    Counts are of ``relation``, ``scenario`` (except in PHASE, of every pair of agents),
+    ``goal_type``, ``goal``, ``strength`` [N], ``agent_size`` and ``item_size`` [units]. A generated
+    set also has ``family``, ``layout``, ``reflection`` and ``split``.
+
+    Figures are ``frames``; ``speed`` of agents [units/s simulated], and ``speed_150`` and so on by
+    strength; ``step`` of agents [units per frame]. Shares of time are ``agent_rests`` (slower than
+    0.5 units/s), ``agent_holds`` (an item, inferred from places) and ``item_moves``; a share of
+    events is ``moves_to_the_end``. Quantities without data are left out.
 
     Args:
         events: of one world; those without truth count where none is needed.
 
     Returns:
-        A row for each ``quantity`` and ``label``, its index. ``count``, missing where nothing is
-        counted; ``value``, its share or the figure; ``error``, the standard error over events
-        without their copies, NaN for extremes and single events; ``phase``, the value of the
-        original events, NaN where it is not known. ``attrs`` has the numbers of ``events``,
-        ``units`` (without copies), ``without_truth`` (events) and ``without_strength`` (agents).
+        A row for each ``quantity`` and ``label``, its index. ``count`` is missing for figures.
+        ``value`` is the share or the figure. ``error`` is the standard error over events without
+        their copies; NaN for extremes and single events. ``phase`` is the value of the original
+        events; NaN if unknown. ``attrs`` has the numbers of ``events``, ``units`` (without copies),
+        ``without_truth`` (events) and ``without_strength`` (agents).
 
     Example:
         ``ppl.statistics(one).join(ppl.statistics(other)["value"].rename("other"))``
@@ -103,7 +104,7 @@ def statistics(events: Sequence[Event]) -> pd.DataFrame:
         raise InvalidEventError("there are no events to describe")
     of_set = isinstance(events, GeneratedEvents)
     told: Sequence[Any] = list(events.entries) if of_set else [{}] * len(events)  # type: ignore[attr-defined]
-    events = list(events)  # gone through twice; those of a stored set are read each time
+    events = list(events)  # read once: a stored set reads each event anew
     world = events[0].scene.world
     if any(event.scene.world != world for event in events):
         raise InvalidEventError("the events are of several worlds, which are described one by one")
@@ -127,7 +128,7 @@ def statistics(events: Sequence[Event]) -> pd.DataFrame:
 
 
 def _labels(event: Event, entry: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return quantity -> the labels that an event counts for."""
+    """Return quantity -> the event's labels."""
     truth, world = event.truth, event.scene.world
     goals = [] if truth is None else [*truth.goals.values()]
     relations, scenarios = [], []
@@ -157,7 +158,7 @@ def _labels(event: Event, entry: Mapping[str, Any]) -> dict[str, list[str]]:
 def _counted(
     name: str, labels: Sequence[Mapping[str, Any]], units: Sequence[str], world: World
 ) -> Iterator[Row]:
-    """Yield the rows of a quantity: labels that the original events have too, then others."""
+    """Yield the rows of a quantity: labels of the original events first, then others."""
     counts = Counter(label for one in labels for label in one[name])
     first = {"goal": world.goals, "item_size": COUNTS["agent_size"]}.get(name, COUNTS.get(name, ()))
     others = sorted({*counts} - {*first}, key=lambda one: (one == OTHER, one.zfill(9)))
@@ -165,14 +166,14 @@ def _counted(
     phase = shares(name) if name in COUNTS else {}
     for label in (*first, *others) if counts else ():
         share = counts[label] / counts.total()
-        likely = (n * share + 2) / (n + 4)  # of Agresti and Coull: a share of 0 has an error too
+        likely = (n * share + 2) / (n + 4)  # Agresti and Coull: a share of 0 has an error too
         error = math.sqrt(likely * (1 - likely) / (n + 4))
         other = phase.get(label, 0.0 if phase else math.nan)
         yield name, label, counts[label], share, error, other
 
 
 def goal_type(goal: str | int, world: World = PHASE) -> str:
-    """Return which of :data:`GOAL_TYPES` a goal is; "other" for a predicate of one's own."""
+    """Return which of :data:`GOAL_TYPES` a goal is; "other" for a user-defined predicate."""
     literal = goal_literal(goal, 0, world)
     if literal.predicate.name == "OWN":
         return OTHER
@@ -182,7 +183,7 @@ def goal_type(goal: str | int, world: World = PHASE) -> str:
 
 
 def _strengths(event: Event) -> tuple[float | None, ...]:
-    """Return (agent,) strengths, newtons, as far as they are known."""
+    """Return (agent,) strengths, newtons; None if unknown."""
     if event.truth is None:
         return (None,) * len(event.scene.world.agents)
     return tuple(event.truth.strengths)
@@ -192,7 +193,7 @@ def _strengths(event: Event) -> tuple[float | None, ...]:
 
 
 def _moves(event: Event) -> dict[str, FloatArray]:
-    """Return the numbers of an event of which :data:`FIGURES` are."""
+    """Return the numbers of an event from which :data:`FIGURES` are computed."""
     track, n = event.observation.trajectory, len(event.scene.world.agents)
     speed = speeds(track)
     agents = speed[:, :n].ravel()
@@ -227,10 +228,7 @@ def _figures(
 
 
 def standard_error(parts: Sequence[FloatArray], function: Callable[[FloatArray], Any]) -> float:
-    """Return the bootstrap's standard error of a function of all parts together.
-
-    NaN for a single part.
-    """
+    """Return the bootstrap's standard error of a function of all parts together; one part: NaN."""
     n = len(parts)
     if n < 2:
         return math.nan

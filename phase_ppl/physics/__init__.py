@@ -1,1 +1,1 @@
-"""The dynamics: a pymunk world, the reference, and a compiled model of it for imagination."""
+"""The dynamics: a reference implementation on pymunk, and a compiled model for imagination."""

@@ -12,10 +12,10 @@ from phase_ppl.world.scene import Turning
 
 
 class Action(enum.IntEnum):
-    """What an agent does during one planner step. Directions are those of its own body.
+    """An agent's action during one planner step. Directions are relative to its own body.
 
     ``UP`` is ahead. ``STOP`` ends its motion, ``NO_FORCE`` lets it coast. ``ATTACH`` grabs an item
-    that it touches, ``DETACH`` lets go of it.
+    within reach, ``DETACH`` lets go of it.
     """
 
     TURN_LEFT = 0
@@ -35,7 +35,7 @@ class Action(enum.IntEnum):
 
     @property
     def recorded(self) -> str:
-        """What recorded data call it: "turnleft", ..., "detach"."""
+        """Its name in recorded data: "turnleft", ..., "detach"."""
         return self.name.lower().replace("_", "")
 
 
@@ -43,7 +43,7 @@ ACTION_NAMES: Final = tuple(action.recorded for action in Action)
 """Names used in recorded data, in the order of :class:`Action`."""
 
 N_ACTIONS: Final = len(Action)
-NO_ACTION: Final = -1  # stands for an agent that does nothing; its body coasts as with ``NO_FORCE``
+NO_ACTION: Final = -1  # an agent that does nothing; its body coasts as with ``NO_FORCE``
 _DIAGONAL = 0.707  # the original world's factor, not exactly 1 / sqrt(2)
 
 
@@ -66,10 +66,10 @@ DIRECTIONS: Final = _directions()
 
 
 def executed(action: int, turning: Turning) -> int:
-    """Return what the world makes of an action where agents turn one way only.
+    """Return the action that the world carries out where agents can turn one way only.
 
-    In the original recordings both turns went the same way, although the agents, as their choices
-    show, expected a turn to the right to go to the right.
+    In the original recordings both turns went the same way. The agents' choices show that they
+    expected a turn to the right to go to the right.
     """
     if turning == "both" or action not in (Action.TURN_LEFT, Action.TURN_RIGHT):
         return action

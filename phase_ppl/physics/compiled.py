@@ -1,7 +1,7 @@
 """The compiled model of the dynamics, for imagination: belief prediction and tree search.
 
-The same physics as :mod:`phase_ppl.physics.pymunk_world`, which says what a substep does, on the
-flat arrays of :mod:`phase_ppl.physics.flat`. Kernels release the GIL and allocate nothing.
+It has the physics of :mod:`phase_ppl.physics.pymunk_world`, which describes a substep. It works on
+the flat arrays of :mod:`phase_ppl.physics.flat`. Kernels release the GIL and allocate nothing.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ def stay_apart(
     params: Params,
     scratch: Scratch,
 ) -> bool:
-    """Whether no two bodies, and no body and wall, can possibly meet during this planner step.
+    """Whether no body can meet another or a wall during this planner step.
 
-    Every body is enclosed in a circle that it cannot leave: no impulse but its own force and the
-    friction acts on it.
+    Every body lies in a circle that it cannot leave: the only impulses on it are its own force and
+    the friction.
     """
     for agent in range(n_agents):
         if held[agent] >= 0:
@@ -80,7 +80,7 @@ def stay_apart(
             force = params.force[body] if _FIRST_PUSH <= action <= _LAST_PUSH else 0.0
             spins = 0 <= action <= _TURN_RIGHT or bodies[body, SPIN] != 0.0
             if spins or force > 0.0 or speed > 0.0:
-                # friction off the centre of mass can also turn spin into speed
+                # friction acts off the centre of mass, so that it can also turn spin into speed
                 force += FLOOR_FRICTION
             speed += force * params.inverse_mass[body] * duration
         x, y = bodies[body, X], bodies[body, Y]
@@ -111,7 +111,7 @@ def stay_apart(
 
 @inlined_kernel
 def _push(agent: int, action: int, params: Params, scratch: Scratch) -> None:
-    """Write what the agent's own force does to it in one substep into ``scratch.kick``."""
+    """Write the velocity change by the agent's own force in one substep into ``scratch.kick``."""
     kick = scratch.kick[agent]
     kick[0], kick[1], kick[2] = 0.0, 0.0, 0.0
     inverse_inertia = params.inverse_inertia[agent]
@@ -263,7 +263,7 @@ def _substep(
     parts = 1 if apart else _parts(bodies, n_bodies, n_agents, params, scratch)
     for part in range(parts):
         _inner_step(bodies, held, weld, part, parts, apart, n_bodies, n_agents, params, scratch)
-    # an item of two holders is pulled at by both in turn
+    # two holders of one item pull at it in turn
     for _ in range(SHARED_WELD_SWEEPS if _is_shared(held, n_agents) else 1):
         for agent in range(n_agents):
             if held[agent] >= 0:
@@ -336,7 +336,7 @@ def step(
     Args:
         bodies: (body, 9) as in :mod:`phase_ppl.physics.flat`.
         held: (agent,) item of each agent or ``NOTHING``.
-        weld: (agent, 3) item's place in the agent's frame about its centre of mass, relative angle.
+        weld: (agent, 3) item's x, y in the agent's frame about its centre of mass, relative angle.
         actions: (agent,) values of ``Action`` or ``NO_ACTION``.
         params, scratch: from ``make_params`` and ``make_scratch``.
     """

@@ -1,7 +1,7 @@
 """Constants of the dynamics, shared by the pymunk world and the compiled model.
 
-The two engines must agree in every choice below: even the anchor of the floor friction, at the
-body origin or at the centre of mass, moves a body by half a unit in ten steps.
+The two engines must agree on every choice below. Even the anchor of the floor friction matters:
+at the body origin or at the centre of mass, a body moves by half a unit more or less in ten steps.
 
 Units: lengths in units of the arena, simulated seconds, newtons.
 """
@@ -26,7 +26,7 @@ and there is no continuous collision detection: undivided, they jump through inn
 squeeze through doors that are too narrow for them."""
 
 IMAGINATION_INNER_STEPS: Final = 1
-"""The same number in the agents' heads, where speed matters more; there it is a minimum."""
+"""The minimum number of parts in the agents' heads, where speed matters more."""
 
 LONGEST_MOVE: Final = 0.2
 """In the agents' heads a substep is divided further, up to ``WORLD_INNER_STEPS``, while a body
@@ -34,13 +34,13 @@ would move more than this in one part, units."""
 
 LEAST_SIZE: Final = 0.8
 MOST_STRENGTH: Final = 600.0
-"""Where no body is smaller or stronger, as in PHASE, ``WORLD_INNER_STEPS`` are enough. Elsewhere
-both engines divide a substep as far as the least body needs, up to ``MOST_INNER_STEPS``."""
+"""If no body is smaller and no agent stronger, as in PHASE, ``WORLD_INNER_STEPS`` are enough. Else
+both engines divide a substep as far as the smallest body needs, up to ``MOST_INNER_STEPS``."""
 
 MOST_INNER_STEPS: Final = 1024
 
 _MOVE_OF_SIZE: Final = 0.25
-"""Of the least body's size, how far a body may move in one part: then none passes a wall."""
+"""How far a body may move in one part, in sizes of the smallest body: then none passes a wall."""
 
 FLOOR_FRICTION: Final = 100.0
 """Largest friction force on any body, whatever its mass, acting on the body origin, N."""
@@ -65,14 +65,14 @@ WALL_RADIUS: Final = 0.01
 AGENT_SKIN: Final = 0.01
 """How far an agent's collision shape reaches beyond its outline, as in the original engine."""
 
-COLLISION_SLOP: Final = 0.005  # overlap that is left alone
+COLLISION_SLOP: Final = 0.005  # overlap that is not pushed apart
 
 COLLISION_BIAS: Final = 0.2**60
-"""Share of an overlap that remains after one second of pushing apart; a fifth after a substep."""
+"""Share of an overlap that remains after one second of pushing apart; after a substep, a fifth."""
 
 GRAB_CORRECTIONS: Final = 3
-"""Newton steps by which a grab pulls agent and item into place. Each moves and turns both as an
-impulse would, by their masses and inertias. One more after each substep keeps the hold rigid."""
+"""Newton steps by which a grab pulls agent and item into place. Each moves and turns both like an
+impulse, by their masses and inertias. One more after each substep keeps the hold rigid."""
 
 SHARED_WELD_SWEEPS: Final = 3
 """How often the two welds of an item with two holders are mended after each substep."""
@@ -84,16 +84,16 @@ IMAGINATION_ITERATIONS: Final = 10  # solver iterations per inner step in the ag
 def division(
     radii: Sequence[float], strengths: Sequence[float], arena: Sequence[float]
 ) -> tuple[float, int]:
-    """Return how far bodies may move in a part of a substep, units, and how many parts may be.
+    """Return how far bodies may move in a part of a substep, units, and the most parts allowed.
 
     Args:
         radii: sizes of all bodies, agents first.
         strengths: of the agents, newtons.
-        arena: least and greatest x, least and greatest y.
+        arena: x_min, x_max, y_min, y_max.
 
     Raises:
-        InvalidSettingError: a body is so small that an agent as strong could pass walls all the
-            same; the message says how large it must be.
+        InvalidSettingError: a body is so small that a strong agent could pass walls even then;
+            the message gives the size needed.
     """
     least = min(radii)
     if least >= LEAST_SIZE and max(strengths) <= MOST_STRENGTH:
@@ -101,7 +101,7 @@ def division(
     far = math.hypot(arena[1] - arena[0], arena[3] - arena[2])
     longest = min(LONGEST_MOVE, _MOVE_OF_SIZE * least)
     fastest, strength, size = max(
-        # what a force makes of a body on the longest way that there is
+        # the speed that a force gives a body on the longest possible way
         (SUBSTEP * math.sqrt(2.0 * strength / mass(0, size) * far), strength, size)
         for strength, size in zip(strengths, radii, strict=False)
     )
@@ -111,8 +111,8 @@ def division(
             allowed = math.sqrt(allowed * least)
         raise InvalidSettingError(
             f"a body of size {least:g} is too small where an agent of size {size:g} has "
-            f"{strength:g} N: it would be so fast that walls did not stop it; expected a size of "
-            f"at least {math.ceil(1e3 * allowed) / 1e3:g}, or less strength"
+            f"{strength:g} N: walls would not stop it; expected a size of at least "
+            f"{math.ceil(1e3 * allowed) / 1e3:g}, or less strength"
         )
     return longest, MOST_INNER_STEPS
 

@@ -1,7 +1,7 @@
 """Collision detection of the compiled model: which bodies overlap, and along which normal.
 
-The normal comes from separating axes, which for these shapes is the same as Chipmunk's GJK and
-EPA wherever shapes overlap.
+The normal comes from separating axes. For these shapes this gives the same as Chipmunk's GJK and
+EPA wherever they overlap.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from phase_ppl.physics.welds import prepare_weld, pull
 from phase_ppl.world.arrays import FloatArray, IntArray
 
 Edge = tuple[float, float, float, float]  # start x, y and end x, y
-WALL: Final = -1  # stands for the second body of a contact with a wall
+WALL: Final = -1  # the second body of a contact with a wall
 FAR: Final = 1e300
 _BIAS_IMPULSE, _IMPULSE = 6, 7  # columns of contacts
 _TINY = 1e-300
@@ -81,7 +81,7 @@ def clip(
 ) -> int:
     """Add up to two contacts of an agent's edge with one that runs in the opposite direction.
 
-    The end points of each edge are projected on the other, and kept where they overlap.
+    The end points of each edge are projected on the other, and kept where the edges overlap.
     """
     ax1, ay1, bx1, by1 = edge_1
     ax2, ay2, bx2, by2 = edge_2
@@ -89,7 +89,7 @@ def clip(
     b1 = bx1 * ny - by1 * nx
     a2 = ax2 * ny - ay2 * nx
     b2 = bx2 * ny - by2 * nx
-    # an edge along the normal has no extent; the clamps then choose one of its ends
+    # an edge along the normal has no extent there; the clamps then choose one of its ends
     per_1 = 1.0 / (b1 - a1 + _TINY)
     per_2 = 1.0 / (b2 - a2 + _TINY)
     for end in range(2):
@@ -106,7 +106,7 @@ def clip(
 
 @inlined_kernel
 def support_edge(agent: int, nx: float, ny: float, scratch: Scratch) -> Edge:
-    """Return the edge of an agent that faces a direction, counter-clockwise."""
+    """Return the edge of an agent that faces a direction, its ends counter-clockwise."""
     corners, faces = scratch.corners[agent], scratch.faces[agent]
     farthest, reach = 0, -FAR
     for k in range(4):
@@ -152,8 +152,8 @@ def place_outlines(bodies: FloatArray, params: Params, scratch: Scratch) -> None
 
 
 _TIE: Final = 1e-9
-"""Of faces as near as this the first one counts, not the one that rounding favours: back, right,
-front, left, as in the pymunk world."""
+"""Faces within this are equally near. The first one counts, not the one that rounding favours:
+back, right, front, left, as in the pymunk world."""
 
 
 @inlined_kernel
@@ -163,7 +163,7 @@ def _boxes_meet(a: FloatArray, b: FloatArray) -> bool:
 
 @inlined_kernel
 def _border(bodies: FloatArray, n: int, body: int, params: Params, scratch: Scratch) -> int:
-    """Contacts with the arena's border, which is solid all the way out: nothing gets past it."""
+    """Add contacts with the arena's border, which is solid without end: no body gets past it."""
     box = scratch.boxes[body]
     for side in range(4):
         limit = params.border[side]
@@ -255,7 +255,7 @@ def _items(
     squared = dx * dx + dy * dy
     if squared >= (r1 + r2) ** 2:
         return n
-    nx, ny = 1.0, 0.0  # as good as any other for items on the same spot
+    nx, ny = 1.0, 0.0  # any direction will do for items on the same spot
     if squared > 0.0:
         distance = math.sqrt(squared)
         nx, ny = dx / distance, dy / distance
@@ -374,10 +374,10 @@ SETTLED: Final = 1e-8
 def rub(bodies: FloatArray, body: int, params: Params, scratch: Scratch) -> float:
     """Let the floor's friction act on one body; return the squared change of the impulse.
 
-    A joint that wants to stop the body origin, with limited force. The origin of an agent is not
-    its centre of mass, so that friction also turns it; in the body frame the effective mass is
-    diagonal. For a body that nothing else touches, one call from zero is the exact solution: the
-    wanted total impulse does not depend on what has been applied already.
+    Friction is a joint of limited force that tries to stop the body origin. An agent's origin is
+    not its centre of mass, so that friction also turns it; in the body frame the effective mass is
+    diagonal. The total impulse does not depend on what has been applied already. So one call from
+    zero is exact for a body that touches nothing else.
     """
     vx, vy, spin = bodies[body, VX], bodies[body, VY], bodies[body, SPIN]
     if vx == 0.0 and vy == 0.0 and spin == 0.0:
@@ -411,8 +411,8 @@ def _meet(
 ) -> float:
     """Keep two bodies from approaching at a contact; return the squared change of its impulse.
 
-    Changes velocities (``vx`` = VX) or bias velocities (``vx`` = BIAS_VX), until the bodies part
-    with the velocity ``aim``; the impulse is kept in that column of the contact.
+    It changes velocities (``vx`` = VX) or bias velocities (``vx`` = BIAS_VX), until the bodies part
+    with velocity ``aim``. That column of the contact keeps the impulse.
     """
     a, b = scratch.contact_bodies[k, 0], scratch.contact_bodies[k, 1]
     contact = scratch.contacts[k]
@@ -464,11 +464,11 @@ def solve(
     """Change velocities until contacts, floor friction and welds of touched bodies agree.
 
     Args:
-        bodies, held, weld: of the model.
+        bodies, held, weld: state of the model.
         n_contacts: number of contacts in ``scratch``.
-        parts: into which this substep is divided.
+        parts: number of parts of this substep.
         with_friction: whether the floor brakes in this inner step.
-        params, scratch: of the model.
+        params, scratch: parameters and work space of the model.
     """
     for agent in range(held.shape[0]):
         if held[agent] >= 0:

@@ -1,8 +1,7 @@
 """The compiled model's world as flat arrays: parameters, scratch space and states.
 
-Bodies are a (body, 9) array, agents first, columns ``X`` to ``BIAS_SPIN`` below, with the CENTRE
-OF MASS as the position. That is not the body origin of an agent, which is what trajectories
-contain.
+Bodies are a (body, 9) array, agents first, columns ``X`` to ``BIAS_SPIN`` below. The position is
+the CENTRE OF MASS. Trajectories contain the body origin instead, which differs for agents.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.scene import Scene
 
 X, Y, ANGLE, VX, VY, SPIN, BIAS_VX, BIAS_VY, BIAS_SPIN = range(9)
-"""Columns of ``bodies``. Bias velocities push overlapping bodies apart, once, at the beginning of
-the next inner step, so that pushing apart adds no momentum."""
+"""Columns of ``bodies``. Bias velocities push overlapping bodies apart once, at the start of the
+next inner step, so that pushing apart adds no momentum."""
 
 CONTACTS_PER_BODY: Final = 16
-"""Room for contacts in one inner step; more would need bodies in impossible places."""
+"""Most contacts in one inner step; more would need bodies in impossible places."""
 
 _N_CORNERS = len(UNIT_TRAPEZOID)
 
 
 @record
 class Params(NamedTuple):
-    """What stays the same during a simulation."""
+    """Parameters that are constant during a simulation."""
 
     radius: FloatArray  # (body,) sizes R
     cog: FloatArray  # (body,) local y of the centre of mass: -R/6 for agents, 0 for items
@@ -40,26 +39,26 @@ class Params(NamedTuple):
     inverse_mass: FloatArray  # (body,)
     inverse_inertia: FloatArray
     origin_mass: FloatArray  # (body, 2) effective mass of the body origin in local x and y
-    force: FloatArray  # (agent,); the point is local y
+    force: FloatArray  # (agent,); it acts at local y
     force_point: FloatArray
     torque: FloatArray
     # (agent, 4, 2) corners of the agents about their centre of mass, counter-clockwise; normals:
     # (agent, 4, 2) outward normal of the face that ENDS at the corner of the same index
     vertices: FloatArray
     normals: FloatArray
-    border: FloatArray  # (4,) least and greatest x, least and greatest y at which bodies fit
+    border: FloatArray  # (4,) x_min, x_max, y_min, y_max within which bodies fit
     walls: FloatArray  # (n, 6) inner walls: end points x1, y1, x2, y2 and a unit normal
-    wall_boxes: FloatArray  # (n, 4) least and greatest x, least and greatest y of the thick walls
+    wall_boxes: FloatArray  # (n, 4) x_min, x_max, y_min, y_max of the thick walls
     substeps: int  # per planner step
     dt: float  # length of one, s
-    inner_steps: int  # parts into which the movement of a substep is at least divided
-    most_parts: int  # and into which it is divided while a body would move farther in one
+    inner_steps: int  # least number of parts of the movement in a substep
+    most_parts: int  # and the most; more parts than the least keep moves below ``longest_move``
     longest_move: float
     iterations: int  # of the solver
     friction: float  # largest impulse of the floor friction in a substep
-    contact_rates: FloatArray  # by number of parts, bias velocity per unit of overlap
-    # a held item hangs on a rod from its holder's origin instead of being welded, and agents push
-    # at their origin: what the authors' agents imagined
+    contact_rates: FloatArray  # (number of parts,) bias velocity per unit of overlap
+    # a held item hangs on a rod from its holder's origin, instead of being welded, and agents push
+    # at their origin: the authors' agents imagine this
     swivel: bool
     resets_velocity: bool  # whether agents stand still after each planner step
 
@@ -70,7 +69,7 @@ class Scratch(NamedTuple):
 
     # (body, 2) cosine and sine of the angle; 1, 0 for items, whose angle is not needed
     rotation: FloatArray
-    boxes: FloatArray  # (body, 4) least and greatest x, least and greatest y of the bodies
+    boxes: FloatArray  # (body, 4) x_min, x_max, y_min, y_max of the bodies
     corners: FloatArray  # (agent, 4, 2) the agents' vertices and normals in the world
     faces: FloatArray
     # (agent, 3) change of velocity and spin by the agents' own force in one substep
@@ -81,12 +80,12 @@ class Scratch(NamedTuple):
     contacts: FloatArray
     touched: BoolArray  # (body,) bodies that the solver must treat together
     rub: FloatArray  # (body, 2) floor friction's impulse in the body frame
-    welds: FloatArray  # (agent, 11) as ``welds.prepare_weld`` says
+    welds: FloatArray  # (agent, 11) as in ``welds.prepare_weld``
     frame: FloatArray  # (body, 3) mean pose over the substeps so far
 
 
 def make_scratch(n_bodies: int = len(ENTITIES), n_agents: int = len(AGENTS)) -> Scratch:
-    """Return fresh work space for so many bodies, of which so many are agents."""
+    """Return fresh work space for ``n_bodies`` bodies, the first ``n_agents`` of them agents."""
     rotation = np.zeros((n_bodies, 2))
     n_contacts = CONTACTS_PER_BODY * n_bodies
     rotation[:, 0] = 1.0
@@ -138,9 +137,9 @@ def make_params(
     Args:
         scene: sizes, walls and arena.
         strengths: maximum force of each agent, newtons.
-        inner_steps: parts into which the movement of a substep is divided, at least; from
-            ``WORLD_INNER_STEPS`` on exactly.
-        iterations: of the solver, per inner step.
+        inner_steps: least number of parts into which the movement of a substep is divided; from
+            ``WORLD_INNER_STEPS`` on, the exact number.
+        iterations: solver iterations per inner step.
         swivel: see ``Params``.
     """
     radius, n_agents = scene.radius, len(scene.world.agents)
@@ -201,7 +200,7 @@ def from_state(state: State, radius: FloatArray) -> tuple[FloatArray, IntArray, 
 
 
 def to_state(bodies: FloatArray, held: IntArray, weld: FloatArray, radius: FloatArray) -> State:
-    """Return the state in the arrays; pending bias velocities are left out."""
+    """Return the state in the arrays, without pending bias velocities."""
     pose = bodies[:, : ANGLE + 1].copy()
     for agent in range(len(held)):
         pose[agent, :2] -= CENTRE_OF_MASS_Y * radius[agent] * heading(pose[agent, 2])

@@ -1,13 +1,13 @@
 """Inverse dynamics: how well each joint action explains the next observed frame.
 
-From one estimate of the full state joint actions are carried out for one planner step; the density
-of the observed frame around each of the resulting frames says which actions were taken. Joint
-actions are numbered with the first agent's as the most significant digit.
+Each joint action is tried: it is carried out for one planner step from an estimate of the full
+state. The density of the observed frame around the resulting frame says how well it explains it.
+Joint actions are numbered with the first agent's as the most significant digit.
 
-Agents that cannot meet within the step, by themselves or over items, move independently: one trial
-tells of an action of each, and all joint actions follow. Of agents that can meet all joint actions
-are tried where there are two. Of three and more, log densities are those of the actions of two at
-a time, the others' at their best, added up: what three do together beyond that is left out.
+Agents that cannot meet within the step, by themselves or over items, move independently. One trial
+then tells of one action of each, and all joint actions follow. Of two agents that can meet, all
+joint actions are tried. Of three or more, pairs are tried while the others do their best, and the
+log densities are added up. Effects of three actions beyond those of pairs are left out.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 
 _STOP, _NO_FORCE = int(Action.STOP), int(Action.NO_FORCE)
 _ATTACH, _DETACH = int(Action.ATTACH), int(Action.DETACH)
-_SUBSTEPS_ADD = 0.6  # of a push over duration squared: one half, and steps add their ends
+_SUBSTEPS_ADD = 0.6  # of acceleration x duration^2, distance by a push: 1/2 and the steps' ends
 
 FRAME_LAG: Final = 3
-"""A frame, the mean over the substeps of a planner step, shows the third of five."""
+"""A frame is the mean over the five substeps of a planner step, and so shows the third."""
 
-_SWEEPS = 2  # over the agents of a group, to find what they do best together
+_SWEEPS = 2  # over the agents of a group, to find their best joint action
 _ALONE = -1  # group of an item that no agent can meet
 
 
 class Scatter(NamedTuple):
-    """How observed frames lie about predicted ones: by Student's t, at random for each body."""
+    """Scatter of observed frames about predicted ones: Student's t, independent for each body."""
 
     scale: float  # of positions, units
     angle_scale: float  # of agents' angles, rad
@@ -46,16 +46,16 @@ class Scatter(NamedTuple):
 
 @record
 class Trial(NamedTuple):
-    """A state on which an action can be tried without losing the original."""
+    """A copy of a state on which actions are tried, and the results."""
 
-    bodies: FloatArray  # (entity, 9), as in ``physics.compiled``, like those below
+    bodies: FloatArray  # (entity, 9), as in ``physics.compiled``, like the two below
     held: IntArray  # (agent,)
     weld: FloatArray  # (agent, 3)
     frame: FloatArray  # (entity, 3) mean pose of the last step tried
     actions: IntArray  # (agent,) the joint action tried
-    group: IntArray  # (entity,) the least agent that each can meet, or ``_ALONE``
+    group: IntArray  # (entity,) the first agent that each can meet, or ``_ALONE``
     way: FloatArray  # (entity,) how far each can get, units
-    grabs: BoolArray  # (agent,) whether there is something that each can grab
+    grabs: BoolArray  # (agent,) whether each can grab something
     best: IntArray  # (agent,) the best action so far
     parts: FloatArray  # (agent, joint action of its group) log densities
     alone: FloatArray  # (agent, N_ACTIONS) work space
@@ -63,7 +63,7 @@ class Trial(NamedTuple):
 
 
 def make_trial(n_bodies: int = 4, n_agents: int = 2) -> Trial:
-    """Return room for one trial with so many bodies, of which so many are agents."""
+    """Return space for one trial of ``n_bodies`` bodies, the first ``n_agents`` of them agents."""
     return Trial(
         np.zeros((n_bodies, 9)),
         np.zeros(n_agents, np.int64),
@@ -100,7 +100,7 @@ def attempt(
     scratch: Scratch,
     trial: Trial,
 ) -> None:
-    """Carry out ``trial.actions`` from a state; what follows is in the rest of ``trial``."""
+    """Carry out ``trial.actions`` from a state; write the results into ``trial``."""
     _copy(bodies, held, weld, trial)
     compiled.step_mean(
         trial.bodies, trial.held, trial.weld, trial.actions, params, scratch, trial.frame
@@ -131,7 +131,7 @@ def _entity_log_density(
 
 @bare_kernel
 def _join(one: int, other: int, trial: Trial) -> None:
-    """Put the groups of two bodies together; each may go as far as any of them."""
+    """Merge the groups of two bodies; each body may then move as far as the farthest of them."""
     way = max(trial.way[one], trial.way[other])
     low = min(trial.group[one], trial.group[other])
     high = max(trial.group[one], trial.group[other])
@@ -144,7 +144,7 @@ def _join(one: int, other: int, trial: Trial) -> None:
 
 @bare_kernel
 def _find_groups(bodies: FloatArray, held: IntArray, params: Params, trial: Trial) -> None:
-    """Write into ``trial`` who can meet whom during this planner step, and who can grab."""
+    """Write into ``trial`` the groups that can meet in this planner step, and who can grab."""
     n_bodies, n_agents = bodies.shape[0], held.shape[0]
     duration = params.dt * params.substeps
     for body in range(n_bodies):
@@ -162,7 +162,7 @@ def _find_groups(bodies: FloatArray, held: IntArray, params: Params, trial: Tria
         if item >= 0:
             _join(agent, item, trial)
     joined = True
-    while joined:  # what is hit may go as far as what hits it, and hit others
+    while joined:  # a body that is hit may move as far as the one that hits it, and hit others
         joined = False
         for body in range(n_bodies):
             for other in range(body):
@@ -180,10 +180,10 @@ def _find_groups(bodies: FloatArray, held: IntArray, params: Params, trial: Tria
 
 @bare_kernel
 def _first_alike(held: IntArray, trial: Trial) -> int:
-    """Return the first joint action that does the same as the one in ``trial``.
+    """Return the first joint action with the same effect as the one in ``trial``.
 
-    With nothing to let go of, or to grab, that is to exert no force. A grab moves what is grabbed,
-    after which others may be able to grab something.
+    Letting go without a hold, or grabbing out of reach, is the same as exerting no force. A grab
+    moves the item, after which others may be able to grab something.
     """
     joint, grabbed = 0, False
     for agent in range(held.shape[0]):
@@ -197,7 +197,7 @@ def _first_alike(held: IntArray, trial: Trial) -> int:
 
 @bare_kernel
 def _group_log_density(group: int, observed: FloatArray, scatter: Scatter, trial: Trial) -> float:
-    """Return the log density of what was observed of a group after the last trial."""
+    """Return the log density of a group's observed poses after the last trial."""
     total = 0.0
     for entity in range(trial.group.shape[0]):
         if trial.group[entity] == group:
@@ -274,7 +274,7 @@ def _try_pairs(
 
 @bare_kernel
 def _combine(rest: float, trial: Trial, found: FloatArray) -> None:
-    """Write the log densities of all joint actions, of which those of the groups are known."""
+    """Write the log densities of all joint actions from those of the groups."""
     n_agents = trial.held.shape[0]
     for joint in range(found.shape[0]):
         total = rest
@@ -307,13 +307,13 @@ def try_all(
     """Write the log density of the observed frame after every joint action, for every state.
 
     The density is Student's t: in two dimensions for the position of each entity, in one for the
-    angle of each agent. Angles of items are not looked at.
+    angle of each agent. Angles of items are ignored.
 
     Args:
         bodies, held, weld: (B, ...) states.
         strengths: (B, agent) newtons, which replace those of ``params``.
         observed: (entity, 3) x, y [units], angle [rad].
-        scatter: of what is observed.
+        scatter: of observed frames about predicted ones.
         params, scratch, trial: work space; the forces of ``params`` are overwritten.
         found: (B, N_ACTIONS ** agents) output.
     """
@@ -333,8 +333,8 @@ def try_all(
                 )  # fmt: skip
             elif size == 2:
                 largest = 2
-        # all groups at a time, each its own joint actions
-        last = N_ACTIONS**largest - 1  # is tried, for what is seen of the rest
+        # all groups at a time, each with its own joint actions
+        last = N_ACTIONS**largest - 1  # is always tried, since it tells of the other bodies too
         for joint in range(last + 1):
             for group in range(n_agents):
                 left = joint
@@ -377,10 +377,10 @@ def follow(
 
     Args:
         bodies, held, weld, strengths: (B, ...) as in :func:`try_all`.
-        parents: (N,) indices of states; actions: (N, agent) what is done there.
+        parents: (N,) indices of states; actions: (N, agent) actions taken there.
         observed: (entity, 3).
-        gains: (3,) share of the difference between the observed and the predicted frame by
-            which position, velocity (per ``FRAME_LAG`` substeps) and angle are corrected.
+        gains: (3,) corrections of position, velocity (per ``FRAME_LAG`` substeps) and angle, as
+            shares of the difference between the observed and the predicted frame.
         next_bodies, next_held, next_weld: (N, ...) output.
     """
     lag, n_agents = FRAME_LAG * params.dt, held.shape[1]
@@ -403,7 +403,7 @@ def follow(
                 next_bodies[n, body, VY] += gains[1] * dy / lag
             if body < n_agents:
                 turn = observed[body, 2] - trial.frame[body, 2]
-                # about the body origin, which is what was observed
+                # about the body origin, which the observation shows
                 next_bodies[n, body, ANGLE] += gains[2] * turn
                 next_bodies[n, body, SPIN] = 0.0
         for agent in range(n_agents):

@@ -2,8 +2,8 @@
 
 numba keeps compiled functions on disk and recompiles one when the file that holds it changes.
 But a kernel also contains, inlined, the kernels it calls and the constants it uses from other
-files; a change there would go unnoticed. Here a cached function is fresh only as long as no
-file that kernels draw on has changed.
+files; numba does not notice changes there. Here a cached function is stale as soon as any file
+that kernels draw on has changed.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ def package_stamp() -> str:
 
 
 def cache_folder() -> Path | None:
-    """Return where compiled code is kept, by numba's rules; None: in no place that is writable.
+    """Return the folder of compiled code, by numba's rules; None: no place is writable.
 
-    Beside this file, or in the folder that the environment variable NUMBA_CACHE_DIR names, or in
-    the user's folder of caches.
+    It is beside this file, or the folder in the environment variable NUMBA_CACHE_DIR, or in the
+    user's cache folder.
     """
     try:
         return Path(FunctionCache(cache_folder).cache_path)
@@ -58,7 +58,7 @@ def cache_folder() -> Path | None:
 
 
 class _CheckedFile(IndexDataCacheFile):
-    """numba's files of one function, each with a checksum behind what numba reads of it."""
+    """numba's files of one function, each with a checksum at its end."""
 
     def _dump(self, obj: Any) -> bytes:
         data: bytes = super()._dump(obj)
@@ -67,7 +67,7 @@ class _CheckedFile(IndexDataCacheFile):
     def _load_index(self) -> Any:
         try:
             found = super()._load_index()
-        except (ImportError, AttributeError):  # what it was compiled for is no longer there
+        except (ImportError, AttributeError):  # the code refers to something that no longer exists
             return {}
         if found:
             self._check(self._index_path, len(pickle.dumps(self._version, -1)))
@@ -80,20 +80,20 @@ class _CheckedFile(IndexDataCacheFile):
     def _check(self, path: str, start: int) -> None:
         content = Path(path).read_bytes()[start:]
         if hashlib.sha256(content[:-_DIGEST]).digest() != content[-_DIGEST:]:
-            raise ValueError(f"the checksum of {path} is another")
+            raise ValueError(f"the checksum of {path} is wrong")
 
 
 @functools.cache
 def _announce(line: str) -> None:
-    """Say on stderr what takes time, once."""
+    """Say on stderr what takes time; each line once."""
     print(f"phase_ppl: {line}", file=sys.stderr, flush=True)
 
 
 class _NoCache(NullCache):
-    """Where nothing can be kept: every process compiles for itself."""
+    """No cache, as no folder is writable: every process compiles for itself."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return nothing, and say what can be done about that."""
+        """Return None, and say how to get a cache."""
         _announce(
             "compiling, which takes a while in every process, as no folder to keep it in can be "
             "written; name one in the environment variable NUMBA_CACHE_DIR"
@@ -112,10 +112,10 @@ class KernelCache(FunctionCache):
         )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what is kept of a signature; None, after a word, where it is not, or damaged."""
+        """Return the cached code of a signature; None if there is none, or it is damaged."""
         try:
             found = super().load_overload(sig, target_context)
-        except Exception as error:  # whatever a damaged file makes the reader stumble over
+        except Exception as error:  # a damaged file can make the reader fail in any way
             self._say("damaged", error)
             with contextlib.suppress(OSError):
                 self.flush()
@@ -125,7 +125,7 @@ class KernelCache(FunctionCache):
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled; where that cannot be written, say so and do without."""
+        """Cache compiled code; if the folder is not writable, say so and go on without."""
         try:
             super().save_overload(sig, data)
         except OSError as error:
@@ -137,22 +137,22 @@ class KernelCache(FunctionCache):
 
 
 class _Whole(JITCodeLibrary):
-    """The code of a kernel that Python calls, with that of all kernels it calls."""
+    """The code of a kernel that Python calls, together with all kernels that it calls."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout  # all is optimised together
+        ll_module.data_layout = self._codegen._data_layout  # everything is optimised together
 
     def _optimize_final_module(self) -> None:
-        # numba has a round before this one, to find counts of references; here are none
+        # numba's earlier round prunes counts of references; kernels have none
         passes, builder = self._codegen._module_pass_manager()
         passes.run(self._final_module, builder)
 
 
 class _Part(_Whole):
-    """The code of a kernel that kernels call: neither optimised nor made machine code by itself.
+    """The code of a kernel that other kernels call: not optimised or made machine code by itself.
 
-    numba does both for every function, with all that it calls, again at each level of a nest of
-    calls; here it is done once, for the whole.
+    numba does both for every function with all its callees, again at each level of a nest of
+    calls. Here it is done once, for the whole.
     """
 
     def _optimize_final_module(self) -> None:
@@ -163,25 +163,25 @@ class _Part(_Whole):
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        return 0  # as for a function that is not there
+        return 0  # as for a missing function
 
     @property
     def codegen(self) -> Any:
-        return self  # what asks wants ``set_env`` only
+        return self  # the caller needs ``set_env`` only
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Do nothing: no machine code is there to be told of its environment."""
+        """Do nothing: there is no machine code that needs its environment."""
 
 
 class _Linked(_Whole):
-    """The code of a kernel that kernels call by its name: machine code of its own, made once."""
+    """The code of a kernel that others call by name: machine code of its own, made once."""
 
     def _get_module_for_linking(self) -> Any:
         return llvm.parse_assembly("")
 
 
 class _Flags(Flags):
-    """Options that are compared in no time: numba does so for each function that it looks up."""
+    """Options that compare fast; numba compares them for each function that it looks up."""
 
     def copy(self) -> _Flags:
         return self
@@ -199,7 +199,7 @@ class _Flags(Flags):
 
 @functools.cache
 def _shared(flags: Flags) -> _Flags:
-    """Return the same options for all kernels that have the same."""
+    """Return one shared object for all kernels with equal options."""
     found = _Flags()
     found._values.update(flags._values)
     return found
@@ -211,7 +211,7 @@ _UNNEEDED: Final = {
     "literal_unroll", "LiteralPropagation", "inline_overloads", "nopython_rewrites",
     "nopython_supported_feature_validation", "annotate_types", "dump_parfor_diagnostics",
 }  # fmt: skip
-"""Passes of numba's over what no kernel has: closures, contexts, expressions of whole arrays."""
+"""numba's passes for features that no kernel has: closures, contexts, whole-array expressions."""
 
 
 class _WholeCompiler(Compiler):
@@ -240,22 +240,22 @@ class _LinkedCompiler(_WholeCompiler):
     library = _Linked
 
     def _compile_bytecode(self) -> Any:
-        # its name must be the same in every process, and of another kernel another
+        # the name must be the same in every process, and differ between kernels
         self.state.func_id.unique_id = package_stamp()[:16]
         return super()._compile_bytecode()
 
 
 def _plain(kind: Any) -> Any:
-    """Return the type of a number, also of one that is written in the call.
+    """Return the plain type of a number, also if the call has a literal.
 
-    That makes no kernel of its own: it is known all the same once the one is within the other.
+    A literal makes no kernel of its own: after inlining, its value is known all the same.
     """
     literal = isinstance(kind, types.IntegerLiteral | types.BooleanLiteral)
     return types.unliteral(kind) if literal else kind
 
 
 class Kernel(CPUDispatcher):
-    """A compiled function: a whole where Python calls it, a part of those kernels that do."""
+    """A compiled function: a whole if Python calls it, a part of the kernels that call it."""
 
     def __init__(
         self,
@@ -269,16 +269,16 @@ class Kernel(CPUDispatcher):
         self._part = CPUDispatcher(py_func, locals, options, _PartCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Tell a kernel that calls this one what it is."""
+        """Return the signature of this kernel for a kernel that calls it."""
         return self._part.get_call_template(list(map(_plain, args)), kws)
 
     def get_overload(self, sig: Any) -> Any:
-        """Give a kernel that calls this one its code."""
+        """Return the code of this kernel for a kernel that calls it."""
         return self._part.get_overload(sig)
 
 
 class LinkedKernel(CPUDispatcher):
-    """A compiled function that is not made part of the kernels that call it."""
+    """A compiled function that is linked to its callers, not inlined into them."""
 
     _all: Final[dict[str, LinkedKernel]] = {}
 
@@ -288,7 +288,7 @@ class LinkedKernel(CPUDispatcher):
         self._all[self._name] = self
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Tell a kernel that calls this one what it is, and what it needs from the disk."""
+        """Return the signature for a kernel that calls this one; note what to load from disk."""
         plain = tuple(map(_plain, args))
         found = super().get_call_template(plain, kws)
         compiled: Any = self.overloads[plain]
@@ -298,7 +298,7 @@ class LinkedKernel(CPUDispatcher):
 
 @dataclasses.dataclass(frozen=True)
 class _Load:
-    """What must be done before a kernel from the disk can call a linked one."""
+    """The work needed before a kernel from the disk can call a linked one."""
 
     name: str
     args: tuple[Any, ...]
@@ -308,8 +308,8 @@ class _Load:
 
 
 KNOWN_NUMBA: Final = (0, 63) <= numba.version_info.short < (0, 69)
-"""Whether this numba is one in whose inner parts all this reaches; others compile by their own
-rules, which takes several times as long and gives the same results."""
+"""Whether this version of numba supports all this. Other versions compile by their own rules: that
+takes several times as long and gives the same results."""
 
 
 def _compiled(function: Function, kind: Any = Kernel, **options: Any) -> Function:
@@ -321,7 +321,7 @@ def _compiled(function: Function, kind: Any = Kernel, **options: Any) -> Functio
     )
     try:
         compiled._cache = KernelCache(function)
-    except RuntimeError:  # there is no place that can be written
+    except RuntimeError:  # no place is writable
         compiled._cache = _NoCache()
     return cast(Function, compiled)
 
@@ -333,18 +333,18 @@ def bare_kernel(function: Function) -> Function:
     division by zero gives inf or nan as in NumPy.
 
     numba counts references whenever an array is taken out of a tuple or sliced, one atomic
-    operation each time; in short functions on tuples of arrays that costs ten times more than
-    the arithmetic. Such a function cannot allocate, which rules out slice-to-slice copies too
-    (``a[i] = b[j]`` on rows needs a loop), and must not return an array.
+    operation each time. In short functions on tuples of arrays, that costs ten times more than
+    the arithmetic. A function without counts cannot allocate, which rules out slice-to-slice copies
+    too (``a[i] = b[j]`` on rows needs a loop), and must not return an array.
     """
     return _compiled(function, _nrt=False)
 
 
 def inlined_kernel(function: Function) -> Function:
-    """As ``bare_kernel``, compiled into its callers: handing over a large tuple takes time too."""
+    """As ``bare_kernel``, compiled into its callers, since passing a large tuple takes time too."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 
 def linked_kernel(function: Function) -> Function:
-    """As ``bare_kernel``, compiled once for all of its callers: what is long, and does much."""
+    """As ``bare_kernel``, compiled once for all of its callers: for long functions."""
     return _compiled(function, LinkedKernel, _nrt=False)

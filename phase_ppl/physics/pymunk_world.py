@@ -4,21 +4,21 @@ It reproduces the original generator's Box2D world: an arena seen from above, tr
 agents, discs, floor friction, rigid grabs. One substep of 1/60 s is, as there,
 
 1. find the contacts;
-2. accelerate: the agents' own forces, and the floor's friction, at most 100 N on every body;
+2. accelerate: the agents' own forces, and the floor's friction of at most 100 N on every body;
 3. solve: contacts, friction and grabs agree on new velocities;
 4. move with the new velocities.
 
 Two things make Chipmunk do that.
 
-*The due move.* Chipmunk's step is move, collide, accelerate, solve: the same cycle, cut at another
-place, so that its positions are always one move behind. Here a body's pose is Chipmunk's pose plus
-the move that is due, and whatever happens between steps (a stop, spin set to zero, a grab) happens
-to that pose. Without this, every change of velocity shows one substep late and every turn is too
-small.
+*The due move.* Chipmunk's step is move, collide, accelerate, solve. That is the same cycle, cut at
+another place, so that its positions are always one move behind. Here a body's pose is Chipmunk's
+pose plus the move that is due. Everything that happens between steps (a stop, spin set to zero, a
+grab) happens to that pose. Without this, every change of velocity shows one substep late and every
+turn is too small.
 
-*Divided moves.* Chipmunk does not see collisions between two poses, so that moves are divided into
-inner steps, into more of them where a body is small for its speed. Forces and friction act in the
-first of them with all of the substep's impulse: free motion then does not depend on their number.
+*Divided moves.* Chipmunk does not see collisions between two poses. So moves are divided into inner
+steps, and into more of them if a body is small for its speed. Forces and friction act in the first
+one with all of the substep's impulse: so free motion does not depend on the number of steps.
 """
 
 from __future__ import annotations
@@ -46,31 +46,31 @@ from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene
 
 _BORDER_DEPTH: Final = 5.0
-"""Half thickness of the arena's border. A thin border could be jumped by a fast body and would
-then hold it outside; out of a thick one a body is always pushed back in."""
+"""Half thickness of the arena's border. A fast body could jump a thin border, which would then keep
+it outside; a thick one always pushes it back in."""
 
 _NUDGE: Final = 1e-6  # how far a body that starts on an agent's origin is moved off it, units
 
 
-AWAY: Final = -1000.0  # x and y of what was removed, units
+AWAY: Final = -1000.0  # x and y of removed bodies, units
 
 
 class PymunkWorld:
     """A running world.
 
-    Bodies are placed by their centre of mass, in pymunk as in the compiled model; only poses that
-    go in or out (``State``, frames) are those of the body origins.
+    Bodies are placed by their centre of mass, in pymunk as in the compiled model. Only poses that
+    go in or out (``State``, frames) are of the body origins.
 
     Args:
         scene: sizes, walls, arena, start poses, and whether agents stop after each step.
         strengths: maximum force of each agent, newtons.
-        inner_steps: parts into which the movement of a substep is at least divided.
-        initial: state to start from; None for the scene's start, from which the world makes one
-            empty substep first, as the original does (it separates overlapping bodies).
+        inner_steps: least number of parts into which the movement of a substep is divided.
+        initial: state to start from; None: the scene's start, followed by one empty substep that
+            separates overlapping bodies, as in the original.
         iterations: solver iterations per inner step.
 
     Raises:
-        InvalidSettingError: a body is too small for what the agents' strengths make of its speed.
+        InvalidSettingError: a body is too small for the speed that the agents' strengths give it.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class PymunkWorld:
     def _add_walls(self, scene: Scene) -> None:
         x0, x1, y0, y1 = scene.arena
         depth = _BORDER_DEPTH
-        # the border's surface lies where that of a wall of normal thickness would
+        # the border's surface lies where a wall of normal thickness would have it
         shift = depth - constants.WALL_RADIUS
         left, right, bottom, top = x0 - shift, x1 + shift, y0 - shift, y1 + shift
         corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
@@ -138,8 +138,8 @@ class PymunkWorld:
         shape.friction = shape.elasticity = 0.0
         self._place(body, entity, state)
         x, y, _ = state.pose[entity].tolist()
-        # Floor friction: a joint that never pulls the body back (max_bias 0), only brakes its
-        # origin with limited force. The walls hang on the same static body, so that the joint
+        # Floor friction is a joint that never pulls the body back (max_bias 0). It only brakes the
+        # body origin, with limited force. The walls hang on the same static body, so that the joint
         # must leave collisions between the two on.
         floor = pymunk.PivotJoint(self._space.static_body, body, (x, y), (0.0, -cog_y))
         floor.max_bias = 0.0
@@ -152,7 +152,7 @@ class PymunkWorld:
         x, y, angle = state.pose[entity].tolist()
         vx, vy = state.velocity[entity].tolist()
         spin, cog_y = float(state.spin[entity]), self._cog_y[entity]
-        # one move back, as Chipmunk's first act is to move
+        # one move back, since Chipmunk moves first
         body.position = (
             x - math.sin(angle) * cog_y - vx * self._dt,
             y + math.cos(angle) * cog_y - vy * self._dt,
@@ -164,8 +164,8 @@ class PymunkWorld:
     def restore(self, state: State) -> None:
         """Put the world into ``state``.
 
-        Chipmunk's memory of contacts stays as it is, so that bodies in contact go on a little
-        otherwise than in a new world.
+        Chipmunk's memory of contacts stays. So bodies in contact move on slightly differently than
+        in a new world.
         """
         for agent in range(self._n_agents):
             if self._held[agent] != NOTHING:
@@ -177,9 +177,9 @@ class PymunkWorld:
                 self._join(agent, int(state.held[agent]), state.weld[agent].copy())
 
     def _break_ties(self) -> None:
-        """Move bodies that start on an agent's origin a hair away from it.
+        """Move bodies that start exactly on an agent's origin by ``_NUDGE``.
 
-        Chipmunk would not see two agents on the same spot, and let rounding decide on which side
+        Chipmunk would not see two agents on the same spot, and rounding would decide on which side
         an item leaves. In the original, items leave to the right and agents to the rear.
         """
         for agent in range(self._n_agents):
@@ -194,7 +194,7 @@ class PymunkWorld:
 
     @property
     def state(self) -> State:
-        """The current state; a copy."""
+        """A copy of the current state."""
         bodies = self._bodies
         return State(
             pose=self._poses(),
@@ -205,13 +205,13 @@ class PymunkWorld:
         )
 
     def _pose(self, entity: int) -> tuple[float, float, float]:
-        """Return the pose of a body's centre of mass, the due move included."""
+        """Return the pose of a body's centre of mass, including the due move."""
         body, dt = self._bodies[entity], self._dt
         (x, y), (vx, vy) = body.position, body.velocity
         return x + vx * dt, y + vy * dt, body.angle + body.angular_velocity * dt
 
     def _poses(self) -> FloatArray:
-        """Return the (body, 3) poses of the body origins, the due move included."""
+        """Return the (body, 3) poses of the body origins, including the due move."""
         poses = np.empty((len(self._bodies), 3))
         for entity, cog_y in enumerate(self._cog_y):
             x, y, angle = self._pose(entity)
@@ -269,7 +269,7 @@ class PymunkWorld:
         return parts
 
     def _divide(self, parts: int) -> None:
-        """Divide moves into so many; bodies stay where the move that is due takes them."""
+        """Divide moves into ``parts``; bodies keep the pose that includes the due move."""
         if parts == self._inner_steps:
             return
         before, self._inner_steps, self._dt = self._dt, parts, constants.SUBSTEP / parts
@@ -312,12 +312,12 @@ class PymunkWorld:
             body.torque = -arm * float(force[0])
 
     def _halt(self, body: pymunk.Body) -> None:
-        """Take a body's velocity away; it stays where the move that is due takes it."""
+        """Stop a body; it keeps the pose that includes the due move."""
         body.position += body.velocity * self._dt
         body.velocity = 0.0, 0.0
 
     def remove(self, entity: int) -> None:
-        """Take a body out of the arena, to ``AWAY``, and out of the hands that hold it."""
+        """Move a body out of the arena, to ``AWAY``, and out of its holders' hands."""
         for agent in range(self._n_agents):
             if self._held[agent] != NOTHING and entity in (agent, self._held[agent]):
                 self._detach(agent)
@@ -328,8 +328,8 @@ class PymunkWorld:
         """Change the velocities of all bodies at once; poses stay.
 
         Args:
-            factors: (body,) by which each body becomes faster.
-            angles: (body,) by which its direction of motion turns to the left, rad.
+            factors: (body,) factors of the speed.
+            angles: (body,) turns of the direction of motion to the left, rad.
         """
         for body, factor, angle in zip(self._bodies, factors, angles, strict=True):
             before = np.array(body.velocity)
@@ -340,8 +340,8 @@ class PymunkWorld:
     def find_grab(self, agent: int) -> tuple[int, int]:
         """Return the item that ``agent`` would grab now, and the grab point it would use.
 
-        Of the items whose centre is less than their radius + ``GRAB_REACH`` away from a grab
-        point the nearest one, at the nearest point.
+        It is the nearest item, at its nearest grab point, of those whose centre is less than their
+        radius + ``GRAB_REACH`` away from a grab point.
 
         Returns:
             (entity index, index into ``GRAB_POINTS``); -1, -1 if none is in reach or one is held.
@@ -373,8 +373,8 @@ class PymunkWorld:
     def _mend(self, agent: int, item: int, weld: FloatArray) -> None:
         """Move and turn both bodies towards the weld's pose, by their masses and inertias.
 
-        A Newton step on the weld's error e: with J = de/dq and M the masses, q -= M^-1 J' K^-1 e,
-        K = J M^-1 J'.
+        This is a Newton step on the weld's error e: with J = de/dq and M the masses,
+        q -= M^-1 J' K^-1 e, K = J M^-1 J'.
         """
         holder, thing = self._bodies[agent], self._bodies[item]
         x, y, angle = self._pose(agent)
@@ -400,9 +400,9 @@ class PymunkWorld:
         gear = pymunk.GearJoint(holder, thing, angle, 1.0)
         for joint in (pivot, gear):
             joint.collide_bodies = False
-            # Joints only equalise velocities. Errors of the pose are mended in ``_mend``: a joint
-            # that pulls back by velocities (error_bias) sags, or drives bodies on when two welds
-            # or a wall stand against each other.
+            # Joints only equalise velocities; ``_mend`` corrects the pose. A joint that pulls back
+            # by velocities (error_bias) sags, or drives bodies on when two welds or a wall oppose
+            # each other.
             joint.error_bias = 1.0
         self._space.add(pivot, gear)
         self._joints[agent] = (pivot, gear)

@@ -1,8 +1,8 @@
-"""Named tuples of arrays that kernels hand on by their address.
+"""Named tuples of arrays that kernels pass by address.
 
-numba takes a tuple apart at each call: every array of it becomes seven arguments and more, some two
-hundred for a world's parameters and work space, which takes time to compile and to run. A record
-stays where the caller from Python has put it, and its fields are read there.
+numba takes a tuple apart at each call: every array becomes seven or more arguments. A world's
+parameters and work space become some two hundred, which takes time to compile and to run. A record
+stays where the Python caller has put it, and kernels read its fields there.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ _INDEX = ir.IntType(64)
 
 
 class Record(types.NamedTuple):
-    """The type of a record with fields of some types."""
+    """The type of a record, by the types of its fields."""
 
     def __init__(self, fields: tuple[Any, ...], cls: Any) -> None:
         super().__init__(fields, cls)
-        # the name is part of those of all functions that take one
+        # this name is part of the names of all functions that take one
         digest = hashlib.sha256(self.name.encode()).hexdigest()[:12]
         self.name = f"{cls.__name__}_{digest}"
 
     @property
     def key(self) -> Any:
-        """What tells it from other types."""
+        """The key that distinguishes it from other types."""
         return self.name
 
     @property
     def mangling_args(self) -> tuple[str, tuple[()]]:
-        """Its part of the name of a function that takes one."""
+        """Its part in the names of functions that take one."""
         return self.name, ()
 
     @functools.cached_property
     def as_tuple(self) -> types.NamedTuple:
-        """The type as numba has it."""
+        """The same type as an ordinary named tuple of numba's."""
         return types.NamedTuple(self.types, self.instance_class)
 
 
 def record(cls: Class) -> Class:
-    """Have kernels take the instances of a named tuple by their address."""
+    """Make kernels pass the instances of a named tuple by address."""
     if not KNOWN_NUMBA:
         return cls
 
@@ -80,7 +80,7 @@ def _taken(kind: Record, value: Any, c: Any) -> Any:
 
 @lower_getattr_generic(Record)
 def _field(context: Any, builder: Any, kind: Record, address: Any, name: str) -> Any:
-    """Read a field, of an array all parts by themselves: LLVM knows more of them then."""
+    """Read a field; an array part by part, which tells LLVM more about it."""
     index = kind.fields.index(name)
     whole = context.get_value_type(kind.as_tuple)
     constant = builder.module.add_metadata([])

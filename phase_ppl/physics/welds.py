@@ -47,7 +47,7 @@ def in_reach(bodies: FloatArray, agent: int, item: int, params: Params) -> bool:
 def find_grab(bodies: FloatArray, held: IntArray, agent: int, params: Params) -> tuple[int, int]:
     """Return the item that ``agent`` would grab now, and the grab point it would use.
 
-    Of the items in reach the nearest one, at the nearest point.
+    It is the nearest item in reach, at its nearest grab point.
 
     Returns:
         (entity index, index into ``GRAB_POINTS``); -1, -1 if none is in reach or one is held.
@@ -64,7 +64,7 @@ def find_grab(bodies: FloatArray, held: IntArray, agent: int, params: Params) ->
 
 @inlined_kernel
 def place_frame(bodies: FloatArray, agent: int, scratch: Scratch) -> None:
-    """Bring the cosine and sine of an agent's angle up to date."""
+    """Update the cosine and sine of an agent's angle."""
     scratch.rotation[agent, 0] = math.cos(bodies[agent, ANGLE])
     scratch.rotation[agent, 1] = math.sin(bodies[agent, ANGLE])
 
@@ -73,7 +73,7 @@ def place_frame(bodies: FloatArray, agent: int, scratch: Scratch) -> None:
 def turn_frame(bodies: FloatArray, agent: int, turn: float, scratch: Scratch) -> None:
     """As ``place_frame``, after the angle has changed by ``turn``, but faster.
 
-    Cosine and sine of a small angle are their Taylor series, which are exact to rounding here.
+    It uses the Taylor series of a small angle, which are exact to rounding here.
     """
     if turn < -_SMALL_TURN or turn > _SMALL_TURN:
         place_frame(bodies, agent, scratch)
@@ -131,7 +131,7 @@ def prepare_weld(
     Args:
         bodies, weld, params, scratch: of the model.
         agent, item: holder and held.
-        row: (11,) of ``Scratch.welds``; afterwards 0, 1 the item's place from the agent's centre
+        row: (11,) row of ``Scratch.welds``. Output: 0, 1 the item's place from the agent's centre
             of mass; 2..7 the upper triangle of the inverse of K = J M^-1 J', by rows; 8..10 the
             error in x, y and angle.
     """
@@ -171,7 +171,7 @@ def _shift(
     params: Params,
     row: FloatArray,
 ) -> float:
-    """Change poses (``x`` = X) or velocities (``x`` = VX) by the impulse that mends an error.
+    """Change poses (``x`` = X) or velocities (``x`` = VX) by the impulse that corrects an error.
 
     Returns the square of the impulse.
     """
@@ -203,8 +203,8 @@ def mend(
 ) -> None:
     """Move and turn holder and item towards the weld's pose, by their masses and inertias.
 
-    A Newton step. It changes no velocity: a weld that pulled its error back by velocities, as
-    Chipmunk's joints do, would drive bodies on when two welds or a wall stand against each other.
+    This is a Newton step. It changes no velocity: Chipmunk's joints pull errors back by velocities,
+    which would drive bodies on when two welds or a wall oppose each other.
     """
     row = scratch.welds[agent]
     prepare_weld(bodies, agent, item, weld, params, scratch, row)

@@ -1,4 +1,4 @@
-"""Why simulated agents do what they do: in sentences, and as a film of their minds."""
+"""Explanations of simulated agents' actions: in sentences, and as a film of their minds."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
 from phase_ppl.world.scene import PHASE, Scene
 
 ROOMS: Final = ("top left room", "top right room", "bottom right room", "bottom left room")
-"""In PHASE."""
+"""Names of PHASE's rooms."""
 
-_BRIEF: Final = 4  # steps below which a change of mind is not told
+_BRIEF: Final = 4  # steps; a shorter change of mind is not told
 _BELOW: Final = 74
 _MARGIN: Final = 14
 _TEXT_SIZE: Final = 15
 _LETTERS: Final = 58 / 480
-"""Of a line, per pixel of its width."""
+"""Letters in a line, per pixel of its width."""
 
 _DOT: Final = 3.0
 _INK: Final = (34, 34, 34)
 
 
 class Episode(NamedTuple):
-    """Some steps of one agent with one subgoal, and what it knows: from ``begin`` up to ``end``."""
+    """Steps ``begin`` to ``end`` of one agent, with the same subgoal and the same knowledge."""
 
     agent: int
     begin: int
@@ -45,26 +45,26 @@ class Episode(NamedTuple):
 
 
 def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
-    """Return in sentences what the agents of a simulated event did, and why.
+    """Return sentences on what the agents of a simulated event did, and why.
 
-    A line for each stretch of time in which an agent is about one thing: when, in simulated
-    seconds; who; what; and what it believes of that which its goal is about, where it cannot see it
-    or holds it. The shares are of its belief particles.
+    Each line is about a stretch of time in which an agent has one subgoal: when, in simulated
+    seconds; who; and what. It adds where the agent believes the subject of its goal to be, if it
+    does not see it, or that it holds it. Shares are of its belief particles.
 
     Args:
-        event: of :func:`phase_ppl.simulate`.
-        path: where to write a film as well, ending in .mp4: what each agent sees, where it believes
-            what it does not see (dots in the colour of the entity), and what it is about.
+        event: from :func:`phase_ppl.simulate`.
+        path: where to write a film as well, ending in .mp4. It shows what each agent sees, where it
+            believes unseen entities to be (dots in their colours), and its subgoal.
 
     Raises:
-        InvalidEventError: it is not known what the agents thought.
+        InvalidEventError: the event has no thoughts of its agents.
         OutputError: the film cannot be written there.
     """
     thoughts = event.thoughts
     if thoughts is None or event.truth is None:
         raise InvalidEventError(
-            f"nothing is known of what the agents of event {event.id!r} thought: only events of "
-            "ppl.simulate have that, until they are written to a file"
+            f"the thoughts of the agents of event {event.id!r} are unknown: only events of "
+            "ppl.simulate have them, until they are written to a file"
         )
     if len(thoughts.subgoals) != event.observation.n_frames - 1:
         raise InvalidEventError(
@@ -85,7 +85,7 @@ def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
 
 
 def _episodes(event: Event, thoughts: Thoughts, agent: int) -> list[Episode]:
-    """Return the stretches of an agent's subgoals; brief ones are part of what was before."""
+    """Return the stretches of an agent's subgoals; brief ones join the stretch before."""
     found: list[Episode] = []
     steps = [
         (pair[agent], _knows(event, thoughts, agent, step))
@@ -104,7 +104,7 @@ def _episodes(event: Event, thoughts: Thoughts, agent: int) -> list[Episode]:
 
 
 def _sentence(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
-    """Return what an agent does at a step and why."""
+    """Return an agent's action at a step, and the reason."""
     world, subgoal = event.scene.world, thoughts.subgoals[step][agent]
     words = f"the {world.agents[agent]} {doing(subgoal, agent, event.scene)}"
     knows, about = _knows(event, thoughts, agent, step), _about(event, agent)
@@ -136,13 +136,13 @@ def _goal(event: Event, agent: int) -> Literal:
 
 
 def _about(event: Event, agent: int) -> int:
-    """Return the entity that an agent's goal is about: what it has to get hold of, or get to."""
+    """Return the entity that an agent's goal is about: the one to hold or to get to."""
     goal = planned_as(_goal(event, agent), agent, event.scene)
     return goal.target if goal.predicate is Predicate.TOUCH else goal.subject
 
 
 def _knows(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
-    """Return how an agent knows where that entity is: "holds", "sees", "believes"; "" of itself."""
+    """Return how an agent knows that entity's place: "holds", "sees", "believes"; "" for itself."""
     about = _about(event, agent)
     if about == agent or thoughts.subgoals[step][agent] == STOP:
         return ""
@@ -174,7 +174,7 @@ def _place(scene: Scene, place: int) -> str:
 
 
 def doing(subgoal: Literal, agent: int, scene: Scene) -> str:
-    """Return in words what an agent with a subgoal does, such as "goes to the top right room"."""
+    """Return an agent's action for a subgoal in words, such as "goes to the top right room"."""
     world = scene.world
     predicate, subject, target, positive = subgoal
     own = subject == agent
@@ -188,7 +188,7 @@ def doing(subgoal: Literal, agent: int, scene: Scene) -> str:
         name = world.landmark_names[target]
         place = f"the {name.replace('lm', 'landmark') if world == PHASE else name}"
     elif predicate is Predicate.TOUCH:
-        if subject >= len(world.agents):  # of two items the target is the one that is moved
+        if subject >= len(world.agents):  # the target is the one of two items that is moved
             subject, target = target, subject
         place = f"the {world.entities[target]}"
     else:
@@ -231,7 +231,7 @@ def _film(event: Event, thoughts: Thoughts, path: str | os.PathLike[str]) -> Non
 def _mind(
     event: Event, painter: Painter, thoughts: Thoughts, step: int, agent: int, poses: FloatArray
 ) -> Image.Image:
-    """Return the world with an agent's field of view, and dots where it believes the unseen."""
+    """Return the world with an agent's field of view, and dots for its beliefs of the unseen."""
     picture = painter.draw(poses)
     draw = ImageDraw.Draw(picture)
     for entity in np.flatnonzero(~thoughts.seen[step, agent]):

@@ -1,8 +1,8 @@
 """Pictures in the look of the PHASE animations: a frame, a strip of frames, a sheet of events.
 
-In PHASE 640 x 480 pixels, 20 per unit, white; in other worlds as the arena needs. Landmarks are
-filled squares, walls black lines 5 pixels wide, items discs, agents trapezoids with two eyes at the
-short side, their front. y points up.
+PHASE has pictures of 640 x 480 pixels, 20 per unit, on white; other worlds as large as their arena
+needs. Landmarks are filled squares, walls black lines 5 pixels wide, items discs. Agents are
+trapezoids with two eyes at the short side, their front. y points up.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene
 
 _RAYS: Final = 361
-"""Rays at equal angles; further ones go to both sides of every wall's end and disc's edge."""
+"""Rays at equal angles; others go to both sides of every wall's end and disc's edge."""
 
 _ASIDE: Final = 1e-7  # how far beside an edge its two rays pass, rad
 
 
 def field_of_view(scene: Scene, poses: FloatArray, agent: int) -> FloatArray:
-    """Return (n, 2) corners of the area that ``agent`` has in view, beyond the arena too.
+    """Return (n, 2) corners of the area that ``agent`` has in view; it can go beyond the arena.
 
     Poses are (entity, coord) with coord = x, y [units], angle [rad]. The first corner is the eye.
     """
-    from phase_ppl.agents.vision import HALF_ANGLE  # with numba: only where it is needed
+    from phase_ppl.agents.vision import HALF_ANGLE  # imports numba, which is slow
 
     radius = scene.radius
     centres = np.array(
@@ -73,7 +73,7 @@ def _directions(points: FloatArray) -> FloatArray:
 
 
 def _disc_edges(discs: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return the directions of rays that touch the discs; from inside one, square to its centre."""
+    """Return directions of rays that touch the discs; inside a disc, square to its centre."""
     distance = np.maximum(np.hypot(discs[:, 0], discs[:, 1]), 1e-9)
     half = np.arcsin(np.minimum(sizes / distance, 1.0))
     return np.concatenate([_directions(discs) - half, _directions(discs) + half])
@@ -91,7 +91,7 @@ def _to_walls(rays: FloatArray, walls: FloatArray) -> FloatArray:
 
 
 def _to_discs(rays: FloatArray, discs: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return (rays,) the distance along each ray to where the first disc ends sight."""
+    """Return (rays,) the distance along each ray at which the first disc ends sight."""
     along = rays @ discs.T
     aside = np.abs(_cross(rays[:, None], discs))
     return np.where((along > 0) & (aside < sizes), along, np.inf).min(axis=1, initial=np.inf)
@@ -108,26 +108,26 @@ Points = list[tuple[float, float]]
 
 WIDTH: Final = 640
 HEIGHT: Final = 480
-"""Of a picture in PHASE."""
+"""Size of a picture in PHASE."""
 
 ARENA_PIXELS: Final = (800, 400)
-"""Width and height of the arena at most: 20 pixels per unit in the original world of 20 units."""
+"""Largest width and height of the arena: 20 pixels per unit in the original 20 units."""
 
 MARGINS: Final = (120, 40)  # pixels left and right of the arena, and above and below
 TRAIL_PIXELS: Final = 3
 
 SIGHT_COLOURS: Final[dict[Colour, Colour]] = {(255, 0, 0): (215, 0, 0), (0, 255, 0): (0, 150, 0)}
-"""Of agents by their colours; of others, that of their trails."""
+"""Colours of fields of view, by agents' colours; others have the colour of their trails."""
 
 SIGHT_OPACITY: Final = 0.16
 SIGHT_EDGE_OPACITY: Final = 0.45
-"""The edge of a field of view shows it on a landmark of its colour too."""
+"""The edge shows a field of view even on a landmark of its colour."""
 
 SIGHT_EDGE_PIXELS: Final = 1.25
 
 FINE: Final = 8  # subpixels per pixel and axis
-_FAINT: Final = 0.7  # how much of the floor shows through what is drawn faintly
-_SIGHT_FINE = 4  # the same for fields of view, which are large
+_FAINT: Final = 0.7  # how much of the floor shows through faint shapes
+_SIGHT_FINE = 4  # subpixels for fields of view, which are large
 
 
 class Painter:
@@ -135,13 +135,13 @@ class Painter:
 
     Args:
         scene: arena, walls, landmarks and sizes.
-        fields_of_view: whether to show what each agent can see, or of which agents.
-        fine: subpixels per pixel and axis in which shapes are drawn before they are averaged;
-            fewer are faster, and enough for a picture that is made smaller.
+        fields_of_view: whether to show what all agents can see, or a list of agents.
+        fine: subpixels per pixel and axis, averaged at the end. Fewer are faster, and enough for a
+            picture that is made smaller.
         pale: how far the landmarks are mixed with white, so that more can be seen on them.
 
     Attributes:
-        scene: that is drawn.
+        scene: the scene.
         size: width and height of its pictures, pixels.
         scale: pixels per unit.
         background, wall_colour, eye_colour: RGB values from 0 to 255.
@@ -177,7 +177,7 @@ class Painter:
         x0, x1, y0, y1 = scene.arena
         sides = np.array([x1 - x0, y1 - y0])
         self.scale = float((ARENA_PIXELS / sides).min())
-        # even, as films want it
+        # even, as films need it
         width, height = 2 * np.ceil(self.scale * sides / 2 - 1e-9).astype(int) + 2 * np.array(
             MARGINS
         )
@@ -190,8 +190,8 @@ class Painter:
 
         Args:
             poses: (entity, coord) with coord = x, y [units], angle [rad].
-            trail: (time, entity, coord) of the way there, drawn as thin lines.
-            faint: (entity, coord) of other poses, drawn faintly below all that.
+            trail: (time, entity, coord) of earlier poses, drawn as thin lines.
+            faint: (entity, coord) of other poses, drawn faintly below all else.
         """
         pose = finite_array("poses", poses, (len(self._colours), 3))
         picture = self.floor.copy()
@@ -220,7 +220,7 @@ class Painter:
     def pixel(self, points: ArrayLike) -> FloatArray:
         """Return the pixel coordinates (column, row from the top) of points of shape (..., 2)."""
         offset = (np.asarray(points, float) - self.scene.centre) * self.scale
-        # pixel (i, j) covers [i, i + 1) x [j, j + 1): half a pixel on keeps odd lines sharp
+        # pixel (i, j) covers [i, i + 1) x [j, j + 1): half a pixel more keeps odd lines sharp
         return np.array(self.size) / 2 + 0.5 + offset * np.array([1.0, -1.0])
 
     def units(self, pixels: ArrayLike) -> FloatArray:
@@ -249,14 +249,14 @@ class Painter:
         half = self.wall_pixels / 2
         for wall in (*self.scene.border, *self.scene.walls):
             ends = self.pixel(wall)
-            # walls run along an axis; those that meet overlap in a square, so no corner is open
+            # walls run along an axis; where they meet, they overlap, so no corner is open
             low, high = ends.min(axis=0) - half, ends.max(axis=0) + half
             corners = np.array([low, (low[0], high[1]), high, (high[0], low[1])])
             self._polygon(mask, 255, corners)
         return mask
 
     def _tint(self, picture: Image.Image, colour: Colour, corners: FloatArray) -> None:
-        """Lay a translucent colour over the part of an area that lies in the arena."""
+        """Lay a translucent colour over the part of an area inside the arena."""
 
         def paint(draw: ImageDraw.ImageDraw, at: Points) -> None:
             draw.polygon(at, fill=round(255 * SIGHT_OPACITY))
@@ -307,7 +307,7 @@ def _paste(
 ) -> None:
     """Let ``paint`` draw a shape through ``points``, (n, 2) pixels, and paste it smoothly.
 
-    Only the box around the points is drawn finely and averaged, and of that what lies ``within``,
+    Only the box around the points, cut to ``within``, is drawn finely and averaged. ``within`` is
     the top left and bottom right pixel of the picture or of a part of it.
     """
     first, last = ((0, 0), picture.size) if within is None else within
@@ -316,7 +316,7 @@ def _paste(
     if (low >= high).any():
         return
     mask = Image.new("L", (int(high[0] - low[0]) * fine, int(high[1] - low[1]) * fine), 0)
-    # a fine pixel is named by its index; its centre lies half a fine pixel further
+    # the index of a fine pixel is its corner; its centre lies half a fine pixel further
     at = [(float(x), float(y)) for x, y in (points - low) * fine - 0.5]
     paint(ImageDraw.Draw(mask), at)
     picture.paste(colour, (int(low[0]), int(low[1])), mask.reduce(fine))
@@ -329,13 +329,13 @@ _TEXT_COLOUR: Final = (70, 70, 70)
 
 
 def panel(frame: Image.Image) -> Image.Image:
-    """Return the middle of a frame: the arena with a margin that is the same all around."""
+    """Return the middle of a frame: the arena with an equal margin on all sides."""
     beside = MARGINS[0] - MARGINS[1]
     return frame.crop((beside, 0, frame.width - beside, frame.height))
 
 
 def side_by_side(panels: list[Image.Image], below: int = 0) -> Image.Image:
-    """Return ``panels`` from left to right, each over so many blank pixels."""
+    """Return ``panels`` from left to right, with ``below`` blank rows under them."""
     width, height = (max(sizes) for sizes in zip(*(part.size for part in panels), strict=True))
     picture = Image.new("RGB", (width * len(panels), height + below), Painter.background)
     for index, part in enumerate(panels):
@@ -351,7 +351,7 @@ def write_centred(picture: Image.Image, text: str, x: float, y: float, size: flo
 
 
 Drawable = Event | Observation | ArrayLike
-"""Anything with trajectories; all but an event need a scene beside them."""
+"""Anything with trajectories; all except an event need a scene."""
 
 
 def scene_and_trajectory(what: Drawable, scene: Scene | None) -> tuple[Scene, FloatArray]:
@@ -368,9 +368,9 @@ def scene_and_trajectory(what: Drawable, scene: Scene | None) -> tuple[Scene, Fl
 
 
 def between_frames(trajectory: FloatArray, frames_per_step: int) -> FloatArray:
-    """Return the poses of every drawn frame, straight lines between the trajectory's frames.
+    """Return the poses of every drawn frame, on straight lines between the trajectory's frames.
 
-    Angles turn the shorter way round. The result has (T - 1) * frames_per_step + 1 frames.
+    Angles turn the shorter way. The result has (T - 1) * frames_per_step + 1 frames.
     """
     smooth = np.array(trajectory)
     smooth[..., 2] = np.unwrap(smooth[..., 2], axis=0)
@@ -396,9 +396,9 @@ def image(
     *,
     fields_of_view: bool = False,
 ) -> None:
-    """Write one frame, -1 the last one, as a PNG, in PHASE of 640 x 480.
+    """Write one frame, -1 for the last one, as a PNG; 640 x 480 in PHASE.
 
-    ``what``, ``scene`` and ``fields_of_view`` are those of :func:`phase_ppl.render.video`.
+    ``what``, ``scene`` and ``fields_of_view`` are as in :func:`phase_ppl.render.video`.
     """
     scene, trajectory = scene_and_trajectory(what, scene)
     n_frames = len(trajectory)
@@ -419,8 +419,8 @@ def strip(
 ) -> None:
     """Write a film strip as PNG: ``n`` frames from first to last, evenly spaced.
 
-    Lines show the ways since the picture before; the time below is simulated seconds. ``what``,
-    ``scene`` and ``fields_of_view`` are those of :func:`phase_ppl.render.video`.
+    Lines show the paths since the picture before; the times below are simulated seconds. ``what``,
+    ``scene`` and ``fields_of_view`` are as in :func:`phase_ppl.render.video`.
     """
     picture = draw_strip(what, n, scene, fields_of_view)
     with atomic_output(path, (".png",)) as part:
@@ -457,7 +457,7 @@ SCENARIO_COLOURS: Final[dict[str, Colour]] = {
     "competing": (230, 159, 0),
     "opposing": (213, 94, 0),
 }
-"""To be told apart without seeing red and green apart."""
+"""Colours that can be told apart without distinguishing red from green."""
 
 UNKNOWN_COLOUR: Final[Colour] = (170, 170, 170)  # of events without truth
 THUMBNAIL: Final = 192
@@ -469,7 +469,7 @@ _LINE: Final = 5
 _CAPTION: Final = 25
 _TEXT_SIZE: Final = 13
 _LEGEND_TEXT_SIZE: Final = (17, 2)
-"""Pixels of the legend's text at least, and per column: a large page is looked at from afar."""
+"""Least text size of the legend, pixels, and its growth per column: large pages look small."""
 
 _CAPTION_COLOUR: Final[Colour] = (60, 60, 60)
 _SHEET_FINE: Final = 3
@@ -487,18 +487,18 @@ def contact_sheet(
     per_page: int = PER_PAGE,
     progress: bool | None = None,
 ) -> list[Path]:
-    """Write one picture of many events: of each its last frame, the ways there and its start.
+    """Write one picture of many events: each has its last frame, the paths there and its start.
 
-    The start is faint. Captions are ids below a line in the colour of the scenario, which a
-    legend above explains. A set larger than a page is spread over several, NAME-1.png, NAME-2.png
+    The start is faint. Captions are ids below a line in the colour of the scenario; a legend above
+    explains the colours. Sets larger than a page are spread over several, NAME-1.png, NAME-2.png
     and so on.
 
     Args:
-        events: in the order in which they are shown, row by row.
+        events: shown in this order, row by row.
         path: the file, ending in ".png".
-        columns: events per row; by default as many as make a page about square.
+        columns: events per row; by default the page is about square.
         captions: whether to write captions and the legend.
-        per_page: events of a page at most; a page of 500 takes some 60 MB while it is drawn.
+        per_page: most events of a page; a page of 500 takes some 60 MB while it is drawn.
         progress: whether to show a progress bar; None: where stderr is a terminal.
 
     Returns:
@@ -549,7 +549,7 @@ def _page(
 
 
 def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
-    """Return a small square picture of what happened in an event."""
+    """Return a small square picture of an event."""
     track = event.observation.trajectory
     painter = Painter(event.scene, fine=_SHEET_FINE, pale=_SHEET_PALE)
     drawn = panel(painter.draw(track[-1], trail=track, faint=track[0]))
@@ -558,12 +558,12 @@ def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
 
 
 def _scenario(event: Event) -> str:
-    """Return the scenario of an event of PHASE whose truth is known; "" of others."""
+    """Return the scenario of an event of PHASE with truth; "" for others."""
     return event.truth.scenario if isinstance(event.truth, Truth) else ""
 
 
 def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
-    """Write below a thumbnail whose lower left corner is (x, y)."""
+    """Write a caption below a thumbnail whose lower left corner is (x, y)."""
     font, draw = ImageFont.load_default(_TEXT_SIZE), ImageDraw.Draw(picture)
     colour = SCENARIO_COLOURS.get(_scenario(event), UNKNOWN_COLOUR)
     draw.rectangle((x, y, x + THUMBNAIL - 1, y + _LINE - 1), fill=colour)
@@ -575,7 +575,7 @@ def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
 
 
 def _write_legend(picture: Image.Image, events: Sequence[Event], text_size: int) -> None:
-    """Write how many events there are, and of each scenario how many, as far as there is room."""
+    """Write the numbers of events, in all and of each scenario, as far as there is room."""
     found = Counter(map(_scenario, events))
     entries: list[tuple[Colour | None, str]] = [
         (None, f"{len(events)} event{'' if len(events) == 1 else 's'}"),

@@ -1,4 +1,4 @@
-"""Animations: an event, or what was observed beside what was predicted, as MP4 or GIF."""
+"""Animations as MP4 or GIF: an event, or a prediction beside the observation."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ MAX_GIF_FPS: Final = 50
 
 
 class Film(os.PathLike[str]):
-    """A film that was written; a notebook that shows it plays it.
+    """A written film; notebooks play it.
 
     Attributes:
-        path: where it is.
+        path: the file.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -69,7 +69,7 @@ class Film(os.PathLike[str]):
 
 
 def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:
-    """Write RGB frames of one even size as H.264 (yuv420p); OSError: ffmpeg's last word."""
+    """Write RGB frames of one even size as H.264 (yuv420p); OSError: ffmpeg's last line."""
     codec = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart"]
     _encode(frames, fps, [*codec, str(path)])
 
@@ -77,10 +77,10 @@ def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:
 def encode_gif(
     frames: Iterable[Image.Image], path: Path, fps: float, samples: Iterable[Image.Image]
 ) -> None:
-    """Write RGB frames of one size as a GIF that repeats for ever into ``path``.
+    """Write RGB frames of one size as an endless GIF into ``path``.
 
-    All frames share one palette, of colours in ``samples``; there is no dithering, which would
-    put noise on plain areas. Of each frame only what changed is stored. OSError: as above.
+    All frames share one palette, of colours in ``samples``. There is no dithering, which would put
+    noise on plain areas. Only the changes of each frame are stored. OSError: as above.
     """
     with tempfile.TemporaryDirectory() as folder:
         palette = Path(folder) / "palette.png"
@@ -99,7 +99,7 @@ def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) ->
             assert process.stdin is not None
             process.stdin.write(frame.tobytes())
     except BrokenPipeError:
-        pass  # ffmpeg gave up: its exit code and its words tell why
+        pass  # ffmpeg gave up: its exit code and its output say why
     except BaseException:
         if process is not None:
             process.kill()
@@ -114,7 +114,7 @@ def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) ->
 
 
 def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start ffmpeg (OSError: there is none, or it cannot be started)."""
+    """Start ffmpeg (OSError: it is missing, or cannot be started)."""
     import imageio_ffmpeg
 
     rate = str(Fraction(fps).limit_denominator(1001))
@@ -125,7 +125,7 @@ def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subproce
         return subprocess.Popen(
             [program, "-v", "error", "-y", *source, "-i", "-", *result], stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for Python, which then ends it
+            start_new_session=True,  # Ctrl-C reaches Python only, which then ends it
         )  # fmt: skip
     except (OSError, RuntimeError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or "there is none"
@@ -137,9 +137,9 @@ def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subproce
 
 FRAMES_PER_SECOND: Final = 20
 FRAMES_PER_STEP: Final = 5
-"""At 20 frames per second a planner step is shown for 0.25 s, three times its simulated time."""
+"""At 20 frames per second a planner step lasts 0.25 s, three times its simulated time."""
 
-_SAMPLES: Final = 24  # frames, evenly spaced, whose colours a GIF has
+_SAMPLES: Final = 24  # evenly spaced frames from which a GIF takes its colours
 SUFFIXES: Final = (".mp4", ".gif")
 CAPTIONS: Final = ("observed", "predicted")
 _CAPTION_SIZE: Final = 20
@@ -161,20 +161,20 @@ def video(
 ) -> Film:
     """Write an animation in the look of the PHASE videos as MP4 (H.264) or GIF.
 
-    Frames of a trajectory are means over a step; between them, bodies are drawn on straight lines.
+    Frames of a trajectory are means over a step. Between them, bodies move on straight lines.
 
     Args:
         what: an event, an observation, or an array (time, entity, coord) of x, y, angle.
         path: the file, ending in ".mp4" or ".gif"; it appears only once it is complete.
-        scene: walls, landmarks and sizes; needed unless ``what`` is an event.
+        scene: walls, landmarks and sizes; required unless ``what`` is an event.
         fps: frames per second, of a GIF at most 50.
         frames_per_step: drawn frames per frame of the trajectory.
-        fields_of_view: whether to show what each agent can see from where it is drawn, by the
-            rule of the simulator (:mod:`phase_ppl.render.frames`).
-        compare: a second trajectory, drawn beside the first in the same scene, or an event, in
-            its own. The shorter of the two stands still at its end.
-        compare_scene: where the second one is, if it is in another scene.
-        captions: what is written above the two.
+        fields_of_view: whether to show what each agent can see from its drawn place, by the
+            simulator's rule (:mod:`phase_ppl.render.frames`).
+        compare: a second trajectory, drawn beside the first in the same scene, or an event, in its
+            own scene. The shorter one stands still at its end.
+        compare_scene: scene of the second trajectory, if it is another.
+        captions: texts above the two.
         progress: whether to show a progress bar.
 
     Returns:
@@ -211,7 +211,7 @@ def video(
 
 
 def film(draw: Callable[[int], Image.Image], n_frames: int, path: str | os.PathLike[str]) -> Film:
-    """Write what ``draw`` returns for each number of a frame, as MP4; OutputError: it cannot be."""
+    """Write frames 0, 1, ... that ``draw`` returns as MP4 (OutputError: it cannot be written)."""
     with atomic_output(path, (".mp4",)) as part:
         encode_mp4(map(draw, range(n_frames)), part, FRAMES_PER_SECOND)
     return Film(path)
@@ -239,12 +239,12 @@ def videos(
 ) -> list[Path]:
     """Write an MP4 of each event, ID.mp4, in the look of the PHASE videos.
 
-    A video that is there already is not made again, so an interrupted call is taken up by the
-    next one. A video appears only once it is complete.
+    A finished video is not made again, so the next call continues an interrupted one. A video
+    appears only once it is complete.
 
     Args:
         events: the set.
-        folder: where the videos are to be; made if need be.
+        folder: folder of the videos; made if need be.
         workers: processes; default one per usable core.
         progress: whether to show a progress bar; None: where stderr is a terminal.
 
@@ -272,12 +272,12 @@ def _filmed(_: None, job: tuple[Event, Path]) -> None:
 
 
 def _names(events: Sequence[Event]) -> list[str]:
-    """Return a file name for each event: its id, where it is fit for one."""
+    """Return a file name for each event: its id if possible."""
     ids = Counter(event.id for event in events)
     twice = next((name for name, n in ids.items() if n > 1), None)
     if twice is not None:
         raise InvalidEventError(f"two events have the id {shown(twice)}")
-    lower = Counter(name.lower() for name in ids)  # one file to many a file system
+    lower = Counter(name.lower() for name in ids)  # many file systems ignore case
     names = []
     for name in ids:
         plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name)[:_LONGEST_NAME]

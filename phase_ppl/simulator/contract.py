@@ -1,7 +1,7 @@
-"""The contract of a simulator, and one simulation compared with what was observed.
+"""The contract of a simulator, and the comparison of one simulation with the observation.
 
-A simulator is anything that, given a scene, a hypothesis and a random generator, yields frames.
-It is a black box: inference sees its frames only.
+A simulator yields frames for a scene, a hypothesis and a random generator. It is a black box:
+inference sees only its frames.
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ from phase_ppl.world.scene import Scene
 Result = TypeVar("Result")
 
 _FINITE: Final = 1e30
-"""Larger numbers are as good as infinite; their distances would be so in single precision."""
+"""Larger numbers count as infinite; in single precision, their distances would be."""
 
 _STREAM: Final = 0x5EED
-"""Keeps simulations' random streams apart from others that a user derives from the same seed."""
+"""Keeps simulations' random streams apart from others that a user derives from one seed."""
 
 
 class Simulator(Protocol):
     """Yields frames (entity, 3) = x, y [units], angle [rad] until it is closed.
 
-    The first frame is compared with the first observed one. ``hypothesis`` holds effective goals
-    and nobody who helps or hinders. All randomness
-    comes from ``rng``. Ending early, raising, or a value that is not finite is a failed simulation.
+    The first frame is compared with the first observed one. ``hypothesis`` holds effective goals;
+    no agent in it helps or hinders. All randomness comes from ``rng``. A simulation fails if it
+    ends early, raises, or yields a value that is not finite.
 
     A simulator may have more methods:
 
     * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, entity, 3)``, for an
-      engine that runs many simulations at once; where there is one, it is used, in this process.
-    * ``settings() -> dict``: what else determines its simulations, as plain data, to be kept with
-      a run.
-    * ``warm_up()``: does once what all processes can then share, such as compiling.
+      engine that runs many simulations at once. If it exists, it is used, in this process.
+    * ``settings() -> dict``: all else that determines its simulations, as plain data, to be stored
+      with a run.
+    * ``warm_up()``: does once the work that all processes can share, such as compiling.
 
-    To be read step by step (:class:`phase_ppl.StepwiseLikelihood`) it needs one of two, which are
-    told what was ``seen``, (t, entity, 3), of the frames before the next; with the first, the
-    second is not called, and with either it may do without ``__call__``:
+    To be read step by step (:class:`phase_ppl.StepwiseLikelihood`) it needs one of the two below;
+    then ``__call__`` is optional. Both get the earlier frames, ``seen``, (t, entity, 3). If the
+    first exists, the second is not called:
 
     * ``log_prob_next(scene, hypothesis, seen, frame) -> float``: log density of the next frame,
-      (entity, 3); -inf where it is impossible.
-    * ``next_frames(scene, hypothesis, seen, rng, n) -> (n, entity, 3)``: so many independent next
-      frames. Under all hypotheses ``rng`` begins alike.
+      (entity, 3); -inf if it is impossible.
+    * ``next_frames(scene, hypothesis, seen, rng, n) -> (n, entity, 3)``: ``n`` independent next
+      frames. ``rng`` starts the same under all hypotheses.
     """
 
     def __call__(
@@ -70,28 +70,28 @@ NEXT_FRAMES: Final = "next_frames(scene, hypothesis, seen, rng, n) -> (n, entity
 
 
 def has_density(simulator: object) -> bool:
-    """Whether a simulator says how probable a next frame is."""
+    """Whether a simulator gives the density of a next frame."""
     return callable(getattr(simulator, "log_prob_next", None))
 
 
 def goes_on(simulator: object) -> bool:
-    """Whether a simulator can go on from what was seen, to be read step by step."""
+    """Whether a simulator can continue from earlier frames, and so be read step by step."""
     return has_density(simulator) or callable(getattr(simulator, "next_frames", None))
 
 
 class Cancelled(PhasePPLError):
-    """The run was cancelled from elsewhere."""
+    """The run was cancelled by other code."""
 
 
 class OutOfTime(Cancelled):
-    """The time that a run was given is over."""
+    """The run has used up its time."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SimulationResult:
     """One simulation, complete or not."""
 
-    hypothesis: Hypothesis  # as requested (stated goals and who helps or hinders whom)
+    hypothesis: Hypothesis  # as requested (stated goals and relations)
     seed: int  # as requested
     # (time, entity, coord) x, y [units], angle [rad]; NaN where not simulated
     trajectory: FloatArray
@@ -104,21 +104,21 @@ class SimulationResult:
 
     @property
     def total_error(self) -> float:
-        """Sum of the errors of the frames that were simulated, units."""
+        """Sum of the errors of the simulated frames, units."""
         return float(self.errors[: self.frames_simulated].sum())
 
     @classmethod
     def failed(
         cls, hypothesis: Hypothesis, seed: int, n_frames: int, why: str, seconds: float = 0
     ) -> SimulationResult:
-        """Return the result of a simulation that gave nothing."""
+        """Return the result of a simulation without frames."""
         trajectory = np.full((n_frames, len(hypothesis.world.entities), 3), np.nan)
         errors = np.full(n_frames, np.inf)
         return cls(hypothesis, int(seed), trajectory, errors, 0, False, seconds, why)
 
 
 def random_generator(seed: int) -> np.random.Generator:
-    """Return the generator of the simulation with this seed, of which 32 bits count."""
+    """Return the generator of the simulation with this seed, of which only 32 bits count."""
     return np.random.default_rng([int(seed) & 0xFFFFFFFF, _STREAM])
 
 
@@ -135,17 +135,17 @@ def simulate_one(
     stop: Sequence[Future[Any]] = (),
     deadline: float = math.inf,
 ) -> SimulationResult:
-    """Run one simulation against what was observed, no further than it can matter.
+    """Simulate and compare with the observation, no further than needed.
 
-    Whatever the simulator does wrong becomes a failed result, which keeps the frames before.
+    Any error of the simulator gives a failed result, which keeps the frames before.
 
     Args:
         observed_positions: (time, entity, 2) observed x, y, units.
         error_ceiling: the simulation is closed once its summed error exceeds this, units. Below
-            zero nothing is simulated. What stays under it is the same as without a ceiling.
-        cancelled: asked after each frame.
-        limit: seconds that it may take; what takes longer is a failure.
-        stop: whatever of these is done ends it, also within a frame.
+            zero nothing is simulated. Results under it are the same as without a ceiling.
+        cancelled: called after each frame; True ends the simulation.
+        limit: seconds after which the simulation fails.
+        stop: futures; any that is done ends the simulation, also within a frame.
         deadline: time, by ``time.perf_counter``, that ends it.
     """
 
@@ -176,7 +176,7 @@ def simulate_one(
 
 
 def too_long(limit: float) -> str:
-    """Return in words why a simulation failed that took longer than its limit."""
+    """Return in words that a simulation took longer than its limit."""
     if limit <= 0:
         return "no time was left for it"
     return f"it took longer than the {limit:g} s that a simulation may take"
@@ -189,14 +189,14 @@ def in_time(
     stop: Sequence[Future[Any]],
     deadline: float,
 ) -> Result:
-    """Return what ``work`` returns, from a thread where something can end the wait for it.
+    """Return the result of ``work``, run in a thread so that the wait can end early.
 
-    What is given up goes on unheeded, and does not keep its process from ending.
+    Work that is given up goes on, ignored, and does not keep its process from ending.
 
     Args:
-        failed: the reason -> what is returned instead, once it took longer than the limit.
-        limit: seconds that it may take.
-        stop: whatever of these is done ends it.
+        failed: the reason -> the result if the limit is exceeded.
+        limit: seconds after which the work is given up.
+        stop: futures; any that is done ends the wait.
         deadline: time, by ``time.perf_counter``, that ends it.
     """
     if limit <= 0:
@@ -267,12 +267,12 @@ def simulate_together(
 def simulate_trajectory(
     simulator: Simulator, scene: Scene, hypothesis: Hypothesis, seed: int, n_frames: int
 ) -> FloatArray:
-    """Return a simulated trajectory (time, entity, coord); nothing is observed."""
+    """Return a simulated trajectory (time, entity, coord), without an observation."""
     shape = len(scene.world.entities), 3
     start = functools.partial(simulator, scene, hypothesis.effective(), random_generator(seed))
     try:
         with contextlib.closing(_checked(start, n_frames, shape)) as incoming:
-            # a simulator may change its frame in place
+            # a simulator may reuse its array for the next frame
             return np.array([next(incoming).copy() for _ in range(n_frames)])
     except (Exception, SystemExit) as error:
         raise SimulationError(
@@ -287,10 +287,10 @@ def log_prob_next(
     seen: FloatArray,
     frame: FloatArray,
 ) -> float:
-    """Return a simulator's own log density of the next frame (entity, 3), -inf at least.
+    """Return a simulator's own log density of the next frame (entity, 3), -inf included.
 
     Raises:
-        SimulationError: it raised, or returned no such number.
+        SimulationError: it raised, or did not return a log density.
     """
     with _named("log_prob_next", hypothesis, seen):
         given = simulator.log_prob_next(scene, hypothesis, seen, frame)
@@ -308,10 +308,10 @@ def next_frames(
     rng: np.random.Generator,
     n: int,
 ) -> FloatArray:
-    """Return (n, entity, 3) next frames that a simulator drew.
+    """Return (n, entity, 3) next frames drawn by a simulator.
 
     Raises:
-        SimulationError: it raised, or returned no such frames.
+        SimulationError: it raised, or returned a wrong shape or value.
     """
     with _named("next_frames", hypothesis, seen):
         given = simulator.next_frames(scene, hypothesis, seen, rng, n)
@@ -325,7 +325,7 @@ def next_frames(
 
 @contextlib.contextmanager
 def _named(method: str, hypothesis: Hypothesis, seen: FloatArray) -> Iterator[None]:
-    """Say of an error which frame and hypothesis it was about."""
+    """Add the frame and the hypothesis to an error's message."""
     try:
         yield
     except (Exception, SystemExit) as error:
@@ -343,7 +343,7 @@ def _follow(
     error_ceiling: float = math.inf,
     cancelled: Callable[[], bool] | None = None,
 ) -> SimulationResult:
-    """Compare frame by frame; close the simulation once its fate is decided."""
+    """Compare frame by frame; close the simulation once its result is decided."""
     n_frames, shape = len(observed_positions), (observed_positions.shape[1], 3)
     observed = observed_positions.reshape(n_frames, -1).tolist()
     trajectory = np.full((n_frames, *shape), np.nan)
@@ -375,7 +375,7 @@ def _follow(
 def _checked(
     start: Callable[[], Iterable[NDArray[Any]]], n_frames: int, shape: tuple[int, int]
 ) -> Generator[FloatArray, None, None]:
-    """Yield frames until closed, which closes the simulator too; raise if one is not usable."""
+    """Yield frames until closed, which closes the simulator too; raise at a bad one."""
     produced = start()
     if not isinstance(produced, Iterable):
         raise SimulationError(
@@ -402,8 +402,8 @@ def _checked(
 
 
 def error_text(error: BaseException) -> str:
-    """Return in one line class and message of ``error``, and where a user's code raised it."""
-    # str() of a user's own exception may itself raise; this one does not
+    """Return class and message of ``error`` in one line, and where a user's code raised it."""
+    # str() of a user's exception may itself raise; this does not
     trace = traceback.TracebackException.from_exception(error, limit=-1, lookup_lines=False)
     message = " ".join(str(trace).split())
     text = f"{type(error).__name__}: {message}" if message else type(error).__name__
@@ -415,12 +415,12 @@ def error_text(error: BaseException) -> str:
 
 @dataclasses.dataclass
 class Statistics:
-    """What the simulations of a runner have cost."""
+    """Costs of a runner's simulations."""
 
-    simulations: int = 0  # run, failed ones among them; identical requests count once
+    simulations: int = 0  # run, failed ones included; identical requests count once
     frames: int = 0  # simulated
-    frames_saved: int = 0  # not simulated because the fate was decided
+    frames_saved: int = 0  # not simulated because the result was decided
     seconds_simulating: float = 0.0  # summed over workers
     seconds_waiting: float = 0.0  # wall time spent in ``run``
     failures: int = 0  # simulations that failed
-    retries: int = 0  # run again, as they failed or were lost, most often with their worker
+    retries: int = 0  # run again because they failed or were lost, mostly with their worker

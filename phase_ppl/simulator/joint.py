@@ -33,12 +33,12 @@ from phase_ppl.world.scene import Scene
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsNoise:
-    """Noise on the dynamics: after each step every body's velocity is off at random.
+    """Noise on the dynamics: after each step it disturbs every body's velocity.
 
-    The agents know nothing of it: they imagine the dynamics without.
+    The agents do not know of it: they imagine the dynamics without noise.
 
     Raises:
-        InvalidSettingError: one of them is negative or no finite number.
+        InvalidSettingError: a value is negative or not finite.
     """
 
     # standard deviation of the log of the factor on the speed, per step of 1/12 s
@@ -58,20 +58,20 @@ class DynamicsNoise:
 
 
 class Past(NamedTuple):
-    """What happened before a simulation goes on."""
+    """The states and actions before a simulation goes on."""
 
-    # of the world at every frame, from the start to the one it goes on from
+    # states of the world at every frame, from the start to the last before it goes on
     states: Sequence[State]
-    actions: Sequence[Sequence[Action]]  # of all agents between these, as intended
+    actions: Sequence[Sequence[Action]]  # of all agents between these frames, as intended
 
 
 class JointSimulator:
-    """Agents with limited views that believe, plan and push each other about.
+    """Agents with limited views that believe, plan, and push each other about.
 
     Args:
         planner: "fast", "paper" or a :class:`PlannerConfig`.
         inner_steps: solver steps per physics substep of the world.
-        noise: on the dynamics; None: they are exact.
+        noise: on the dynamics; None: no noise.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class JointSimulator:
         }
 
     def warm_up(self) -> None:
-        """Compile what simulating needs, or load it from the cache on disk."""
+        """Compile the kernels of a simulation, or load them from the cache on disk."""
         run_briefly(JointSimulator(dataclasses.replace(self.planner, simulations=2)))
 
     def __call__(
@@ -110,16 +110,16 @@ class JointSimulator:
         past: Past | None = None,
         removed: Collection[int] = (),
     ) -> Iterator[tuple[NDArray[np.float64], tuple[Decision, ...]]]:
-        """Yield each frame with the decisions of all agents behind it; the first has none.
+        """Yield each frame with the decisions of all agents that led to it; the first has none.
 
         Args:
-            scene, hypothesis, rng: as of any simulator.
-            past: what happened before, if it does not begin at the scene's start.
-            removed: entities that are there no more; agents among them decide nothing. The others
-                know of it only what they see.
+            scene, hypothesis, rng: as for any simulator.
+            past: states and actions so far; None: begin at the scene's start.
+            removed: entities that have left the scene; agents among them decide nothing. The other
+                agents notice only by sight.
 
         Raises:
-            InvalidEventError: states of ``past`` are those of another world.
+            InvalidEventError: states of ``past`` belong to another world.
         """
         for state in () if past is None else past.states:
             if state.pose.shape != scene.start.shape:
@@ -155,13 +155,13 @@ class JointSimulator:
 
 
 def scene_in_reach() -> Scene:
-    """Return a scene in which an agent can grab, so that all that agents do is soon compiled."""
+    """Return a scene in which an agent can grab, so that all kernels are compiled soon."""
     spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [8.0, 18.6, 0.0], [8.0, 4.0, 0.0]]
     return Scene(start=np.array(spots), radius=np.full(4, 0.8))
 
 
 def run_briefly(simulator: Simulator) -> None:
-    """Take a few frames from a simulator, so that what it needs is compiled."""
+    """Take a few frames from a simulator, so that its kernels are compiled."""
     scene = scene_in_reach()
     hypothesis = Hypothesis("Get blue item to red lm", "Get red agent to red lm")  # type: ignore[arg-type]
     frames = iter(simulator(scene, hypothesis, np.random.default_rng(0)))
@@ -169,12 +169,12 @@ def run_briefly(simulator: Simulator) -> None:
         next(frames)
 
 
-_FRAME_BYTES: Final = 10_000  # of memory, with what the agents thought
+_FRAME_BYTES: Final = 10_000  # of memory, including the agents' thoughts
 _OVERLAP: Final = 0.25  # units by which bodies may overlap at the start; the world moves them apart
 
 
 def _thoughts(decisions: Sequence[Decision], scene: Scene) -> tuple[Any, ...]:
-    """Return what the agents think at one moment, in the order of ``Thoughts``."""
+    """Return the agents' thoughts at one moment, in the order of ``Thoughts``."""
     offsets = CENTRE_OF_MASS_Y * scene.radius
     offsets[len(scene.world.agents) :] = 0.0
     poses = np.stack([one.beliefs.bodies[..., :3] for one in decisions])
@@ -204,40 +204,40 @@ def simulate(
     id: str = "simulated",
     overlapping: bool = False,
 ) -> Event:
-    """Simulate an event under a hypothesis; it carries its truth and what the agents thought.
+    """Simulate an event under a hypothesis; the event has its truth and the agents' thoughts.
 
     Example:
         ``ppl.simulate(ppl.Scene(start, radius), ppl.Hypothesis("Get blue item to red lm",
-        "get to red agent"))``, and :func:`phase_ppl.explain` says why they do what they do. In any
-        world ``ppl.simulate(scene, goals={"red agent": "ball to home"}, relation={("purple agent",
-        "red agent"): "hinder"})``.
+        "get to red agent"))``, and :func:`phase_ppl.explain` says why the agents act as they do. In
+        any world ``ppl.simulate(scene, goals={"red agent": "ball to home"},
+        relation={("purple agent", "red agent"): "hinder"})``.
 
     Args:
-        scene: where it starts.
-        hypothesis: who wants what, in PHASE; or, in any world:
-        goals: name of an agent -> its own goal; of all that neither help nor hinder.
+        scene: the start.
+        hypothesis: goals, alphas and strengths in PHASE. In any world, instead of it:
+        goals: name of an agent -> its own goal, for all that neither help nor hinder.
         relation: (who, whom) -> "help" or "hinder" with the other's own goal.
-        strength: maximum force by name, or of all, newtons.
+        strength: maximum force by name, or one for all, newtons.
         frames: length of the trajectory, 12 per simulated second; frame 0 is the start.
         seed: the same seed gives the same event.
         planner: "fast", "paper" or a ``PlannerConfig``; only for the joint simulator.
-        simulator: another simulator than the joint one; of one that is no ``JointSimulator`` the
-            event has no ``thoughts``.
+        simulator: another simulator than the joint one. The event has no ``thoughts`` if it is no
+            ``JointSimulator``.
         id: name of the event.
-        overlapping: whether bodies may overlap at the start, as they do in some real videos; they
-            then fly apart.
+        overlapping: whether bodies may overlap at the start, as in some real videos; they then fly
+            apart.
 
     Raises:
         InvalidSettingError: fewer than 2 frames, or goals and relations that do not fit together.
         UnknownNameError: there is no such agent or goal.
         InvalidEventError: bodies overlap at the start, or stick in a wall; the message says which
-            and how far.
+            and how deeply.
         SimulationError: the simulator failed.
     """
     instance_of("scene", scene, Scene, "a phase_ppl.Scene")
     if goals is not None:
         if hypothesis is not None:
-            raise InvalidSettingError("both a hypothesis and goals are given; one says it all")
+            raise InvalidSettingError("both a hypothesis and goals are given, expected one of them")
         hypothesis = Hypothesis.of(scene.world, goals, relation, strength)
     elif relation is not None or strength != STRENGTH:
         raise InvalidSettingError("relation and strength go with goals=; a hypothesis has its own")
@@ -258,7 +258,7 @@ def simulate(
             "fly apart; overlapping=True simulates it all the same"
         )
     run = JointSimulator(planner) if simulator is None else simulator
-    notes: list[tuple[Any, ...]] = []  # beliefs change in place
+    notes: list[tuple[Any, ...]] = []  # copied at each step, since beliefs change in place
 
     def noted(joint: JointSimulator, *given: Any) -> Iterator[NDArray[np.float64]]:
         for frame, decisions in joint.steps(*given):

@@ -1,9 +1,9 @@
 """A simulator without physics: agents follow the subgoals of the same planner along paths.
 
-An ablation of the joint simulator. Beliefs and subgoals are those of Algorithm 1; the search for
-actions and the dynamics are replaced by motion at a constant speed along the way through the
-doors. There are no forces, masses and collisions: bodies pass through each other, and through
-doors of any width.
+It is an ablation of the joint simulator. Beliefs and subgoals are those of Algorithm 1. Motion at a
+constant speed along the way through the doors replaces the search for actions and the dynamics.
+There are no forces, masses or collisions: bodies pass through each other, and through doors of any
+width.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from phase_ppl.world.names import NOTHING, Literal, Predicate
 from phase_ppl.world.scene import Scene
 
 SPEED: Final = 10.0
-"""Of everything that moves, units per simulated second: about that of the recorded agents while
-they move (7.6 in the mean with their rests, which take a quarter of the time)."""
+"""Speed of everything that moves, units per simulated second. Recorded agents have about this speed
+while they move; their mean is 7.6 with their rests, which take a quarter of the time."""
 
-_INSET: Final = 0.1  # how near to the border a body can come, units
+_INSET: Final = 0.1  # least distance of a body from the border, units
 
 _MEAN_OF_STEP: Final = 0.6
-"""Where a body that moves evenly is in the mean over the five substeps of a step."""
+"""Mean progress of a body that moves evenly, over the five substeps of a step."""
 
 
 class Wish(NamedTuple):
-    """What an agent wants of the next step."""
+    """What an agent wants to do in the next step."""
 
     move: FloatArray = np.zeros(2)  # how its body should move, with the item that it holds, units
     grab: int = NOTHING  # item to take hold of, or ``NOTHING``
@@ -47,12 +47,12 @@ class Wish(NamedTuple):
 class PathSimulator:
     """Agents with limited views that believe and plan, and move without physics.
 
-    What several hold moves by the mean of what they want. An agent turns to where it goes at once;
-    one that carries an item does not turn.
+    An item with several holders moves by the mean of their wishes. An agent at once faces the way
+    that it goes; one that carries an item does not turn.
 
     Args:
-        planner: "fast", "paper" or a :class:`PlannerConfig`; nothing is searched, so that only
-            what is about beliefs and subgoals counts.
+        planner: "fast", "paper" or a :class:`PlannerConfig`. Nothing is searched, so that only its
+            settings of beliefs and subgoals count.
         speed: units per simulated second.
 
     Raises:
@@ -69,7 +69,7 @@ class PathSimulator:
         return {"planner": self.planner.to_dict(), "speed": self.speed}
 
     def warm_up(self) -> None:
-        """Compile what simulating needs, or load it from the cache on disk."""
+        """Compile the kernels of a simulation, or load them from the cache on disk."""
         run_briefly(self)
 
     def __call__(
@@ -85,7 +85,7 @@ class PathSimulator:
             arrays = compiled.from_state(state, scene.radius)
             wishes = []
             for agent in agents:
-                # it is never told what it has done, so that its beliefs imagine no dynamics
+                # it is not told its action, so that its beliefs imagine no dynamics
                 agent.observe(*arrays)
                 subgoal, agreeing, _ = agent.intent
                 imagined = agent.beliefs.bodies[agreeing[0]]
@@ -98,7 +98,7 @@ class PathSimulator:
     def _wish(
         self, agent: int, subgoal: Literal, imagined: FloatArray, state: State, model: WorldModel
     ) -> Wish:
-        """Return what an agent wants for a subgoal, where it imagines the others."""
+        """Return an agent's wish for a subgoal, given where it imagines the others."""
         predicate, subject, target, positive = subgoal
         held = int(state.held[agent])
         if predicate is Predicate.STOP:
@@ -117,7 +117,7 @@ class PathSimulator:
             return Wish(self._along(state.pose[item, :2], _place(subgoal, places, model), model))
         if predicate is Predicate.TOUCH and positive:
             return Wish(self._up_to(agent, target, places, model))
-        if subject != agent:  # all that is left of pushing the other about
+        if subject != agent:  # without physics, nobody can be pushed
             return Wish(self._up_to(agent, subject, places, model))
         return Wish(self._along(places[agent], _place(subgoal, places, model), model))
 
@@ -129,7 +129,7 @@ class PathSimulator:
     def _along(
         self, start: FloatArray, end: FloatArray, model: WorldModel, apart: float = 0.0
     ) -> FloatArray:
-        """Return the move of one step along the way from start to end, stopping ``apart``."""
+        """Return one step's move along the way from start to end, stopping ``apart`` before it."""
         left = model.scene.rooms.path_distance(start, end) - apart
         length = min(self.speed / FRAMES_PER_SECOND, left)
         place, rooms, corners = start, model.scene.rooms, [end]
@@ -148,10 +148,10 @@ class PathSimulator:
 
 
 def _place(subgoal: Literal, places: FloatArray, model: WorldModel) -> FloatArray:
-    """Return where the subject of a subgoal is to go.
+    """Return the place to which the subject of a subgoal shall go.
 
-    "Not" on a landmark is on the one farthest from it, away from an agent on the one that can be
-    reached with the greatest lead on it.
+    For "not" on a landmark, that is the landmark farthest from it. Away from an agent, it is the
+    landmark that the subject reaches with the greatest lead.
     """
     layout, target = model.layout, subgoal.target
     if subgoal.predicate is Predicate.CLOSE:
@@ -168,7 +168,7 @@ def _place(subgoal: Literal, places: FloatArray, model: WorldModel) -> FloatArra
 
 
 def _move(state: State, wishes: list[Wish], scene: Scene) -> None:
-    """Change the state as the agents want; nobody leaves the arena."""
+    """Change the state as the agents wish; nobody leaves the arena."""
     moves = [wish.move for wish in wishes]
     holders = {item: np.flatnonzero(state.held == item) for item in state.held if item != NOTHING}
     for together in holders.values():
@@ -181,7 +181,7 @@ def _move(state: State, wishes: list[Wish], scene: Scene) -> None:
         if item != NOTHING:
             if agent == holders[item][0]:
                 state.pose[item, :2] += move
-        elif move.any():  # it looks along its way
+        elif move.any():  # it faces its way
             angle = float(state.pose[agent, 2])
             turn = math.atan2(-move[0], move[1]) - angle
             state.pose[agent, 2] = angle + math.remainder(turn, 2 * math.pi)

@@ -1,7 +1,7 @@
-"""Jobs on worker processes of our own, or in an executor that a user has.
+"""Jobs on our own worker processes, or in a user's executor.
 
-What all tasks work with, such as a simulator and what it is compared with, is pickled once and
-sent to each process once; a token names it.
+All tasks share a *thing*, such as a simulator and its observation. It is pickled once and sent to
+each process once, under a token.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Thing = TypeVar("Thing")
 Job = TypeVar("Job")
 
 GROWTH_BYTES: Final = 2_000_000_000
-"""How much a worker may grow before a fresh one takes its place; compiled programs take room."""
+"""Growth of a worker after which a fresh one replaces it; compiled programs take memory."""
 
 _SAFE_PATH: Final = "PYTHONSAFEPATH"
 
@@ -54,17 +54,17 @@ ENVIRONMENT: Final = {
     "LOKY_MAX_MEMORY_LEAK_SIZE": str(GROWTH_BYTES),
     _SAFE_PATH: "1",
 }
-"""Of our workers: the cores are shared out among processes, not threads."""
+"""Environment of our workers: cores are shared out among processes, not threads."""
 
 _PARENT_CHECK_SECONDS: Final = 1.0
-_STARTING_SECONDS: Final = 3.0  # how long a worker that is to end may take to start up
+_STARTING_SECONDS: Final = 3.0  # that a worker may take to start up before it is killed
 _LOADED_AT_MOST: Final = 8
-RUNS: Final = 2  # how often a job is tried whose worker process dies
+RUNS: Final = 2  # tries of a job whose worker process dies
 AT_ONCE: Final = 1000  # jobs of ``results`` for an executor: waiting takes longer for more
-_POLL_SECONDS: Final = 1.0  # an executor that was closed, a worker that hangs: nobody tells of it
+_POLL_SECONDS: Final = 1.0  # closed executors and hanging workers do not report themselves
 _PATIENCE: Final = 2.0
 _STARTUP_SECONDS: Final = 10.0
-"""A worker that cannot end a job itself is killed after twice its limit and these."""
+"""A worker that cannot end a job itself is killed after twice its limit plus this."""
 
 
 # --- in a worker -----------------------------------------------------------------------------
@@ -75,19 +75,19 @@ _lock = threading.Lock()
 
 
 class CannotLoad(Exception):
-    """What tasks work with cannot be loaded in a worker process; the message says why."""
+    """The tasks' thing cannot be loaded in a worker process; the message says why."""
 
 
 def _start_worker(things: Mapping[str, bytes], safe_path: bool) -> None:
-    """Prepare a worker process of our own for pickled things, by their tokens.
+    """Prepare a worker process of our own for pickled things, given by token.
 
-    ``safe_path``: whether its parent keeps the current folder out of its path.
+    ``safe_path``: whether the parent keeps the current folder out of its path.
     """
-    # a group of its own: Ctrl-C in the terminal is for the parent alone, which decides what it
-    # means; and what work starts can be ended together with its worker
+    # a group of its own, so that Ctrl-C in the terminal reaches only the parent, which decides.
+    # Also, processes that the work starts can be ended together with their worker
     os.setpgid(0, 0)
     parent = os.getppid()
-    if not safe_path:  # what work starts is not ours
+    if not safe_path:  # processes that the work starts are not ours
         os.environ.pop(_SAFE_PATH, None)
 
     def end_with_parent() -> None:
@@ -100,8 +100,8 @@ def _start_worker(things: Mapping[str, bytes], safe_path: bool) -> None:
 
 
 def in_worker() -> bool:
-    """Return whether this process does the work of another."""
-    own = f"{os.getpid()}-"  # of an executor whose workers are threads
+    """Return whether this process works for another."""
+    own = f"{os.getpid()}-"  # for executors whose workers are threads
     return bool(_packed) or not all(token.startswith(own) for token in _loaded)
 
 
@@ -117,7 +117,7 @@ def _do_in_worker(
                 raise CannotLoad(error_text(error)) from None
             if token not in _packed:
                 _warm_up_in_turn(thing)
-            if len(_loaded) >= _LOADED_AT_MOST:  # workers of other people live long
+            if len(_loaded) >= _LOADED_AT_MOST:  # workers of other executors live long
                 del _loaded[next(iter(_loaded))]
             _loaded[token] = thing
         thing = _loaded[token]
@@ -125,7 +125,7 @@ def _do_in_worker(
 
 
 def _warm_up_in_turn(thing: Any) -> None:
-    """Warm up one process of a machine after the other: what the first compiles, all then load."""
+    """Warm up a machine's processes one by one: the first compiles, the others load."""
     with (Path(tempfile.gettempdir()) / f".phase_ppl-{os.getuid()}").open("w") as lock:
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -136,9 +136,9 @@ def _warm_up_in_turn(thing: Any) -> None:
 
 
 def slots_of(workers: int | None, executor: Executor | None) -> int | None:
-    """Return how many tasks run at a time; None: that is for the executor to say.
+    """Return how many tasks run at a time; None: the executor decides.
 
-    InvalidSettingError: there can be no such number, or ``executor`` is none.
+    InvalidSettingError: the number is out of range, or ``executor`` is none.
     """
     if executor is not None:
         if hasattr(executor, "get_executor"):
@@ -156,10 +156,10 @@ def slots_of(workers: int | None, executor: Executor | None) -> int | None:
 def pool_for(
     thing: Any, what: str, slots: int | None, executor: Executor | None, warms_up: bool
 ) -> OwnWorkers | BorrowedExecutor:
-    """Return what gets tasks that work with a thing done, in an executor or own processes.
+    """Return a pool that runs tasks on a thing, in an executor or in our own processes.
 
-    ``slots`` tasks at a time, None: all that the executor takes. The thing is pickled here and now;
-    ``what`` names it in messages, ``warms_up`` says whether it has something to do once, for all.
+    It runs ``slots`` tasks at a time; None: all that the executor takes. The thing is pickled now.
+    ``what`` names it in messages. ``warms_up``: whether it has work to do once, for all.
 
     InvalidSettingError: the thing cannot be sent to processes.
     """
@@ -178,11 +178,11 @@ def pool_for(
 def _own_executor(workers: int, things: Mapping[str, bytes]) -> Any:
     """Return an executor of worker processes that know things by their tokens.
 
-    Neither they nor what watches over them looks for modules in the current folder before their
-    path is that of this process: it may be somebody else's, and hold a ``random.py``.
+    Neither they nor their supervisor look for modules in the current folder before their path is
+    this process's. That folder may be somebody else's, and hold a ``random.py``.
     """
     try:
-        os.getcwd()  # which they are to begin in
+        os.getcwd()  # the processes begin in it
     except FileNotFoundError:
         raise InvalidSettingError(
             "the current folder is gone, and worker processes begin in it: os.chdir to another "
@@ -191,7 +191,7 @@ def _own_executor(workers: int, things: Mapping[str, bytes]) -> Any:
     safe_path = _SAFE_PATH in os.environ
     os.environ.setdefault(_SAFE_PATH, "1")
     try:
-        # the first unblocks interrupts when it starts, so they have to start before all else
+        # the first to start unblocks interrupts, so they must start before all else
         resource_tracker.ensure_running()
         loky_tracker.ensure_running()
     finally:
@@ -208,9 +208,9 @@ def _own_executor(workers: int, things: Mapping[str, bytes]) -> Any:
 class OwnWorkers:
     """Worker processes that live until they are closed; the tasks' thing is known by a token.
 
-    loky's processes know functions from ``__main__``, notebooks and lambdas, and need no guard
-    around the main module. One worker warms the thing up before the first task; ``slots`` tasks run
-    at a time. A pool that broke starts anew with the next task (``restarts``).
+    loky's processes can run functions from ``__main__``, notebooks and lambdas, and need no guard
+    around the main module. One worker warms the thing up before the first task. ``slots`` tasks
+    run at a time. A broken pool starts anew with the next task (``restarts``).
     """
 
     restarts: Final = True
@@ -225,14 +225,14 @@ class OwnWorkers:
         self._processes: dict[int, multiprocessing.process.BaseProcess] = {}
 
     def suffice(self, n: int) -> None:
-        """Have as many processes as ``n`` tasks need, and no more than there may be."""
+        """Have as many processes as ``n`` tasks need, up to the limit."""
         wanted = min(n, self._most)
         if wanted > (self.slots or 0):
             self.slots = wanted
             self.stop(())
 
     def warm_up(self) -> Future[Any] | None:
-        """Begin what one worker does for all; None where there is nothing to do."""
+        """Begin the work that one worker does for all; None: there is none."""
         due, self._warms_up = self._warms_up, False
         return self.submit(_warm_up, ()) if due else None
 
@@ -243,7 +243,7 @@ class OwnWorkers:
                 raise Cancelled("the runner is closed")
             if self._executor is None:
                 self._executor = _own_executor(self.slots or 1, {self._token: self._packed})
-            # processes started meanwhile inherit it: Ctrl-C prints no half-started traces of theirs
+            # processes started now inherit it, so that Ctrl-C prints no tracebacks of starting ones
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 future: Future[Any] = self._executor.submit(
@@ -260,21 +260,21 @@ class OwnWorkers:
             if self._executor is None:
                 return
             self._note_processes()
-            # one that starts up while its executor ends would print how it failed to
+            # a worker that starts up while its executor ends would print its failure
             latest = time.monotonic() + _STARTING_SECONDS
             for pid, process in self._processes.items():
                 with contextlib.suppress(ProcessLookupError):
-                    # it is the head of its group once it has started up
+                    # a worker leads its group once it has started up
                     while process.is_alive() and os.getpgid(pid) != pid:
                         if time.monotonic() > latest:
                             break
                         time.sleep(0.01)
-            # loky would look for each worker's children by a program that not every machine
-            # has, and without it leaves the worker alive: they are taken from it
+            # loky would look for each worker's children with a program that not every machine has;
+            # without it, loky leaves the worker alive. So they are taken from loky
             self._executor._processes.clear()
             self._executor.shutdown(wait=True, kill_workers=True)
             for pid, process in self._processes.items():
-                # the worker, and its own group
+                # the worker, and its group
                 for kill in (os.kill, os.killpg) if process.is_alive() else ():
                     with contextlib.suppress(ProcessLookupError, PermissionError):
                         kill(pid, signal.SIGKILL)
@@ -288,14 +288,14 @@ class OwnWorkers:
         self.stop(())
 
     def _note_processes(self) -> None:
-        # loky forgets them when it breaks, or where Ctrl-C came while it started them
+        # loky forgets them if it breaks, or if Ctrl-C came while it started them
         self._processes.update(self._executor._processes)
 
 
 class BorrowedExecutor:
-    """Somebody else's executor (PEP 3148), such as dask's; it is never shut down.
+    """A user's executor (PEP 3148), such as dask's; it is never shut down.
 
-    It gets ``slots`` tasks at a time, None: all, each with what they work with.
+    It gets ``slots`` tasks at a time (None: all), each with the tasks' thing.
     """
 
     restarts: Final = False
@@ -305,14 +305,14 @@ class BorrowedExecutor:
         self._executor, self._token, self._packed = executor, token, packed
 
     def warm_up(self) -> None:
-        """Do nothing: its workers do it where they load the thing."""
+        """Do nothing: the workers warm up when they load the thing."""
 
     def submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
-        """Begin ``function(thing, *arguments)``, sending the thing, which is loaded once."""
+        """Begin ``function(thing, *arguments)`` with the thing, which each process loads once."""
         known = self._token, self._packed
         try:
             found = self._executor.submit(_do_in_worker, *known, function, arguments)
-        except Exception as error:  # shut down, or broken
+        except Exception as error:  # the executor is shut down, or broken
             raise SimulationError(f"the executor takes no more work: {error}") from error
         if not isinstance(found, Future):
             raise InvalidSettingError(
@@ -322,7 +322,7 @@ class BorrowedExecutor:
         return found
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
-        """Withdraw what has not begun; the rest runs to its end, unheeded."""
+        """Withdraw tasks that have not begun; the others run to their end, ignored."""
         for future in running:
             future.cancel()
 
@@ -333,12 +333,12 @@ class BorrowedExecutor:
 def mapped(
     function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], workers: int, unit: str
 ) -> Iterator[Result]:
-    """Yield what a function gives for the arguments of each task, in their order, with a bar.
+    """Yield a function's result for each task, in their order, with a bar.
 
-    A single worker is this process. For tasks that cannot fail; the rest of the module is for those
-    that can.
+    A single worker is this process. This is for tasks that cannot fail; the rest of the module is
+    for tasks that can.
     """
-    from phase_ppl.world.progress import counted  # with tqdm, which workers do without
+    from phase_ppl.world.progress import counted  # imports tqdm, which workers do without
 
     with contextlib.ExitStack() as stack:
         run: Callable[..., Iterable[Result]] = map
@@ -348,12 +348,12 @@ def mapped(
         yield from counted(run(function, *columns), None, unit, "simulating", len(tasks))
 
 
-# --- many independent jobs, whatever becomes of a single one --------------------------------------
+# --- many independent jobs; no failure of one ends the others ------------------------------------
 
 
 @dataclasses.dataclass(eq=False)
 class _Task(Generic[Job]):
-    """A job on its way, and how often it was lost."""
+    """A running job, and how often it was lost."""
 
     job: Job
     losses: int = 0
@@ -362,16 +362,16 @@ class _Task(Generic[Job]):
 
 @dataclasses.dataclass(eq=False)
 class Dispatch(Generic[Job]):
-    """Gets jobs through a pool: each in its own time, and again where it was lost.
+    """Runs jobs in a pool: each within its own time, and again if it was lost.
 
-    When a worker of ours dies, everything that was running is lost with it. Those jobs then run
-    again one at a time, so that only the one that kills its worker is given up.
+    If one of our workers dies, all running jobs are lost with it. They then run again one at a
+    time, so that only the job that kills its worker is given up.
 
-    A worker calls ``function``, of a module, with the pool's thing and ``arguments(job)``; jobs
+    A worker calls ``function``, of a module, with the pool's thing and ``arguments(job)``. Jobs
     begin in their order. ``failed`` returns the result of a job that is given up, from the reason
-    in words and what was raised, if anything was; ``limit`` the seconds that a job may take that
-    begins now. Everything ends once ``stop`` is done, or at the ``deadline``, by
-    ``time.perf_counter``. ``retries`` jobs were run again so far.
+    in words and the exception, if any. ``limit`` returns the seconds for a job that begins now.
+    Everything ends once ``stop`` is done, or at the ``deadline``, by ``time.perf_counter``.
+    ``retries`` counts the jobs that were run again.
     """
 
     pool: OwnWorkers | BorrowedExecutor
@@ -393,7 +393,7 @@ class Dispatch(Generic[Job]):
             self.pool.suffice(len(jobs))
 
     def results(self) -> Generator[tuple[Job, Any], None, None]:
-        """Yield each job with its result, as they finish. Closing this ends what runs."""
+        """Yield each job with its result, as they finish. Closing it ends running jobs."""
         try:
             if self._waiting:
                 self._warm_up()
@@ -409,7 +409,7 @@ class Dispatch(Generic[Job]):
             raise
 
     def _warm_up(self) -> None:
-        """Let one worker do what all can then share; what it raises, the jobs will raise again."""
+        """Let one worker do the work that all share; its errors will recur in the jobs."""
         future = self.pool.warm_up()
         if future is None:
             return
@@ -420,7 +420,7 @@ class Dispatch(Generic[Job]):
             self.pool.stop(())
 
     def _send(self) -> None:
-        """Give the pool as much as it takes and no more, so that it can be stopped at once."""
+        """Give the pool no more than it can run now, so that it can be stopped at once."""
         while self.pool.slots is None or len(self._running) < self.pool.slots:
             source = self._suspects or self._waiting
             if not source or (self._suspects and self._running):
@@ -430,9 +430,9 @@ class Dispatch(Generic[Job]):
             try:
                 future = self.pool.submit(*given)
             except BrokenExecutor:
-                if self._running:  # they are about to end as lost
+                if self._running:  # they will soon be reported as lost
                     return
-                # a worker died while there was nothing to do
+                # a worker died while it was idle
                 self.pool.stop(())
                 future = self.pool.submit(*given)
             self._running[future] = source.popleft()
@@ -441,13 +441,13 @@ class Dispatch(Generic[Job]):
                 return
 
     def _finished(self) -> list[Future[Any]]:
-        """Wait; return what has ended, or all that runs where the pool had to be stopped."""
+        """Wait; return the futures that ended, or all running ones if the pool was stopped."""
         finished: list[Future[Any]] = []
         self._hung.clear()
         while not finished:
             wait([*self._running, self.stop], _POLL_SECONDS, FIRST_COMPLETED)
             self._check_cancelled()
-            # whoever waits is not told of what was cancelled
+            # waiting does not report cancelled futures
             finished = [future for future in self._running if future.done()]
             if not finished and self.pool.restarts:
                 patience = _PATIENCE * self.limit() + _STARTUP_SECONDS
@@ -462,11 +462,11 @@ class Dispatch(Generic[Job]):
         return finished
 
     def _again(self, task: _Task[Job], future: Future[Any]) -> bool:
-        """Queue a task again that is worth another try; return whether it is."""
+        """Queue a lost task again if it is worth another try; return whether it is."""
         error = _error_of(future)
         if error is None:
             return False
-        if self._hung:  # its pool was stopped for those
+        if self._hung:  # the pool was stopped because of those
             if id(task) not in self._hung:
                 self._waiting.appendleft(task)
             return id(task) not in self._hung
@@ -476,7 +476,7 @@ class Dispatch(Generic[Job]):
         if died and not self.pool.restarts:
             raise SimulationError(f"the executor is broken: {error}") from error
         task.losses += 1
-        # what is raised in a worker of ours would be raised again
+        # an exception in one of our workers would recur
         if task.losses >= RUNS or (self.pool.restarts and not died):
             return False
         self.retries += 1
@@ -505,14 +505,14 @@ class Dispatch(Generic[Job]):
 def _error_of(future: Future[Any]) -> BaseException | None:
     if future.cancelled():
         return CancelledError("the executor cancelled it")
-    if not future.done():  # its pool was stopped
+    if not future.done():  # the pool was stopped
         return BrokenExecutor("the pool was stopped")
     return future.exception()
 
 
 @dataclasses.dataclass(frozen=True)
 class Failure:
-    """Why there is no result, in one line, and what was raised, if anything was."""
+    """Why there is no result, in one line, and the exception, if any."""
 
     reason: str
     error: BaseException | None = None
@@ -529,18 +529,18 @@ def results(
     """Yield each job with ``function(thing, job)``, as they finish; they begin in the order given.
 
     A job whose function raises, or whose process dies in :data:`RUNS` runs, gets a
-    :class:`Failure`. Closing the generator ends what runs.
+    :class:`Failure`. Closing the generator ends running jobs.
 
     Args:
-        function: of a module, to be found by its name in worker processes.
-        thing: what all jobs work with, called ``what`` in messages; sent to each process once. Its
-            method ``warm_up``, if it has one, is called once before the jobs.
+        function: of a module, so that worker processes find it by its name.
+        thing: shared by all jobs, called ``what`` in messages; sent to each process once. If it has
+            a method ``warm_up``, that is called once before the jobs.
         workers: processes; 1 does everything in this process. With an ``executor``, how many jobs
-            to give it at a time; None: up to :data:`AT_ONCE`.
+            it gets at a time; None: up to :data:`AT_ONCE`.
         executor: any PEP 3148 executor to work in instead; it is not shut down.
 
     Raises:
-        InvalidSettingError: the thing cannot be sent to processes, or not be loaded there.
+        InvalidSettingError: the thing cannot be sent to processes, or cannot be loaded there.
         SimulationError: the executor takes no more work.
     """
     if not jobs:
@@ -551,7 +551,7 @@ def results(
         for job in jobs:
             yield job, _attempt(thing, function, job)
         return
-    # processes even for a single job, which may be the one that kills its process
+    # processes even for a single job, which might kill its process
     slots = own or workers or AT_ONCE
     pool = pool_for(thing, what, slots, executor, hasattr(thing, "warm_up"))
     dispatch = Dispatch(
@@ -581,5 +581,5 @@ def _attempt(thing: Any, function: Callable[[Any, Any], Any], job: Any) -> Any:
 
 def _warm_up(thing: Any) -> None:
     if hasattr(thing, "warm_up"):
-        with contextlib.suppress(Exception):  # the jobs will raise it again
+        with contextlib.suppress(Exception):  # the error will recur in the jobs
             thing.warm_up()

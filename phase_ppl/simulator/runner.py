@@ -1,4 +1,4 @@
-"""Running many simulations: on worker processes, stopped early, counted, never lost."""
+"""Running many simulations on worker processes, with early stopping, costs and retries."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ from phase_ppl.world.scene import Scene
 Request = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
 
 POLICIES: Final = ("reject", "raise", "retry")
-"""A failed simulation is a result without likelihood; ends the run; is run again."""
+"""A failed simulation is a result without likelihood; or ends the run; or is run again."""
 
-RETRIES: Final = 3  # how often "retry" runs a simulation again unless it is told a number
+RETRIES: Final = 3  # default number of retries under "retry"
 
 _STREAM: Final = 0xFA11
-"""Keeps fresh seeds apart from other numbers that are drawn from the same seed."""
+"""Keeps fresh seeds apart from other numbers drawn from the same seed."""
 
 
 def n_retries(policy: str, retries: int | None) -> int:
-    """Return how often a failed simulation is run again under a policy, one of ``POLICIES``."""
+    """Return the number of retries under a policy, one of ``POLICIES``."""
     check_name("on_failure", policy, POLICIES)
     if policy != "retry":
         if retries is not None:
@@ -68,16 +68,16 @@ def n_retries(policy: str, retries: int | None) -> int:
 
 
 def fresh_seed(seed: int, attempt: int) -> int:
-    """Return the seed of the n-th further attempt (n >= 1) at a simulation; below 2**31.
+    """Return the seed of the n-th retry (n >= 1) of a simulation; below 2**31.
 
-    A function of the two numbers alone, so that whoever simulates, wherever, gets the same.
+    It depends on the two numbers alone, so that it is the same in every process.
     """
     words = np.random.SeedSequence([int(seed) & 0xFFFFFFFF, attempt, _STREAM]).generate_state(1)
     return int(words[0]) >> 1
 
 
 class Work(NamedTuple):
-    """What all simulations of a runner have in common; sent to a worker once."""
+    """All that a runner's simulations share; sent to a worker once."""
 
     simulator: Any
     scene: Scene
@@ -91,53 +91,53 @@ class Work(NamedTuple):
         limit: float = math.inf,
         **more: Any,
     ) -> SimulationResult:
-        """Run one simulation; arguments as of :func:`simulate_one`."""
+        """Run one simulation; arguments as for :func:`simulate_one`."""
         observed = self.observed_positions
         return simulate_one(
             self.simulator, self.scene, what, seed, observed, ceiling, limit=limit, **more
         )
 
     def warm_up(self) -> None:
-        """Do once what all workers can then share, such as compiling."""
+        """Do once the work that all workers share, such as compiling."""
         self.simulator.warm_up()
 
 
 class Runner:
     """Runs simulations of one observed event.
 
-    The results are the same for any number of workers, in the order of the requests. A simulation
-    whose worker died is run again, once; what raises in the simulator would raise again, and is a
-    failure at once.
+    The results are in the order of the requests, and do not depend on the number of workers. A
+    simulation whose worker died is run again once. An exception in the simulator would recur, and
+    is a failure at once.
 
     Args:
         simulator, scene: what to run; may be defined anywhere, also in ``__main__`` or a notebook.
-            One with a ``simulate_batch`` needs no workers: its batches are run in this process.
-        observation: what its frames are compared with.
+            A simulator with ``simulate_batch`` needs no workers: batches run in this process.
+        observation: the frames are compared with it.
         workers: processes; 1 simulates in this process; None: one per usable core. With an
-            ``executor``, how many simulations to give it at a time; None: all.
-        executor: any PEP 3148 executor instead of own workers. It is not shut down, and what it
-            has begun goes on after a cancel, unheeded.
-        on_failure: "reject": a failed simulation is a result, without likelihood; "raise": the
-            first one ends the run; "retry": it is run again with a fresh seed, which follows from
-            its own, and is a failed result only if that fails as well.
+            ``executor``, how many simulations it gets at a time; None: all.
+        executor: any PEP 3148 executor instead of our own workers. It is not shut down, and
+            running simulations go on after a cancel, ignored.
+        on_failure: "reject": a failed simulation is a result without likelihood; "raise": the
+            first failure ends the run; "retry": it is run again with a fresh seed, which follows
+            from its own, and fails only if all retries do.
         retries: how often "retry" runs a simulation again; by default 3.
-        simulation_seconds: what takes longer is a failed simulation; None: nothing is. One that
-            hangs within a frame goes on unheeded, of own workers until their processes end.
+        simulation_seconds: seconds after which a simulation fails; None: no limit. One that
+            hangs within a frame goes on, ignored; in our own workers until their processes end.
 
     Attributes:
-        on_result: called in this process as each simulation finishes, not before the last retry.
-        statistics: what the simulations have cost so far.
-        workers: number of processes; None where an executor decides.
+        on_result: called in this process as each simulation finishes, after its last retry.
+        statistics: costs of the simulations so far.
+        workers: number of processes; None: an executor decides.
         limit: seconds that a simulation may take.
-        patience: time, by ``time.perf_counter``, after which, once one took too long, no further
-            one is begun: it has failed then.
+        patience: time, by ``time.perf_counter``. Once a simulation took too long, all that would
+            begin after this time fail.
         deadline: time at which ``run`` raises :class:`~phase_ppl.simulator.contract.OutOfTime`.
-        retries: 0 without "retry".
-        stops_early: whether simulations are stopped at their ceilings: not those of a batch.
+        retries: 0 unless ``on_failure`` is "retry".
+        stops_early: whether simulations stop at their ceilings; those of a batch do not.
 
     Raises:
         InvalidSettingError: ``workers`` or ``retries`` is out of range, or the simulator cannot be
-            called, or not be sent to workers.
+            called or sent to workers.
         UnknownNameError: an unknown ``on_failure``.
     """
 
@@ -183,7 +183,7 @@ class Runner:
         self.close()
 
     def cancel(self) -> None:
-        """Make ``run`` raise :class:`Cancelled`: one that is running, and any later one.
+        """Make ``run`` raise :class:`Cancelled`, now and at any later call.
 
         Safe to call from any thread. A simulation in this process stops after its next frame;
         workers are killed.
@@ -211,8 +211,8 @@ class Runner:
         """Return the simulations of hypotheses and seeds, in order.
 
         Args:
-            hypotheses, seeds: (n,) what to simulate. Identical requests are run once and have
-                one result.
+            hypotheses, seeds: (n,) what to simulate. Identical requests are run once and share one
+                result.
             error_ceilings: (n,) summed error beyond which each one is stopped, units.
         """
         ceilings = [math.inf] * len(seeds) if error_ceilings is None else error_ceilings
@@ -243,7 +243,7 @@ class Runner:
         return self._run_in(self._pool, requests)
 
     def _run_again(self, failed: Sequence[Request]) -> dict[Request, SimulationResult]:
-        """Return the results of failed requests with fresh seeds, under the seeds asked for."""
+        """Return the results of failed requests with fresh seeds, under the requested seeds."""
         attempt = self.retries - self._attempts_left
         fresh = [(what, fresh_seed(seed, attempt), ceiling) for what, seed, ceiling in failed]
         self.statistics.retries += len(fresh)
@@ -264,7 +264,7 @@ class Runner:
         }
 
     def _limit(self) -> float:
-        """Return the seconds that a simulation may take that begins now."""
+        """Return the seconds for a simulation that begins now."""
         over = self._cut and time.perf_counter() > self.patience
         return 0.0 if over else self.limit
 

@@ -1,4 +1,4 @@
-"""A scene in motion, for whatever lets agents act in it: people, scripts, policies, the planner."""
+"""A scene in motion, in which people, scripts, policies and the planner can act."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from phase_ppl.world.scene import Scene
 
 
 class Stage:
-    """A scene in motion: bodies moved by actions, what agents see, and agents that act themselves.
+    """A scene in motion: actions move bodies, and some agents can act by themselves.
 
-    The physics is that of :func:`phase_ppl.simulate`, of any world.
+    The physics is that of :func:`phase_ppl.simulate`, in any world.
 
     Example:
         ``stage = ppl.Stage(scene, [300, 300])`` and ``rival = stage.planned(1, goals, seed)``; then
         ``frame = stage.step([ppl.Action.UP, rival.decide()])``, step by step.
 
     Args:
-        scene: where it starts; which way agents turn, and whether they stop after each step.
+        scene: the start; also which way agents turn, and whether they stop after each step.
         strengths: maximum force of each agent, newtons.
-        planner: of agents that act themselves, "fast", "paper" or a ``PlannerConfig``.
+        planner: for agents that act by themselves, "fast", "paper" or a ``PlannerConfig``.
 
     Attributes:
         scene: as given.
@@ -42,7 +42,7 @@ class Stage:
 
     Raises:
         InvalidSettingError: a strength is no positive force, or there is not one for each agent;
-            or a body is too small for what the strengths make of its speed.
+            or a body is too small for the speed that the strengths give it.
         UnknownNameError: there is no such planner.
     """
 
@@ -72,28 +72,28 @@ class Stage:
             )
 
     @functools.cached_property
-    def _model(self) -> WorldModel:  # compiled code, which bodies alone do not need
+    def _model(self) -> WorldModel:  # compiled code, which motion alone does not need
         return WorldModel.of(self.scene, self._strengths, self._planner)
 
     @property
     def state(self) -> State:
-        """Where everybody is now: a copy.
+        """The present state, a copy.
 
-        ``pose`` (entity, 3) is x, y [units] and angle [rad]; ``velocity`` (entity, 2) units and
-        ``spin`` (entity,) rad per simulated second; ``held`` (agent,) the number of the item that
-        each agent holds, or -1.
+        ``pose`` (entity, 3) is x, y [units] and angle [rad]. ``velocity`` (entity, 2) is in units,
+        ``spin`` (entity,) in rad per simulated second. ``held`` (agent,) is the number of the item
+        that each agent holds, or -1.
         """
         return self._physics.state
 
     def step(self, actions: Sequence[int]) -> FloatArray:
-        """Let all agents act for a planner step, a twelfth of a simulated second.
+        """Advance by one planner step, a twelfth of a simulated second; all agents act.
 
         Args:
             actions: of each agent, a :class:`phase_ppl.Action`.
 
         Returns:
             (entity, 3) x, y [units] and angle [rad, unwrapped], the mean over five substeps: a
-            frame of a trajectory, whose first is ``scene.start``.
+            frame of a trajectory, after ``scene.start``.
 
         Raises:
             InvalidSettingError: there is no such action, or not one for each agent.
@@ -101,7 +101,7 @@ class Stage:
         return self._physics.step(self._doing(actions))
 
     def substeps(self, actions: Sequence[int]) -> Iterator[None]:
-        """Do the same as :meth:`step`, and pause after each of the five substeps.
+        """Do the same as :meth:`step`, and yield after each of the five substeps.
 
         The step is done when the iterator is exhausted.
         """
@@ -118,10 +118,10 @@ class Stage:
         return whole_number("agent", agent, 0, len(self.scene.world.agents) - 1)
 
     def sees(self, agent: int) -> BoolArray:
-        """Return (entity,) whether an agent observes each now.
+        """Return (entity,) whether an agent observes each entity now.
 
-        That is itself, what is in its field of view and not hidden by walls or bodies, what it
-        touches or holds, and what those that it observes touch or hold.
+        It observes itself, what is in its field of view and not hidden, and what it touches or
+        holds. It also observes what these touch or hold.
         """
         agent = self._number_of(agent)
         bodies, held, _ = compiled.from_state(self.state, self.scene.radius)
@@ -141,7 +141,7 @@ class Stage:
 
         Args:
             agent: its number.
-            goals: effective goals of all agents, all of which it knows.
+            goals: effective goals of all agents; the agent knows all of them.
             seed: of its beliefs and searches.
 
         Raises:
@@ -156,15 +156,15 @@ class Stage:
 
 
 class Planned:
-    """An agent on a stage that acts by itself: it sees, believes and plans; of :class:`Stage`."""
+    """An agent on a :class:`Stage` that acts by itself: it sees, believes and plans."""
 
     def __init__(self, stage: Stage, agent: Agent) -> None:
         self._stage, self._agent = stage, agent
 
     def decide(self) -> Action:
-        """Look at the stage as it is now, and return the action of the coming step.
+        """Observe the stage as it is now, and return the action of the coming step.
 
-        It is asked once a step: what it has seen and done before, it remembers.
+        Call it once a step: it remembers what it has seen and done before.
         """
         seen = compiled.from_state(self._stage.state, self._stage.scene.radius)
         return self._agent.decide(*seen).action

@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold; numbers checked where they come in; equal rows of a table."""
+"""Array types by content, checks of numbers that users pass, and equal rows of a table."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Every exception that the package raises on purpose, and the checks of settings that raise them.
+"""The exceptions that the package raises on purpose, and the checks of settings that raise them.
 
-All derive from :class:`PhasePPLError`; those about a value also derive from
-``ValueError``, so that code that knows nothing of this package still catches them. The terminal
-says each in one line. With the checks an application refuses settings in the same words.
+All derive from :class:`PhasePPLError`. Errors about a value also derive from ``ValueError``, so
+that code without knowledge of this package still catches them. The terminal prints each in one
+line. An application that calls the checks refuses settings in the same words.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ class QueryError(PhasePPLError, ValueError):
 
     Attributes:
         reason: what is wrong, in one line.
-        position: index of the character of the question at which it is.
+        position: index of the character where the question goes wrong.
     """
 
     def __init__(self, reason: str, question: str, position: int) -> None:
         start = max(0, position - _SHOWN_CHARACTERS // 2)
         end = start + _SHOWN_CHARACTERS
-        # characters that move the cursor would move the caret away from the place
+        # control characters would move the caret away from the place
         line = "".join(c if c.isprintable() else " " for c in question[start:end])
         before, after = "..." * (start > 0), "..." * (end < len(question))
         caret = " " * (len(before) + position - start) + "^"
@@ -81,18 +81,18 @@ class QueryError(PhasePPLError, ValueError):
 
 
 class AnswerError(PhasePPLError, RuntimeError):
-    """A model or service that was asked and gave no answer that can be used; it says why."""
+    """A model or service gave no usable answer; the message says why."""
 
 
 class OutputError(PhasePPLError, OSError):
-    """A result that cannot be written where it was asked for."""
+    """A result that cannot be written to the requested path."""
 
 
 class SimulationError(PhasePPLError, RuntimeError):
     """A simulation that failed; the message names the hypothesis and the seed.
 
     Attributes:
-        posterior: of what was done until then, where it ended a run that had begun.
+        posterior: the result so far, if a run had begun before it failed.
     """
 
     posterior: Any = None
@@ -103,13 +103,13 @@ def check_name(what: str, name: object, allowed: Collection[str]) -> None:
 
     The message calls it ``what``, and names close matches.
     """
-    # what is no text may compare in its own way, as arrays do
+    # other objects may compare in their own way, as arrays do
     if not isinstance(name, str) or name not in allowed:
         raise unknown_name(what, name, allowed)
 
 
 def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
-    """Return the error for ``name``, naming close matches or, if few, all allowed."""
+    """Return the error for ``name``; it lists close matches or, if there are few, all names."""
     names = list(allowed)
     text = name if isinstance(name, str) else shown(name)
     wanted = text[:_SHOWN_CHARACTERS].lower()
@@ -127,7 +127,7 @@ def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownName
 
 
 def shown(value: object) -> str:
-    """Return ``value`` as an error message shows it: one line, cut where it is long."""
+    """Return ``value`` as an error message shows it: one line, shortened if long."""
     try:
         text = " ".join(repr(value).splitlines())
     except Exception:  # of a number of thousands of digits, or an object of somebody's own
@@ -136,7 +136,7 @@ def shown(value: object) -> str:
 
 
 def shown_path(path: str | os.PathLike[str]) -> str:
-    """Return a path as an error message shows it: cut where it is long, escaped where it is odd."""
+    """Return a path as an error message shows it: shortened if long, odd characters escaped."""
     text = os.fspath(path)
     if len(text) > _PATH_CHARACTERS:
         text = f"{text[: _SHOWN_CHARACTERS - 3]}... ({len(text)} characters)"
@@ -150,7 +150,7 @@ MOST_WORKERS: Final = 1024
 
 
 def number_or_nan(value: object) -> float:
-    """Return ``value`` as a float; NaN for what is no number, or too large for one."""
+    """Return ``value`` as a float; NaN if it is no number, or too large for a float."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
         with contextlib.suppress(OverflowError):  # of a whole number of hundreds of digits
             return float(value)
@@ -158,7 +158,7 @@ def number_or_nan(value: object) -> float:
 
 
 def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST) -> int:
-    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits.
+    """Return ``value`` as an int if it is a whole number within limits; NumPy's count too.
 
     Raises:
         InvalidSettingError: it is not; the message calls it ``name``.
@@ -173,7 +173,7 @@ def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST
 
 
 def number_of_threads(value: object, name: str = "threads") -> int:
-    """Return how many threads there are to be; None: one per usable core."""
+    """Return the number of threads; None: one per usable core."""
     import loky
 
     return loky.cpu_count() if value is None else whole_number(name, value, 1, MOST_WORKERS)
@@ -195,7 +195,7 @@ def number_of_workers(value: object) -> int:
 
 
 def check_memory(what: str, n_bytes: float) -> None:
-    """Raise InvalidSettingError if ``what`` is asked for takes more memory than there is."""
+    """Raise InvalidSettingError if ``what`` would take more memory than there is."""
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if n_bytes > there:
         raise InvalidSettingError(
@@ -205,7 +205,7 @@ def check_memory(what: str, n_bytes: float) -> None:
 
 
 def instance_of(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
-    """Raise InvalidSettingError unless ``value`` is of a kind, or of one of some."""
+    """Raise InvalidSettingError unless ``value`` is an instance of ``kind``."""
     if not isinstance(value, kind):
         raise InvalidSettingError(f"{name}={shown(value)}, expected {expected}")
 
@@ -213,7 +213,7 @@ def instance_of(name: str, value: object, kind: type | tuple[type, ...], expecte
 def check_fields(
     record: Collection[str], kind: type[Any], what: str, needed: Sequence[str] = ()
 ) -> None:
-    """Raise a PhasePPLError where a plain form has a field that ``kind`` has not, or lacks one."""
+    """Raise a PhasePPLError if a plain form lacks a field of ``kind``, or has an unknown one."""
     for name in record:
         check_name(f"field of {what}", name, [field.name for field in dataclasses.fields(kind)])
     for name in needed:

@@ -42,8 +42,8 @@ class State:
     velocity: NDArray[np.float64]
     spin: NDArray[np.float64]  # (entity,) angular velocity, rad per simulated second
     held: NDArray[np.int64]  # (agent,) entity index of the item each agent holds, or ``NOTHING``
-    # (agent, 3) while an agent holds an item: where the item's centre is kept in the agent's frame
-    # about its centre of mass [units], and the kept relative angle [rad]
+    # (agent, 3) while an agent holds an item: x, y of the item's centre in the agent's frame about
+    # its centre of mass [units]; angle of the item relative to the agent [rad]
     weld: NDArray[np.float64]
 
     @classmethod
@@ -75,9 +75,9 @@ class Observation:
     """Observed trajectories of all entities of a world.
 
     Attributes:
-        trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped];
-            frame 0 is the start, frame k the mean over the five substeps of planner step k, which
-            takes a twelfth of a second. :meth:`at_rate` reads others.
+        trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped].
+            Frame 0 is the start. Frame k is the mean over the five substeps of planner step k,
+            which takes a twelfth of a second. :meth:`at_rate` reads other frame rates.
 
     Raises:
         InvalidEventError: fewer than 2 frames, a wrong shape, or a value that is not finite.
@@ -99,16 +99,17 @@ class Observation:
 
     @classmethod
     def at_rate(cls, trajectory: ArrayLike, fps: float) -> Observation:
-        """Return what frames at another rate show, such as those of a tracker or a game.
+        """Return the observation for frames at another rate, such as a tracker's or a game's.
 
-        Between them bodies go on straight lines. Of 60 a second five are a frame here, on average.
+        Bodies are taken to move straight between them. At 60 a second, each frame here is the mean
+        of five.
 
         Args:
-            trajectory: (time, entity, coord) x, y [units], angle [rad], the first at the start.
-            fps: frames per second of the time in which bodies move.
+            trajectory: (time, entity, coord) x, y [units], angle [rad]; frame 0 is the start.
+            fps: frames per second of simulated time.
 
         Raises:
-            InvalidEventError: as of the class, or less than a twelfth of a second.
+            InvalidEventError: as for the class, or the frames last less than a twelfth of a second.
             InvalidSettingError: ``fps`` is no positive number.
         """
         rate = positive_number("fps", fps)
@@ -139,7 +140,7 @@ class Observation:
 
     @property
     def duration(self) -> str:
-        """How long it is, in words."""
+        """The duration, in words."""
         seconds = (self.n_frames - 1) / FRAMES_PER_SECOND
         return f"{self.n_frames} frames, {seconds:.1f} s simulated"
 
@@ -165,11 +166,11 @@ class Thoughts:
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """What generated an event of PHASE: effective goals, and whatever else is known.
+    """What generated an event of PHASE: effective goals and, if known, strengths and relation.
 
     Attributes:
         goal_red, goal_green: effective goals, paper strings.
-        relation, scenario: derived from the goals where not given.
+        relation, scenario: by default they follow from the goals.
         strength_red, strength_green: newtons, or None.
 
     Raises:
@@ -218,7 +219,7 @@ class Truth:
     def of(cls, hypothesis: Hypothesis) -> Truth | Hypothesis:
         """Return the truth of an event that was generated under a hypothesis.
 
-        In PHASE effective goals and strengths, in other worlds the hypothesis as it is.
+        In PHASE it has effective goals and strengths; in other worlds it is the hypothesis.
         """
         if hypothesis.world != PHASE:
             return hypothesis
@@ -234,11 +235,11 @@ class Event:
     Attributes:
         scene: what is known before anybody moves.
         observation: the trajectories.
-        id: name of the event; of no meaning to inference.
+        id: name of the event; inference ignores it.
         truth: what generated it, if known: a ``Truth`` in PHASE, a ``Hypothesis`` in another world.
         judgments: human judgments, as read from the file.
         predictions: stored predictions of other models, as read from the file.
-        thoughts: what the agents thought, of events that were simulated just now; not in files.
+        thoughts: the agents' thoughts, for freshly simulated events only; not in files.
 
     Raises:
         InvalidEventError: the trajectory leaves the arena.

@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever finds half of one, and folders that one process works in."""
+"""Files that are written whole or not at all, and locks that keep a folder to one process."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ __all__ = [
 
 _NAME_BYTES: Final = 255
 _PATH_BYTES: Final = 4095
-"""Of names and paths, the longest that common file systems have."""
+"""Longest file name that common file systems allow, and longest path."""
 
 
 @contextlib.contextmanager
 def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[Path]:
-    """Yield a fresh path beside ``path``; what was written there becomes ``path`` at the end.
+    """Yield a fresh path beside ``path``; its file replaces ``path`` when the block ends.
 
-    If the block raises, ``path`` stays as it was and what was written is deleted. Whether the
-    folder can be written, and the name has one of the ``suffixes``, is found out before the block
-    begins. What was written is on the disk before it takes the place of what was there.
+    If the block raises, ``path`` stays as it was and the new file is deleted. Before the block
+    begins, the folder must be writable and the name must end in one of ``suffixes``. The new file
+    is on the disk before it replaces the old one.
 
     Raises:
         OutputError: it cannot be written, or nothing was.
@@ -71,7 +71,7 @@ def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
 
 
 def as_path(path: object) -> Path:
-    """Return ``path`` as one that there can be (InvalidSettingError: there cannot)."""
+    """Return ``path`` as a Path (InvalidSettingError: no file can have that name)."""
     if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
         raise InvalidSettingError(f"{shown(path)} is no path of a file or folder")
     found = Path(path)
@@ -96,7 +96,7 @@ def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 
 
 def writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder, where there is none; return it (OutputError: it cannot be written)."""
+    """Create a folder unless it exists; return it (OutputError: it cannot be written)."""
     folder = as_path(path)
     with refusing(f"into folder {shown_path(folder)}"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -107,10 +107,10 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Keep a folder, or a file that is yet to be, to this process for as long as the block lasts.
+    """Lock a folder, or a file that does not exist yet, to this process during the block.
 
-    None: there is nothing to keep. The lock goes with the process, however that ends. Where a file
-    system has no locks, there is none.
+    None: nothing is locked. The lock ends with the process, even if that crashes. File systems
+    without locks give none.
 
     Raises:
         OutputError: another process has it.
@@ -134,7 +134,7 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
                     ) from None
                 except OSError:
                     break
-                # whoever had it before may have deleted the file in between
+                # the process that had it before may have deleted the file in between
                 with contextlib.suppress(FileNotFoundError):
                     if os.path.samestat(os.fstat(handle), os.stat(lock)):
                         break
@@ -144,7 +144,7 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def refusing(what: str) -> Iterator[None]:
-    """Turn whatever a file system refuses into one line."""
+    """Turn any refusal by the file system into one line."""
     try:
         yield
     except OSError as error:
@@ -159,7 +159,7 @@ def _part_of(target: Path, suffixes: Sequence[str]) -> Iterator[Path]:
     name = shown_path(target)
     if target.suffix.lower() not in suffixes:
         raise OutputError(f"cannot write {name}: expected a name in {' or '.join(suffixes)}")
-    # a short name of its own: a long target name must not become too long
+    # a short name: appending to a long one could make it too long
     part = target.with_name(f".part-{secrets.token_hex(4)}{target.suffix}")
     with refusing(name):
         if target.is_dir():

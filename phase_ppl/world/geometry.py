@@ -36,12 +36,12 @@ def rotation(angle: float) -> FloatArray:
 
 
 def heading(angle: float) -> FloatArray:
-    """Return the unit vector an agent at ``angle`` looks along."""
+    """Return the unit vector in which an agent at ``angle`` looks."""
     return np.array([-math.sin(angle), math.cos(angle)])
 
 
 def is_agent(entity: int, n_agents: int = len(AGENTS)) -> bool:
-    """Whether the entity index is that of an agent; agents come first."""
+    """Whether an entity is an agent; agents have the first indices."""
     return entity < n_agents
 
 
@@ -67,7 +67,7 @@ def agent_outline(pose: FloatArray, radius: float, enlarge: float = 1.0) -> Floa
 def _shape(
     entity: int, poses: FloatArray, radii: FloatArray, n_agents: int, enlarge: float = 1.0
 ) -> tuple[FloatArray, float]:
-    """Return corners and rounding: of an agent its outline, of an item its centre and radius."""
+    """Return corners and rounding: an agent's outline and 0, or an item's centre and radius."""
     if is_agent(entity, n_agents):
         return agent_outline(poses[entity], radii[entity], enlarge), 0.0
     return poses[None, entity, :2], float(radii[entity]) * enlarge
@@ -84,7 +84,7 @@ def shapes_meet(
 ) -> bool:
     """Whether the shapes of two entities overlap, enlarged about their centres.
 
-    Of all entities ``poses`` are (entity, 3) x, y, angle and ``radii`` (entity,) sizes R.
+    ``poses`` are (entity, 3) x, y, angle of all entities and ``radii`` (entity,) their sizes R.
     """
     one, rounding = _shape(first, poses, radii, n_agents, enlarge_first)
     other, more = _shape(second, poses, radii, n_agents, enlarge_second)
@@ -104,11 +104,11 @@ def is_on(position: FloatArray, landmark_centre: FloatArray, half_width: float) 
 
 
 def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) -> float:
-    """Return how far two convex shapes must be moved to be apart, units; 0 where they are.
+    """Return how far two convex shapes must be moved to part, units; 0 if they are apart.
 
     Args:
-        first, second: (n, 2) corners in order; two are a segment, one is a disc's centre.
-        rounding: radii of the discs in all.
+        first, second: (n, 2) corners in order; two make a segment, one is a disc's centre.
+        rounding: sum of the two radii by which the shapes are rounded.
     """
     return max(0.0, _depth(first, second, rounding))
 
@@ -133,7 +133,7 @@ def _depth(first: FloatArray, second: FloatArray, rounding: float) -> float:
 
 
 def deepest_overlap(scene: Any) -> tuple[str, float]:
-    """Return in words what overlaps most at a scene's start, and by how many units; "" and 0."""
+    """Return the deepest overlap at a scene's start, in words and in units; "" and 0 if none."""
     n_agents, radii, arena = len(scene.world.agents), scene.radius, scene.arena
     parts = (_shape(e, scene.start, radii, n_agents) for e in range(len(radii)))
     shapes, rounding = zip(*parts, strict=True)
@@ -163,8 +163,8 @@ def overlaps(
 ) -> bool:
     """Whether any two shapes overlap or touch, or one overlaps a wall.
 
-    The shapes start at (entity, coord) x, y [units], angle [rad], and have sizes (entity,) [units];
-    walls (n, 2, 2) are along the axes. The first entities are agents.
+    The shapes start at (entity, coord) x, y [units], angle [rad]; sizes are (entity,) [units].
+    Walls (n, 2, 2) run along the axes. The first entities are agents.
     """
     shapes = [_shape(entity, start, radius, n_agents) for entity in range(len(start))]
     return any(

@@ -1,4 +1,4 @@
-"""The paper's 36 goals, and what an agent pursues once its social utility is counted in.
+"""The paper's 36 goals, and effective goals: what an agent acts on.
 
 A goal is a string of the paper or its index in :data:`GOALS`. An *effective* goal is what
 the agent acts on: its own goal, the other's (helping, alpha > 0) or the negation of the
@@ -51,13 +51,13 @@ def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
         moved = world.entity(world.predicates[own // 2].subject)
         return Literal(Predicate.OWN, moved, own // 2, own % 2 == 0)
     positive = " away from " not in words
-    # "Get ball to home", or "get to red agent" without a subject
+    # "get ball to home", or "get to red agent" without a subject
     subject, target = words[len("get") :].split(" to " if positive else " away from ")
     if target in world.landmark_names:
         place = world.landmark_names.index(target)
         return Literal(Predicate.ON, world.entity(subject.strip()), place, positive)
     one, other = world.entity(subject.strip()) if subject else holder, world.entity(target)
-    if holder == other:  # who takes part in it is the subject
+    if holder == other:  # the holder takes part in it and is the subject
         one, other = other, one if subject else other
     return Literal(Predicate.TOUCH, one, other, positive)
 
@@ -100,9 +100,10 @@ def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
 
 
 def planned_as(literal: Literal, holder: int, scene: Scene) -> Literal:
-    """Return what an agent plans for a goal: a predicate of the world's own by those of all worlds.
+    """Return the literal that an agent plans for: a world's own predicate becomes a common one.
 
-    Of two bodies the holder is the subject; else an item is the target, and is brought.
+    If the holder is one of the two bodies, it is the subject. Else an item is the target, and
+    is brought.
     """
     if literal.predicate is not Predicate.OWN:
         return literal
@@ -121,10 +122,10 @@ def planned_as(literal: Literal, holder: int, scene: Scene) -> Literal:
 
 
 def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> bool:
-    """Whether ``goal`` is none that ``holder`` can have (prior mass 0).
+    """Whether ``holder`` cannot have ``goal`` (prior mass 0).
 
-    It names its own holder as the agent to approach or avoid; or it is of an agent and another
-    entity, one of which is the holder, who has a goal of its own for that.
+    Either the goal names its holder as the agent to approach or avoid. Or it is about an agent and
+    another entity, and the holder is one of the two: it has an equivalent goal of its own.
     """
     literal = goal_literal(goal, holder, world)
     own = world.goals[world.goal_index(goal)].startswith("get ")
@@ -139,12 +140,12 @@ def possible_goals(holder: int, world: World = PHASE) -> list[int]:
 
 
 def neighbouring_goals(goal: str | int, world: World = PHASE) -> tuple[int, ...]:
-    """Return the goals that differ from ``goal`` in one thing.
+    """Return the goals that differ from ``goal`` in one part.
 
-    A goal says who or what is to be where, and whether it is to get there or away; being at the
-    goal's holder, or at another entity, counts as a place beside the landmarks. So "Get red agent
-    to red lm" neighbours on the same with another entity or another landmark, on its negation, and
-    on "get to red agent". If one goal is a neighbour of another, so is the other of it.
+    The parts are the entity, its place, and whether it shall get there or away. A place is a
+    landmark, another entity or the goal's holder. So "get red agent to red lm" has as neighbours
+    the same goal with another entity or landmark, its negation, and "get to red agent". The
+    relation is symmetric.
     """
     parts = _parts(goal_index(goal, world), world)
 
@@ -155,7 +156,7 @@ def neighbouring_goals(goal: str | int, world: World = PHASE) -> tuple[int, ...]
 
 
 def _parts(index: int, world: World) -> tuple[int, tuple[Predicate, int | None], bool]:
-    """Return a goal's entity, its place, and whether it is to get there.
+    """Return a goal's entity, its place, and whether the entity shall get there.
 
     A place is a landmark or another entity; None: the goal's holder.
     """
@@ -172,7 +173,7 @@ def shared_goal(
 ) -> int:
     """Return the goal that ``helper``, by default the other of two, has when it helps ``owner``.
 
-    The same goal, but for touching, which a helper who takes part in it sees from the other side.
+    It is the same goal, except for touching: there a helper who takes part becomes the subject.
     """
     helper = 1 - owner if helper is None else helper
     literal = goal_literal(goal, owner, world)
@@ -182,7 +183,7 @@ def shared_goal(
 
 
 def shared_literal(literal: Literal, helper: int) -> Literal:
-    """Return the literal of an owner's goal as an agent has it that helps."""
+    """Return the literal of an owner's goal as a helper has it."""
     if literal.predicate is not Predicate.TOUCH:
         return literal
     if literal.target == helper:
@@ -195,7 +196,7 @@ def shared_literal(literal: Literal, helper: int) -> Literal:
 def opposed_goal(
     goal: str | int, owner: int, rival: int | None = None, world: World = PHASE
 ) -> int:
-    """Return the goal that ``rival`` has when it hinders ``owner`` in ``goal``."""
+    """Return the goal of ``rival`` when it hinders ``owner`` in ``goal``."""
     rival = 1 - owner if rival is None else rival
     helping = goal_literal(shared_goal(goal, owner, rival, world), rival, world)
     return literal_goal(helping.negated(), rival, world)
@@ -204,10 +205,10 @@ def opposed_goal(
 def effective_goals(
     goal_red: str | int, goal_green: str | int, alpha: tuple[int, int]
 ) -> tuple[int, int]:
-    """Return the effective goals of (red, green) in PHASE, of their stated ones.
+    """Return the effective goals of (red, green) in PHASE from their stated ones.
 
-    Signs in ``alpha`` are those of (alpha red -> green, alpha green -> red); 0 means the agent
-    pursues its own goal, > 0 the other's, < 0 the negation of the other's.
+    ``alpha`` holds the alphas (red -> green, green -> red). At 0 the agent pursues its own goal,
+    above 0 the other's, below 0 the negation of the other's.
     """
     stated = [goal_index(goal_red), goal_index(goal_green)]
     red, green = (
@@ -220,10 +221,10 @@ def effective_goals(
 def effective_goal(
     stated: Sequence[int], agent: int, towards: tuple[int, int] | None, world: World = PHASE
 ) -> int:
-    """Return what an agent acts on, an index into the goals of a world, of the agents' stated ones.
+    """Return an agent's effective goal, an index into the world's goals, from all stated goals.
 
-    It acts ``towards`` another agent, with 1 where that is helped, -1 where it is hindered; None:
-    it pursues its own goal.
+    ``towards`` is another agent and 1 if it is helped, -1 if it is hindered. None: the agent
+    pursues its own goal.
     """
     if towards is None:
         return stated[agent]

@@ -1,4 +1,4 @@
-"""Whether something kept in a file is still the same: events, functions, settings."""
+"""Hashes and versions that tell whether events, functions and settings of a file are the same."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.scene import PHASE, Scene
 
 LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
-"""Those whose versions can change a number."""
+"""Libraries whose versions can change a number."""
 
 _PACKAGE: Final = Path(__file__).resolve().parent.parent
 _FOLDERS: Final = (
     *("world", "physics", "agents", "simulator", "closed_loop"),
     *("data", "models", "inference", "evaluation/models"),
 )
-"""Folders of the package on whose code, or weights of networks, results depend."""
+"""Folders of the package whose code, or weights of networks, results depend on."""
 
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
@@ -47,7 +47,7 @@ def event_digest(event: Event) -> str:
 
 
 def physics_rules(scene: Scene) -> bytes:
-    """Return what the rules of a scene's world, beside its numbers, contribute to a hash."""
+    """Return a world's rules beyond its numbers, as bytes for a hash."""
     world = "" if scene.world == PHASE else f" {scene.world.entities} {scene.world.landmark_names}"
     resets = " resets velocity" if scene.resets_velocity else ""
     return f"{scene.turning}{resets}{world}".encode()
@@ -73,7 +73,7 @@ def qualified_name(thing: Any) -> str:
 
 
 def source_stamp(files: Iterable[Path]) -> str:
-    """Return a hash of the names and contents of ``files``, whatever their order."""
+    """Return a hash of the names and contents of ``files``, in any order."""
     digest = hashlib.sha256()
     for file in sorted(files):
         content = hashlib.sha256(file.read_bytes()).hexdigest()
@@ -83,7 +83,7 @@ def source_stamp(files: Iterable[Path]) -> str:
 
 @functools.cache
 def code_stamp() -> str:
-    """Return a hash of all in this package on which a result depends."""
+    """Return a hash of all of this package's code that results depend on."""
     return source_stamp(_stamped())[:16]
 
 
@@ -98,7 +98,7 @@ def _stamped() -> list[Path]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python, of :data:`LIBRARIES` and of this package, and its code's."""
+    """Return the versions of Python, :data:`LIBRARIES` and this package, and its code stamp."""
     found = {name: importlib.metadata.version(name) for name in LIBRARIES}
     return {
         "phase_ppl": __version__,
@@ -111,9 +111,9 @@ def versions() -> dict[str, str]:
 def versions_so_far(
     before: Sequence[Mapping[str, Any]], path: object, other_versions: bool | None = None
 ) -> list[dict[str, Any]]:
-    """Return the versions of which something was made that is gone on with, the present ones last.
+    """Return the code versions that produced a file, oldest first; the running version is last.
 
-    Whether it may be gone on with by others is said by ``other_versions``; None: nobody can choose.
+    ``other_versions`` says whether another version may continue it; None: the user cannot choose.
     """
     now = versions()
     last = before[-1] if before else {}
@@ -128,7 +128,7 @@ def versions_so_far(
 
 
 def stable(value: Any, *, sort_keys: bool = True) -> Any:
-    """Return ``value`` in JSON's types, without what differs from process to process."""
+    """Return ``value`` in JSON's types, without anything that differs between processes."""
     text = json.dumps(value, default=repr, sort_keys=sort_keys)
     return json.loads(_ADDRESS.sub("", text))
 

@@ -19,11 +19,11 @@ NOTHING: Final = -1
 """Index of the held item of an agent that holds nothing."""
 
 DOORS: Final = ("upper door", "left door", "lower door", "right door")
-"""The doors by the ray of the wall that they are in."""
+"""The doors, named by the ray of the wall that they are in."""
 
 
 class Predicate(enum.IntEnum):
-    """The paper's predicates, and STOP for "nothing is left to do".
+    """The paper's predicates, and STOP: nothing is left to do.
 
     Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
     """
@@ -35,18 +35,18 @@ class Predicate(enum.IntEnum):
     ATTACH = 2
     """ATTACH(agent, item): the item is welded to the agent."""
     CLOSE = 3
-    """CLOSE(agent | item, place): in a room, whose number is the target, or in a door, whose own
-    number comes after those of the rooms."""
+    """CLOSE(agent | item, place): it is in a room or in a door. The target numbers the rooms first,
+    then the doors."""
     STOP = 4
     OWN = 5
-    """A goal's literal only, OWN(entity, number): a predicate of the world's own."""
+    """OWN(entity, number), in literals of goals only: a predicate that the user defined."""
 
 
 class Literal(NamedTuple):
     """A predicate or its negation over the entity ``subject``; ``World.words`` has it in names.
 
-    ``target`` is the number of an entity, a landmark, a place or a predicate of the world's own, as
-    the predicate says; of goals ``predicate.name`` is "ON", "TOUCH" or "OWN".
+    The predicate decides what ``target`` numbers: entities, landmarks, places or user-defined
+    predicates. In goals ``predicate.name`` is "ON", "TOUCH" or "OWN".
     """
 
     predicate: Predicate
@@ -58,7 +58,7 @@ class Literal(NamedTuple):
         return self._replace(positive=not self.positive)
 
     def says(self, other: Literal) -> bool:
-        """Whether it is true where the other is: who of two touches whom is the same."""
+        """Whether it is equivalent to ``other``: TOUCH is symmetric."""
         if self.predicate is not Predicate.TOUCH:
             return self == other
         return self == other or other == self._replace(subject=self.target, target=self.subject)
@@ -73,7 +73,7 @@ STOP = Literal(Predicate.STOP, 0, 0)
 def goals_of(
     agents: Sequence[str], items: Sequence[str], landmarks: Sequence[str], touchable: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return the goals that follow from a cast, as of ``World.goals``."""
+    """Return the goals that a cast can have, as in ``World.goals``."""
     ways, touchable = ("to", "away from"), sorted(touchable)
     to_landmarks = [
         f"Get {entity} {way} {landmark}"
@@ -94,7 +94,7 @@ def goals_of(
 
 
 def plain_goal(goal: str) -> str:
-    """Return a goal as people say it in the words of ``World.goals``, in lower case."""
+    """Return a goal in natural words as one of ``World.goals``, in lower case."""
     words = " ".join(word for word in goal.lower().split() if word != "the")
     for said, meant in (("touch ", "get to "), ("avoid ", "get away from ")):
         if words.startswith(said):

@@ -1,4 +1,4 @@
-"""What terminals and notebooks show: lines of a table, and a scene as a small drawing (SVG)."""
+"""Displays for terminals and notebooks: lines of a table, and a scene as a small drawing (SVG)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ COLOURS: Final[dict[str, Colour]] = {
     "brown": (140, 90, 50),
     "grey": (130, 130, 130),
 }
-"""By name, of what has no other."""
+"""Default colours by name."""
 
 AGENT_COLOURS: Final = {
     "red": ENTITY_COLOURS[0],
@@ -59,7 +59,7 @@ _PIXELS: Final = 260
 
 
 def floor_colour(colour: Colour) -> Colour:
-    """Return the colour as a landmark has it, dull, so that entities stand out on it."""
+    """Return the dull variant of a colour for landmarks, so that entities stand out."""
     red, green, blue = (round(part + _PALER * (165 - part)) for part in colour)
     return red, green, blue
 
@@ -67,11 +67,11 @@ def floor_colour(colour: Colour) -> Colour:
 def colours_of(
     given: Any, agents: Sequence[str], items: Sequence[str], landmarks: Sequence[str]
 ) -> dict[str, Colour]:
-    """Return the colour of everybody and everything by name: that given, or that of its name.
+    """Return name -> colour of all entities and landmarks; by default the colour in the name.
 
     Raises:
-        InvalidSettingError: one that is no colour.
-        UnknownNameError: one of a name that there is not.
+        InvalidSettingError: a value is no colour.
+        UnknownNameError: a name is neither an entity nor a landmark.
     """
     instance_of("colours", given, Mapping, "a mapping of names to (red, green, blue)")
     found: dict[str, Colour] = {}
@@ -85,7 +85,7 @@ def colours_of(
         found[name] = red, green, blue
     floors = {name: floor_colour(colour) for name, colour in COLOURS.items()}
     for names, palette in ((agents, AGENT_COLOURS), (items, ITEM_COLOURS), (landmarks, floors)):
-        # names that begin with a colour, such as "red agent", come first and have it
+        # names that begin with a colour, such as "red agent", come first and take it
         said = {name: palette.get(name.split()[0].lower()) for name in names}
         for name in sorted(names, key=lambda name: said[name] is None):
             free = (colour for colour in palette.values() if colour not in found.values())
@@ -94,25 +94,25 @@ def colours_of(
 
 
 def trail_colour(colour: Colour) -> Colour:
-    """Return the colour of the way of an entity of this colour: darker."""
+    """Return the colour of an entity's path: darker than the entity."""
     red, green, blue = (round(_DARKER * part) for part in colour)
     return _TRAILS.get(colour, (red, green, blue))
 
 
 class Printed:
-    """What a notebook shows as it is printed, its lines kept."""
+    """A notebook display of printed text that keeps its lines."""
 
     def _repr_html_(self) -> str:
         return preformatted(str(self))
 
 
 def preformatted(text: str) -> str:
-    """Return lines as a notebook is to show them."""
+    """Return text as HTML that keeps its lines."""
     return f'<pre style="line-height:1.25">{html.escape(text)}</pre>'
 
 
 def drawn(scene: Any, trajectory: FloatArray | None = None, caption: str = "") -> str:
-    """Return a scene as SVG over a caption: bodies at the start, and (time, entity, coord) ways."""
+    """Return a scene as SVG with a caption: bodies at the start, (time, entity, coord) paths."""
     x0, x1, y0, y1 = scene.arena
     world, parts = scene.world, []
     for (x, y), half, one in zip(
@@ -150,7 +150,7 @@ def _points(points: FloatArray) -> str:
 # --- lines of a table in a terminal ---------------------------------------------------------------
 
 WIDTH: Final = 88  # columns of a table
-LABEL: Final = 13  # columns of what stands before a line
+LABEL: Final = 13  # columns of the label before a line
 
 _NAME, _NUMBER, _BAR = 36, 16, 22
 
@@ -169,9 +169,9 @@ def plain(value: Any) -> Any:
 
 
 def bars(label: str, entries: Sequence[tuple[str, float | None]]) -> Iterator[str]:
-    """Yield a line for each name and probability, the first of which begins with the label.
+    """Yield a line for each name and probability; the first begins with the label.
 
-    What has none was not tried.
+    A probability of None was not tried.
     """
     for name, probability in entries:
         bar = "#" * round((probability or 0) * _BAR)
@@ -181,6 +181,6 @@ def bars(label: str, entries: Sequence[tuple[str, float | None]]) -> Iterator[st
 
 
 def wrapped(label: str, text: str) -> list[str]:
-    """Return ``text`` as lines of a table, the first of which begins with the label."""
+    """Return ``text`` as lines of a table; the first begins with the label."""
     indent = " " * LABEL
     return textwrap.wrap(text, WIDTH, initial_indent=f"{label:<{LABEL}}", subsequent_indent=indent)

@@ -1,4 +1,4 @@
-"""Where everybody may start: places and sizes drawn at random, some in rooms or beside others."""
+"""Random start places and sizes, some in given rooms or beside other bodies."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ SIZES: Final = (0.8, 1.01, 1.2, 1.6)
 """Sizes R of the original world's entities, units."""
 
 MIN_RADIUS: Final = 0.01
-"""Smallest size of an entity, units: masses and inertias of smaller ones are next to nothing."""
+"""Smallest size of an entity, units; smaller ones have next to no mass and inertia."""
 
 NEARBY: Final = 2.0
-"""Units of free floor between bodies that are said to be near each other at the start."""
+"""Most free floor between bodies that start near each other, units."""
 
 TRIES: Final = 300
 
@@ -87,7 +87,7 @@ def arrangements(
 
 
 def _room(world: Any, given: object, rooms: Rooms) -> int:
-    """Return the number of a room, by it, or by a landmark or a point in it."""
+    """Return the number of a room, given by number, by a landmark or by a point in it."""
     if isinstance(given, str):
         check_name("landmark", given, world.landmark_names)
         _, x, y, *_ = world.landmarks[world.landmark_names.index(given)]
@@ -102,9 +102,9 @@ def _room(world: Any, given: object, rooms: Rooms) -> int:
 
 
 def _beside(world: Any, near: Mapping[str, str]) -> list[tuple[int, int]]:
-    """Return (who, whom or what) in an order in which each comes after what it is near.
+    """Return pairs (entity, neighbour), ordered so that every neighbour is placed first.
 
-    Entities, then landmarks.
+    Indices number the entities, then the landmarks.
     """
     places = (*world.entities, *world.landmark_names)
     for name, other in near.items():

@@ -1,9 +1,9 @@
-"""Predicates of a user's own: goals of a world beside those about landmarks and touching.
+"""User-defined predicates: goals of a world beyond those about landmarks and touching.
 
-A predicate is a relation of a body to another body, to a landmark or to a room, as data, so that
-the compiled planner attains it by what it knows (to touch, to be on, to be in a room) and files
-hold no code. Only when it is true, and so when an agent is content, is the predicate's own: it is
-computed from the positions of bodies once per step, and never inside the compiled search.
+A predicate relates a body to another body, to a landmark or to a room. It is data, not code, so
+that files hold no code. The compiled planner pursues it by touching, being on, or being in a room.
+Only the predicate itself decides when it is true, and so when an agent is content. That is
+computed from the bodies' positions once per step, never inside the compiled search.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _CLEAR_OF_DOORS: Final = 1.5  # in units of a body's size R
 
 @dataclasses.dataclass(frozen=True)
 class Predicate:
-    """A goal of one's own: where a body is to be, and what that is called.
+    """A user-defined goal: where a body shall be, and a name for that.
 
-    A world that has it has two more goals, ``name`` and "not ``name``". Distances are lengths of
-    the way through doors, units, between the bodies' origins or to a landmark's centre.
+    A world that has it has two more goals, ``name`` and "not ``name``". Distances are path lengths
+    through doors, units, between the bodies' origins or to a landmark's centre.
 
     Example:
         ``ppl.Predicate("toys together", "ball", "doll", within=4)``,
@@ -45,15 +45,15 @@ class Predicate:
         ``ppl.Predicate("ball in the attic", "ball", room=(30, 20))``
 
     Args:
-        name: what it is called, in words without "to" and "away from".
+        name: its name, without the words "to" and "away from".
         subject: name of an agent or item. Of two items it is the one that is moved.
         target: name of another agent or item, or of a landmark.
-        within: true where the two are at most so far apart, units.
-        beyond: true where they are at least so far apart, units.
+        within: true where the distance is at most this, units.
+        beyond: true where the distance is at least this, units.
         room: true where the subject is in the room of this point (x, y), or of this landmark.
 
     Raises:
-        InvalidSettingError: not one of within, beyond and room, or a value that cannot be.
+        InvalidSettingError: not exactly one of within, beyond and room, or an impossible value.
     """
 
     name: str
@@ -94,12 +94,12 @@ class Predicate:
 
     @property
     def brings_near(self) -> bool:
-        """Whether it is attained by coming near, and its negation by getting away."""
+        """Whether coming near makes it true, and getting away false."""
         return self.beyond is None
 
     @property
     def limit(self) -> float:
-        """The distance at which its truth changes, units; 0 of a room."""
+        """The distance at which its truth changes, units; 0 for a room."""
         return self.within or self.beyond or 0.0
 
     @property
@@ -108,7 +108,7 @@ class Predicate:
         return self.limit - min(_MARGIN, _MARGIN_SHARE * self.limit)
 
     def check(self, world: Any) -> None:
-        """Raise a PhasePPLError unless a world has what it is about."""
+        """Raise a PhasePPLError unless the world has its subject, target and room."""
         what, (x0, x1, y0, y1) = f"predicate {self.name!r}", world.arena
         check_name(f"subject of {what}", self.subject, world.entities)
         if self.target == self.subject:
@@ -132,7 +132,7 @@ class Predicate:
                 raise InvalidSettingError(f"{what}: room={where}")
 
     def check_scene(self, scene: Any) -> None:
-        """Raise InvalidSettingError if it is true, or false, wherever bodies are in a scene."""
+        """Raise InvalidSettingError if it would be true, or false, everywhere in a scene."""
         what, world = f"predicate {self.name!r}", scene.world
         if self.room is not None and len(scene.rooms) == 1:
             raise InvalidSettingError(f"{what} is about a room, and the scene has one only")
@@ -146,10 +146,10 @@ class Predicate:
                 )
 
     def apart(self, poses: FloatArray, scene: Any) -> FloatArray:
-        """Return (...) the way from subject to target or into the room, units.
+        """Return (...) the path length from subject to target or into the room, units.
 
         Args:
-            poses: (..., entity, coord) x, y [units] and whatever else.
+            poses: (..., entity, coord) x, y [units]; further coords are ignored.
             scene: a scene of a world that has this predicate.
         """
         world, places = scene.world, np.asarray(poses, float)[..., :2]
@@ -176,7 +176,7 @@ class Predicate:
     def is_content(self, poses: FloatArray, scene: Any) -> BoolArray:
         """Return (...) whether an agent that comes near may stop. Arguments as of :meth:`apart`.
 
-        It is a little earlier than the limit, and in a room where the body is clear of its doors.
+        An agent stops a little before the limit and, in a room, only clear of the doors.
         """
         near = self.apart(poses, scene) <= self.content
         if self.room is None:
@@ -196,7 +196,7 @@ class Predicate:
         return int(scene.rooms.room_of(where))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plain form, which :meth:`from_dict` reads: the fields that are given."""
+        """Return the plain form, which :meth:`from_dict` reads: the fields that are set."""
         found = {name: value for name, value in vars(self).items() if value is not None}
         if isinstance(self.room, tuple):
             found["room"] = list(self.room)
@@ -208,7 +208,7 @@ class Predicate:
 
         Raises:
             UnknownNameError: a field that a predicate does not have.
-            InvalidSettingError: one is missing, or a predicate that cannot be.
+            InvalidSettingError: a field is missing, or the predicate is impossible.
         """
         if not isinstance(record, Mapping):
             raise InvalidSettingError(f"a predicate is {shown(record)}, expected a mapping")

@@ -1,4 +1,4 @@
-"""Progress bars: what was done, and the time that is left."""
+"""Progress bars: work done, and time left."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def is_shown(shown: bool | None) -> bool:
     """Return whether to show a bar; None: where stderr is a terminal, and in notebooks.
 
     Raises:
-        InvalidSettingError: it is neither, nor True or False.
+        InvalidSettingError: it is none of None, True and False.
     """
     if shown is not None and not isinstance(shown, int | np.bool_):
         raise InvalidSettingError(f"progress={errors.shown(shown)}, expected True, False or None")
-    # there is none in a program without a console, and one that was closed cannot be asked
+    # a program without a console has no stderr, and a closed one cannot be asked
     there = sys.stderr is not None and not sys.stderr.closed
     if shown is None:
         return there and (sys.stderr.isatty() or "ipykernel" in sys.modules)
@@ -38,8 +38,8 @@ class Bar(tqdm):
     Its rate is ``steady_rate`` or, without one, the mean since the beginning.
     """
 
-    # of threads alone: tqdm's own is also a semaphore of the system, which is reported as leaked
-    # where a worker process is killed
+    # for threads alone: tqdm's default is also a semaphore of the system, which is reported as
+    # leaked if a worker process is killed
     _lock: ClassVar = threading.RLock()
     steady_rate: float | None = None
 
@@ -68,9 +68,9 @@ def counted(
     Args:
         items: such as events, or answers as they come.
         shown: whether to show the bar; None: where stderr is a terminal, and in notebooks.
-        unit: what an item is, in a word.
-        what: is done with them, before the bar.
-        total: how many there are, where ``len`` does not say it.
+        unit: one word for an item.
+        what: label before the bar.
+        total: number of items, if ``len`` does not give it.
     """
     yield from Bar(total, 0, shown, unit, what, items)
 
@@ -88,14 +88,14 @@ class Progress(Bar):
         if not self._began and not self.disable:
             self._began = True
             self.set_description("simulating", refresh=False)
-            # what came before was mostly compiling
+            # the time before was mostly compiling
             self.start_t = self.last_print_t = self._time()
             self.initial = self.n
 
     def reach(self, done: int) -> None:
-        """Count up to ``done``: what had no prior mass needed no simulation."""
+        """Count up to ``done``: hypotheses without prior mass need no simulation."""
         self.update(max(done - self.n, 0))
 
     def expect(self, total: int) -> None:
-        """Let there be ``total`` simulations: with a budget of seconds it shows on the way."""
+        """Set the number of simulations; a budget of seconds learns it on the way."""
         self.total = total

@@ -1,4 +1,4 @@
-"""Things by name: those of this package, and those that other packages offer."""
+"""Named entries, such as planners: this package's and other packages'."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Registry(Generic[Entry]):
-    """Name -> entry. All are loaded when one is asked for that is not known yet.
+    """Name -> entry. All are loaded when an unknown name is asked for.
 
-    Those of ours are registered by the modules of a ``package``, where it has to be searched, those
-    of other packages offered by their ``entry_points``.
+    Modules of ``package`` register our entries; they are imported to find them, if it is given.
+    Other packages offer theirs by ``entry_points``.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Registry(Generic[Entry]):
         """
 
         def decorate(function: Function) -> Function:
-            source = qualified_name(function)  # the same when its module is loaded again
+            source = qualified_name(function)  # equal if its module is loaded again
             if name in self.entries and self._registered_by[name] != source:
                 raise InvalidSettingError(
                     f"a {self._what} named {name!r} exists: {self._registered_by[name]}"
@@ -78,7 +78,7 @@ class Registry(Generic[Entry]):
         for entry in importlib.metadata.entry_points(group=self._entry_points):
             try:
                 entry.load()
-            except Exception as error:  # it must not break ours
+            except Exception as error:  # a broken package must not break ours
                 warnings.warn(
                     f"{self._what} {entry.name!r} cannot be loaded: {error}", stacklevel=3
                 )

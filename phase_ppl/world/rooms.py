@@ -1,13 +1,13 @@
 """Rooms, doors and path distances of a floor plan.
 
-Walls run along x or y. The lines on which they stand cut the arena into rectangular rooms, and
-what they leave open between two rooms are doors, each with a width: all of the border where there
-is no wall. In the world PHASE the lines are those through the arena's centre, from which all its
-walls run, so that the rooms are its quadrants whichever walls there are.
+Walls run along x or y. The lines on which they stand cut the arena into rectangular rooms. A door
+is a gap that walls leave between two rooms; without a wall it is as wide as the whole border. In
+the world PHASE all walls run from the arena's centre. The lines are those through the centre, so
+that the rooms are always the four quadrants.
 
-Rooms are numbered row by row from the top, to and fro: 0 top left, 1 top right, 2 bottom right,
-3 bottom left where there are four. Doors are numbered counter-clockwise about the arena's centre,
-from the top.
+Rooms are numbered row by row from the top, to and fro. Four rooms are 0 top left, 1 top right,
+2 bottom right, 3 bottom left. Doors are numbered counter-clockwise about the arena's centre, from
+the top.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _TOLERANCE = 1e-6
 
 
 class Door(NamedTuple):
-    """A gap between two rooms; of a border without one there is a closed door."""
+    """A gap between two rooms; a border without a gap has a closed door."""
 
     rooms: tuple[int, int]  # ids of the two
-    x: float  # its middle, units; of a closed one the border's end, far from the arena's centre
+    x: float  # its middle, units; if closed, the border's end that is far from the arena's centre
     y: float
     width: float  # units; 0 for closed
     walled: float  # length of the walls on the border, units
@@ -61,7 +61,7 @@ class Rooms:
     def from_walls(
         cls, walls: FloatArray, arena: Sequence[float], quadrants: bool = False
     ) -> Rooms:
-        """Find rooms and doors; the same object for a floor plan that it was asked for of late.
+        """Find rooms and doors; recent floor plans are cached and give the same object.
 
         Args:
             walls: (n, 2, 2) end points of the inner walls, units.
@@ -95,9 +95,9 @@ class Rooms:
         return np.array([door.walled for door in self.doors], float)
 
     def points(self, inset: float) -> FloatArray:
-        """Return (room, 2) points that stand for the rooms.
+        """Return (room, 2) points that represent the rooms.
 
-        They are ``inset`` from the arena's border where the room lies at it, else in the middle.
+        At the arena's border they lie ``inset`` from it, elsewhere in the middle of the room.
         """
 
         def along(lines: FloatArray) -> list[float]:
@@ -134,10 +134,10 @@ class Rooms:
         return np.asarray(self.ids[row, column])
 
     def route(self, start: int, end: int) -> tuple[int, ...] | None:
-        """Return the doors on the way from room to room, or None where there is no way.
+        """Return the doors on the way from room to room, or None if no way exists.
 
-        The way through the fewest doors; among those, the shortest from first to last door. The
-        way back is the same way.
+        The way has the fewest doors; among equals, it is shortest from first to last door. The
+        way back is the same.
         """
         if (start, end) not in self._routes:
             self._routes[start, end] = self._find_route(start, end)
@@ -164,13 +164,13 @@ class Rooms:
 
         def order(doors: tuple[int, ...]) -> tuple[float, tuple[int, ...]]:
             legs = np.diff(self.door_position[list(doors)], axis=0)
-            # equally long ways are told apart alike in both directions
+            # break ties between equally long ways alike in both directions
             return float(np.linalg.norm(legs, axis=1).sum()), min(doors, doors[::-1])
 
         return min(ways(start), key=order) if start in away else None
 
     def closed_off(self, places: Sequence[FloatArray] | FloatArray) -> list[int]:
-        """Return the rooms from which no way leads to any of ``places``, (n, 2) points."""
+        """Return the rooms without a way to any of ``places``, (n, 2) points."""
         ends = set(self.room_of(np.asarray(places, float)).tolist())
         return [
             room for room in range(len(self)) if all(self.route(room, end) is None for end in ends)
@@ -184,12 +184,12 @@ class Rooms:
     def path_distance(self, start: ArrayLike, end: ArrayLike) -> Any:
         """Return (...) lengths of the ways between (..., 2) points through door middles, units.
 
-        Straight within a room and in an arena without inner walls; :data:`UNREACHABLE` where no
-        route exists.
+        Ways are straight within a room, and in an arena without inner walls. Without a way the
+        length is :data:`UNREACHABLE`.
         """
         start, end = np.asarray(start, float), np.asarray(end, float)
         if self.is_open:
-            # of one pair NumPy rounds otherwise than of many
+            # NumPy rounds one pair differently from many
             axis = None if start.ndim == end.ndim == 1 else -1
             return np.linalg.norm(end - start, axis=axis)
         return self._ways(start, self.room_of(end), end)
@@ -216,7 +216,7 @@ class Rooms:
 
     @functools.cached_property
     def route_table(self) -> IntArray:
-        """(room, room, room): per pair the number of doors (-1: no way), then the doors."""
+        """(room, room, room): for each pair the number of doors (-1: no way), then the doors."""
         n = len(self)
         table = np.full((n, n, n), -1, np.int64)
         for start, end in itertools.product(range(n), repeat=2):
@@ -229,9 +229,9 @@ class Rooms:
 
 @functools.lru_cache(maxsize=64)
 def _found(content: bytes, arena: tuple[float, float, float, float], quadrants: bool) -> Rooms:
-    """Return the rooms between walls, whose end points come as the bytes of their array.
+    """Return the rooms between walls; the walls' end points are the bytes of their array.
 
-    Scenes of one world, of which a random one takes many tries, find them once.
+    The result is cached: scenes of one world ask for the same rooms, a random one many times.
     """
     x0, x1, y0, y1 = arena
     walls = np.frombuffer(content).reshape(-1, 2, 2)
@@ -274,7 +274,7 @@ def _found(content: bytes, arena: tuple[float, float, float, float], quadrants: 
 def _check_wall(
     wall: FloatArray, arena: tuple[float, float, float, float], centre: FloatArray | None
 ) -> None:
-    """Raise InvalidEventError for a wall that cannot be; from ``centre``, if there is one."""
+    """Raise InvalidEventError for an impossible wall; it must start at ``centre``, if given."""
     (ax, ay), (bx, by) = wall.tolist()
     dx, dy = abs(bx - ax), abs(by - ay)
     if centre is not None:
@@ -297,12 +297,12 @@ def _check_wall(
 
 
 def in_words(arena: Sequence[float]) -> str:
-    """Return an arena as messages name it."""
+    """Return an arena as error messages name it."""
     return "the arena x {:g}..{:g}, y {:g}..{:g}".format(*arena)
 
 
 def _lines(low: float, high: float, between: FloatArray) -> FloatArray:
-    """Return the borders and what lies between them, ascending and apart."""
+    """Return the two borders and the lines between them, ascending and distinct."""
     found = [low]
     for line in sorted(between.tolist()):
         if found[-1] + _TOLERANCE < line < high - _TOLERANCE:
@@ -318,7 +318,7 @@ def _numbers(rows: int, columns: int) -> IntArray:
 
 
 def _gaps(walls: FloatArray, low: float, high: float) -> tuple[float, list[tuple[float, float]]]:
-    """Return how much of low..high the (n, 2) walls cover, and what they leave open."""
+    """Return the length of low..high that the (n, 2) walls cover, and the gaps between them."""
     gaps, covered, reached = [], 0.0, low
     for start, end in sorted(walls.clip(low, high).tolist()):
         if start - reached > _TOLERANCE:

@@ -1,8 +1,8 @@
-"""Worlds, and the part of an event that everybody knows: who is there, where, and the floor plan.
+"""Worlds and scenes: the part of an event that everybody knows.
 
-A world is a cast and a place: agents, items, landmarks, an arena with inner walls, and with these
-the goals that can be had in it. A scene belongs to a world and adds where everybody starts, sizes,
-and the walls, if they are others. All names come from the world.
+A world is a cast and a place. It has agents, items, landmarks, an arena with inner walls, and the
+goals that follow from these. A scene belongs to a world and adds the start and size of each entity;
+it can have walls of its own. All names come from the world.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ SIDES: Final = (4.0, 60.0)
 """Shortest and longest side of an arena, units."""
 
 _READ_AS: Final = (" to ", " away from ")
-"""What stands between the two names of a goal, and so in no name."""
+"""Words between the two names of a goal, and so forbidden in names."""
 
 
 class Landmark(NamedTuple):
@@ -67,7 +67,7 @@ class Landmark(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class World:
-    """Who and what there is: agents, items, landmarks and a floor plan, and the goals in it.
+    """A cast and a floor plan: agents, items, landmarks, walls, and the goals that follow.
 
     Example:
         ``ppl.World(["red agent", "green agent"], ["ball"], {"home": (4, 4), "field": (30, 12)},
@@ -79,18 +79,18 @@ class World:
         landmarks: 1 to 8 names -> centre (x, y) or (x, y, half the side of the square), units.
         arena: x_min, x_max, y_min, y_max; each side 4 to 60 units long.
         walls: inner walls ((x, y), (x, y)), along x or y.
-        colours: name -> (red, green, blue); of others, the colour that is in their names, or one
-            that is free.
-        half_width: of landmarks for which none is given, units.
-        name: of the world.
-        touchable: names of what goals of touching can be about; None: all agents and items.
+        colours: name -> (red, green, blue); by default the colour in the name, or a free one.
+        half_width: half side of landmarks that give none, units.
+        name: name of the world.
+        touchable: entities that goals of touching can name; None: all agents and items.
+        quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
         quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
             else rooms are found from the walls.
-        predicates: up to 8 goals of one's own.
+        predicates: up to 8 user-defined goals.
 
     Raises:
-        InvalidSettingError: something that cannot be; the message names it.
-        InvalidEventError: a wall that cannot be.
+        InvalidSettingError: an impossible value; the message names it.
+        InvalidEventError: an impossible wall.
     """
 
     agents: Sequence[str]
@@ -196,7 +196,7 @@ class World:
 
     @property
     def entities(self) -> tuple[str, ...]:
-        """Names of agents, then items: the order of every array."""
+        """Names of agents, then items: the order of all arrays."""
         return (*self.agents, *self.items)
 
     @property
@@ -206,9 +206,9 @@ class World:
 
     @functools.cached_property
     def keys(self) -> tuple[str, ...]:
-        """What stands for each agent in names of quantities, such as "red" in ``goal_red``.
+        """Short names of the agents in names of quantities, such as "red" in ``goal_red``.
 
-        Its name as an identifier, without the word "agent" where that is enough.
+        It is the name as an identifier, without the word "agent" where that is unambiguous.
         """
         plain = [re.sub(r"\W+", "_", name.lower()) for name in self.agents]
         short = [name.removesuffix("_agent") for name in plain]
@@ -216,16 +216,16 @@ class World:
 
     @property
     def entity_colours(self) -> tuple[Colour, ...]:
-        """Of the entities."""
+        """Colours of the entities."""
         return tuple(colour for _, colour in self.colours)
 
     def entity(self, name: str) -> int:
-        """Return the index of an agent or item. UnknownNameError: there is none of that name."""
+        """Return the index of an agent or item (UnknownNameError: none has that name)."""
         check_name("agent or item", name, self.entities)
         return self.entities.index(name)
 
     def agent(self, name: str) -> int:
-        """Return the index of an agent. UnknownNameError: there is none of that name."""
+        """Return the index of an agent (UnknownNameError: none has that name)."""
         check_name("agent", name, self.agents)
         return self.agents.index(name)
 
@@ -233,9 +233,10 @@ class World:
     def goals(self) -> tuple[str, ...]:
         """All goals as strings, see :mod:`phase_ppl.world.goals`.
 
-        Each entity to and away from each landmark; the agent itself to and away from what can be
-        touched; one agent to and away from an item where there are two agents or more, from
-        another agent where there are three; at last each predicate and its negation.
+        In order: each entity to and away from each landmark; the agent itself to and away from
+        each touchable entity; another agent to and away from each touchable entity; each
+        predicate and its negation. "Another agent" with an item takes two agents, with an agent
+        three.
         """
         own = ((one.name, f"not {one.name}") for one in self.predicates)
         return (
@@ -248,10 +249,10 @@ class World:
         return {plain_goal(goal): index for index, goal in enumerate(self.goals)}
 
     def goal_index(self, goal: str | int) -> int:
-        """Return the index of a goal, a string or an index, in ``goals``.
+        """Return the index in ``goals`` of a goal, given as a string or an index.
 
-        Strings are read in natural words: "ball to home", "get the ball away from home",
-        "touch green agent", "avoid green agent", in any case and spacing.
+        Strings can be in natural words: "ball to home", "get the ball away from home", "touch green
+        agent", "avoid green agent". Case and spacing do not matter.
 
         Raises:
             UnknownNameError: there is no such goal; the message names close matches.
@@ -296,13 +297,13 @@ class World:
 
         Args:
             start: name of every entity -> (x, y) or (x, y, angle), units and radians.
-            size: name -> size R, or one for all, units; of those not named 1.
+            size: name -> size R, or one for all, units; 1 for those not named.
             walls: inner walls; None: those of the world.
             turning: which way agents can turn by themselves.
 
         Raises:
-            UnknownNameError: a name that is none of an agent or item.
-            InvalidEventError: somebody has no start, or something that cannot be.
+            UnknownNameError: a name is neither an agent nor an item.
+            InvalidEventError: an entity has no start, or an impossible one.
         """
         instance_of("start", start, Mapping, "a mapping of names to (x, y) or (x, y, angle)")
         sizes = dict(size) if isinstance(size, Mapping) else dict.fromkeys(self.entities, size)
@@ -328,24 +329,23 @@ class World:
         near: Mapping[str, str] | None = None,
         size: Mapping[str, float] | float | None = None,
     ) -> Scene:
-        """Return a scene with everybody somewhere, of some size of the original world's.
+        """Return a scene with random start places, and sizes like the original world's.
 
-        Nobody overlaps anybody or a wall, and items lie where an agent can get. Where walls close
-        a part off that no landmark is in, as beside an L-shaped flat, nobody is there but whom
-        ``rooms`` puts there.
+        No body overlaps another or a wall, and agents can reach all items. Parts that walls close
+        off from every landmark, as beside an L-shaped flat, stay empty unless ``rooms`` names them.
 
         Args:
             seed: the same seed gives the same scene; or a generator.
             walls: inner walls; None: those of the world.
-            rooms: name of an agent or item -> the room it starts in: the name of a landmark or a
-                point (x, y) that is in it, or its number.
-            near: name of an agent or item -> name of another, or of a landmark, in whose room it
-                starts, with up to 2 units between them.
-            size: name -> size R, or one for all, units; of those not named any.
+            rooms: name of an agent or item -> its room at the start: a landmark's name, a point
+                (x, y) in it, or its number.
+            near: name of an agent or item -> name of another, or of a landmark. It starts in the
+                same room, with up to 2 units between them.
+            size: name -> size R, or one for all, units; random for those not named.
 
         Raises:
             UnknownNameError: there is no such agent, item, landmark or room.
-            InvalidSettingError: no place is found, or one is near itself.
+            InvalidSettingError: no place was found, or an entity is to be near itself.
         """
         if not isinstance(seed, np.random.Generator):
             seed = np.random.default_rng(whole_number("seed", seed, 0))
@@ -387,7 +387,7 @@ class World:
 
         Raises:
             UnknownNameError: a field that a world does not have.
-            InvalidSettingError: one is missing, or a world that cannot be.
+            InvalidSettingError: a field is missing, or the world is impossible.
         """
         check_fields(record, cls, "a world", ("agents", "items", "landmarks"))
         own = record.get("predicates", [])
@@ -406,7 +406,7 @@ def _twice(names: Sequence[str]) -> list[str]:
 
 
 def _names(what: str, names: object, least: int, most: int) -> tuple[str, ...]:
-    """Return names, checked. InvalidSettingError: too few, too many, or one that cannot be."""
+    """Return names, checked (InvalidSettingError: too few, too many, or a forbidden one)."""
     if not isinstance(names, (list, tuple)):
         raise InvalidSettingError(f"{what}={shown(names)}, expected a list of names")
     if not least <= len(names) <= most:
@@ -429,7 +429,7 @@ PHASE: Final = World(
     touchable=AGENTS,
     quadrants=True,
 )
-"""The world of the paper; its walls are of scenes."""
+"""The world of the paper; its walls differ from scene to scene."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -443,10 +443,10 @@ class Scene:
         turning: which way agents can turn by themselves: "both", "ccw" or "cw".
         arena: x_min, x_max, y_min, y_max, units.
         landmark_centres: (landmark, 2) centres of the landmarks' squares, units.
-        landmark_half_width: half the side of the squares, of all or (landmark,) of each, units.
-        resets_velocity: whether agents stand still after each planner step, as where people steer
-            them (paper, Appendix A.2); items go on.
-        world: whom and what the scene has; walls, arena and landmarks are the world's unless given.
+        landmark_half_width: half the side of the squares, one for all or (landmark,), units.
+        resets_velocity: whether agents stand still after each planner step, as in scenes that
+            people steer (paper, Appendix A.2); items move on.
+        world: the cast; it also gives walls, arena and landmarks if these are not given.
 
     Raises:
         InvalidEventError: a value that is not finite, has the wrong shape or lies outside.
@@ -462,7 +462,7 @@ class Scene:
     resets_velocity: bool = False
     world: World = PHASE
 
-    if TYPE_CHECKING:  # what fields can be made of
+    if TYPE_CHECKING:  # accepted types of the fields
 
         def __init__(
             self,
@@ -525,7 +525,7 @@ class Scene:
         set_field("landmark_half_width", half_width if each else float(half_width))
 
     def _check_rooms(self) -> None:
-        """Refuse impossible walls now, not during a run."""
+        """Raise InvalidEventError for impossible walls now, not during a run."""
         rooms, world = self.rooms, self.world
         numbers = rooms.room_of(self.landmark_centres)
         if world == PHASE:
@@ -590,11 +590,11 @@ def check_inside(trajectory: FloatArray, scene: Scene, name: str) -> None:
 
 
 def check_is_phase(world: World, what: str) -> None:
-    """Raise InvalidSettingError, for ``what`` knows no other world, unless it is PHASE."""
+    """Raise InvalidSettingError unless the world is PHASE, the only one that ``what`` knows."""
     if world != PHASE:
         raise InvalidSettingError(f"{what} knows the world PHASE only, not {world.name!r}")
 
 
 def one_or_all(values: Sequence[float]) -> float | list[float]:
-    """Return the value that all have, or all of them."""
+    """Return one value if all are equal, else the list."""
     return values[0] if len(set(values)) == 1 else list(values)

@@ -1,4 +1,4 @@
-"""Ready-made worlds: that of the paper, and two of other casts and floor plans."""
+"""Ready-made worlds: the paper's, and two with other casts and floor plans."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SOLO: Final = World(
     walls=[((12, 0), (12, 5)), ((12, 10), (12, 18))],
     name="solo",
 )
-"""One agent and two items, of which one is none of its business; two rooms and a door."""
+"""One agent and two items, one of them irrelevant to it; two rooms and a door."""
 
 TRIO: Final = World(
     ["red agent", "green agent", "purple agent"],
@@ -31,13 +31,13 @@ TRIO: Final = World(
     ],
     name="trio",
 )
-"""Three agents and two items in an oblong arena of six rooms, three above three."""
+"""Three agents and two items in an oblong arena of six rooms, in two rows of three."""
 
 _READY: Final = {world.name: world for world in (PHASE, SOLO, TRIO)}
 
 
 def available() -> dict[str, World]:
-    """Return the worlds that are ready-made, by name."""
+    """Return the ready-made worlds, by name."""
     return dict(_READY)
 
 
@@ -45,8 +45,8 @@ def named(world: str | World) -> World:
     """Return a world, or the ready-made one of that name.
 
     Raises:
-        UnknownNameError: there is none of that name.
-        InvalidSettingError: it is neither.
+        UnknownNameError: no ready-made world has that name.
+        InvalidSettingError: it is neither a world nor a name.
     """
     if isinstance(world, str):
         check_name("world", world, _READY)

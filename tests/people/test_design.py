@@ -227,9 +227,9 @@ def test_what_cannot_be_is_refused(videos: Videos) -> None:
     events, read = videos
     priors, one = ["uniform", "sparse_social"], {"video 0": read["video 0"]}
     bad: list[tuple[list[str], Any, str, str]] = [
-        (["uniform"], read, "relation", "two to be told apart"),
+        (["uniform"], read, "relation", "at least two to compare"),
         (["uniform", "unifrom"], read, "relation", "did you mean 'uniform'"),
-        (priors, "uniform", "relation", "expected what makes posteriors"),
+        (priors, "uniform", "relation", "expected a source of posteriors"),
         (priors, one, "relation", "must have a posterior of 'video 1'"),
         (priors, read, "relatoin", "unknown quantity 'relatoin'"),
     ]

@@ -115,7 +115,7 @@ def test_a_stored_observer_answers_as_the_fit(fit: PeopleFit, tmp_path: Path) ->
     read = FittedObserver.load(file, OWN)
     one, other = (each.predict(world()[0])["v1"].probabilities for each in (read, fit))
     assert one["relation"] == pytest.approx(other["relation"], abs=0.03)
-    with pytest.raises(InvalidSettingError, match="hand in its program"):
+    with pytest.raises(InvalidSettingError, match="give its program"):
         FittedObserver.named(file, "anything")
     record = json.loads(file.read_text())
     for broken, message in (

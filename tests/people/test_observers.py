@@ -170,7 +170,7 @@ def test_what_is_no_observer_is_refused() -> None:
         (
             lambda: Observer(observers.weight, observers.leak),
             InvalidSettingError,
-            "leak comes first",
+            "leak must be the first part",
         ),
         (lambda: Observer("lapse"), InvalidSettingError, "no function"),  # type: ignore[arg-type]
     ]

@@ -1,1 +1,1 @@
-"""The files of PHASE's authors: pickles that are read without being loaded, and written alike."""
+"""The files of PHASE's authors: pickles, read without running their code, and written alike."""

@@ -1,9 +1,10 @@
-"""Pickles of plain data, read so that none of a file's code runs and no small file becomes large.
+"""A safe reader of pickles of plain data: no code of a file runs, no small file becomes large.
 
-Python's unpickler calls whatever a file names. Here it has the opcodes of plain data only, as many
-as :data:`MAX_OPCODES`, and knows the few names by which NumPy's arrays are described: in their
-place it gets functions that put arrays of plain numbers together, since an array of objects would
-hold a pickle of its own. Last, what came out is measured as if it were written out.
+Python's unpickler calls any function that a file names. This one has the opcodes of plain data
+only, and reads at most :data:`MAX_OPCODES`. It knows the few names by which NumPy's arrays are
+described, and replaces them by functions that build arrays of plain numbers. Arrays of objects are
+refused, since they would hold a pickle of their own. At last, the result is measured as if written
+out.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from phase_ppl.data.documents import reading_bytes, too_large
 from phase_ppl.world.errors import InvalidEventError, shown
 
 MAX_BYTES: Final = 256 * 2**20  # largest file that is read
-MAX_OPCODES: Final = 2_000_000  # opcodes that are read, which takes some ten seconds at most
-MAX_NESTING: Final = 64  # how deep lists, tuples and dicts may lie in each other
+MAX_OPCODES: Final = 2_000_000  # most opcodes that are read, which takes some ten seconds
+MAX_NESTING: Final = 64  # deepest nesting of lists, tuples and dicts
 
 MAX_SIZE: Final = 20_000_000
-"""Values, numbers in arrays and characters in all, where what is shared counts every time."""
+"""Most values, numbers in arrays and characters together; shared parts count every time."""
 
 MAX_COPIED: Final = 256 * 2**20
-"""Bytes that are copied into arrays: what is shared may be so again and again."""
+"""Most bytes that are copied into arrays; a shared part may be copied again and again."""
 
-_LONGEST_KEY: Final = 9  # longest tuple that is the key of a dict
+_LONGEST_KEY: Final = 9  # longest tuple allowed as the key of a dict
 _NUMBERS: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1)")
 _NO_NUMBERS: Final = "holds an array of something else than plain numbers"
-_NDARRAY: Final = object()  # stands for the class of arrays
+_NDARRAY: Final = object()  # represents the class of arrays
 
 
 def read_pickle(path: str | os.PathLike[str]) -> Any:
@@ -61,7 +62,7 @@ def unpickled(content: bytes) -> Any:
         raise
     except EOFError:
         raise InvalidEventError("is damaged: the pickle ends too early") from None
-    except Exception:  # pickle raises nearly every kind of error that there is
+    except Exception:  # pickle can raise nearly any kind of error
         raise InvalidEventError("is damaged: its pickle makes no sense") from None
     if _size(loaded, {}) > MAX_SIZE:
         raise InvalidEventError(f"is larger than the {MAX_SIZE} values that are read, written out")
@@ -69,7 +70,7 @@ def unpickled(content: bytes) -> Any:
 
 
 def _size(value: Any, known: dict[int, int], depth: int = 0) -> int:
-    """Return how many values there are, written out."""
+    """Return the number of values, written out."""
     if isinstance(value, str | bytes | bytearray):
         return 1 + len(value)
     if isinstance(value, np.ndarray):
@@ -90,7 +91,7 @@ _Base: Any = pickle._Unpickler  # type: ignore[attr-defined]  # the one whose op
 
 
 class _Reader(_Base):  # type: ignore[misc]
-    """Python's unpickler with the opcodes of plain data, and functions of its own for arrays."""
+    """Python's unpickler, limited to opcodes of plain data, with its own functions for arrays."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__(io.BytesIO(content), fix_imports=False, encoding="latin-1")
@@ -115,7 +116,7 @@ class _Reader(_Base):  # type: ignore[misc]
             )
         return self._known[module, name]
 
-    # --- opcodes that do otherwise than Python's
+    # --- opcodes that differ from Python's
 
     def load_build(self) -> None:
         """Set the content of an array, or the byte order of a data type."""
@@ -137,7 +138,7 @@ class _Reader(_Base):  # type: ignore[misc]
 
     def load_bytearray8(self) -> None:
         (n,) = struct.unpack("<Q", self.read(8))
-        self.append(bytearray(self.read(n)))  # room is made for no more than there is
+        self.append(bytearray(self.read(n)))  # takes no more memory than the file has bytes
 
     def load_setitem(self) -> None:
         value, key = self.stack.pop(), self.stack.pop()
@@ -153,7 +154,7 @@ class _Reader(_Base):  # type: ignore[misc]
         self._set(items[::2], items[1::2])
 
     def _set(self, keys: list[Any], values: list[Any]) -> None:
-        """Put items into the dict on top of the stack; no key may take long to hash."""
+        """Put items into the dict on top of the stack; keys that take long to hash are refused."""
         for key, value in zip(keys, values, strict=True):
             parts = key if type(key) is tuple and len(key) <= _LONGEST_KEY else (key,)
             if any(
@@ -163,10 +164,10 @@ class _Reader(_Base):  # type: ignore[misc]
                 raise InvalidEventError("has a dict whose keys are no texts or whole numbers")
             self.stack[-1][key] = value
 
-    # --- what arrays are made of, called with whatever a file says
+    # --- functions that build arrays, called with anything that a file says
 
     def _raw(self, content: Any) -> bytes:
-        """Return bytes, which Python 2, or an old protocol, wrote as a text."""
+        """Return bytes; Python 2 and old protocols wrote them as a text."""
         if isinstance(content, bytes):
             return content
         if not isinstance(content, str | bytearray):
@@ -200,7 +201,7 @@ class _Reader(_Base):  # type: ignore[misc]
     def _from_buffer(
         self, content: Any, dtype: Any, shape: Any, order: str, axes: Any = None
     ) -> NDArray[Any]:
-        """Return an array in the order "C", "F" or "K", for which that of the axes is given."""
+        """Return an array in the order "C", "F" or "K"; "K" follows a given order of the axes."""
         raw = self._raw(content)
         _check_array(raw, dtype, shape)
         flat = np.frombuffer(raw, dtype) if raw else np.empty(0, dtype)
@@ -233,7 +234,7 @@ _PLAIN: Final = (
 
 
 class _Opcodes(dict[int, Callable[[_Reader], None]]):
-    """The functions of the opcodes that may occur, by code; counts how often they are asked for."""
+    """The functions of the allowed opcodes, by code; counts how often they are asked for."""
 
     def __init__(self) -> None:
         super().__init__()

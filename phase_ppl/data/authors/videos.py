@@ -1,40 +1,40 @@
-"""Events from the pickles of PHASE's authors, and in their processed form.
+"""Events in the files of PHASE's authors: pickles of the generator, and the processed form.
 
 Two kinds of file are read:
 
-* a list of videos, the processed form, as ``Videos_Test_humanratings`` of the public repository
-  Isik-lab/SocialGNN: per video ``name`` (of its film), ``trajectories`` (per body
+* The processed form is a list of videos, such as ``Videos_Test_humanratings`` of the public
+  repository Isik-lab/SocialGNN. A video has ``name`` (of its film), ``trajectories`` (per body
   rows of x, y, vx, vy, angle; one per frame), ``entity_sizes``, ``entity_color_code``,
-  ``wall_segs``, ``landmark_centers`` and ``social_goals`` (the relation that most raters saw);
-* one record of the generator, whose file has the film's name: ``sizes`` in place of
+  ``wall_segs``, ``landmark_centers`` and ``social_goals`` (the relation that most raters saw).
+* A generator's file is one record and has the film's name. It has ``sizes`` in place of
   ``entity_sizes``, and one row per substep.
 
-What is done to them:
+Reading changes them as follows:
 
 * Bodies are put into the order of their colours (:func:`bodies_by_colour`).
-* Goals and strengths are those of the film's name, which has them in that order;
+* Goals and strengths come from the film's name, which has them in that order. The field
   ``physical_goals`` mixes two numberings and is not read. A name is such as
-  ``D082020_1817530_0_F8_E8.1_G['LMO', 0, 2, 1]_['LMO', 0, 2, 1]_ST3_1_..._R0.0_0.0_....mp4``: a
-  time stamp of 7 digits, of 8 in some training videos, whose last is the first of two observation
-  switches (0_0), the layout (8) and how it was reflected (.1), a goal [type, entity, target, sign]
-  and a strength per agent, red first, then more that is not used here. Entities have the numbers
-  of their colours: agents 0 red, 1 green, items 0 blue, 1 pink, in "TE" both; landmarks 0 blue, 1
-  green, 2 red, 3 yellow.
+  ``D082020_1817530_0_F8_E8.1_G['LMO', 0, 2, 1]_['LMO', 0, 2, 1]_ST3_1_..._R0.0_0.0_....mp4``:
+  a time stamp of 7 digits (8 in some training videos); its last digit and the next number are two
+  observation switches (0_0); then the layout (8) and its reflection (.1). A goal [type, entity,
+  target, sign] and a strength per agent follow, red first, then parts that are not used here.
+  Entities have the numbers of their colours: agents 0 red, 1 green; items 0 blue, 1 pink; in "TE"
+  both are agents; landmarks 0 blue, 1 green, 2 red, 3 yellow.
 * Items' tracks are cut to the length of the agents', after which nothing moves.
-* A record's substeps are averaged in fives, as the processed form has them. It starts with the
-  initial state, or, in reflected copies, with the first substep.
+* A record's substeps are averaged in fives, as in the processed form. It starts with the initial
+  state or, in reflected copies, with the first substep.
 * Angles of agents in copies about a diagonal are unwrapped, and repaired where averaging spoiled
-  them (:func:`repaired`). Those of items are 0 in all copies.
-* Velocities are left out: in copies, those of the agents were reflected as if they were points,
-  and those of the items not at all.
-* The scene starts as the first frame shows it; ``turning`` is read off the angles.
+  them (:func:`repaired`). Angles of items are 0 in all copies.
+* Velocities are left out. In copies, those of agents were reflected like points, and those of items
+  were not reflected.
+* The scene starts as in the first frame; ``turning`` is inferred from the angles.
 
 The processed form is written too (:func:`video`), for programs made for the authors' data. A video
-claims to be a reflected copy where its walls are those of a reflected layout, and is then written
-as such copies are, wrong velocities included: who reads the authors' files puts them right.
-Velocities are differences of the positions, per simulated second. The form has no place for
-another arena, another start than the first frame, ``turning``, ``resets_velocity``, predictions, or
-judgments beyond the relation that most people saw.
+with the walls of a reflected layout counts as a reflected copy. It is then written like such
+copies, wrong velocities included, since readers of the authors' files correct these. Velocities are
+differences of the positions, per simulated second. The form cannot hold another arena, another
+start than the first frame, ``turning``, ``resets_velocity``, predictions, or judgments beyond the
+relation that most people saw.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
 sign 1 (to) or -1 (away from)."""
 
-ALPHA: Final = 10.0  # weight of the other's goal, in names
+ALPHA: Final = 10.0  # weight of the other's goal, in file names
 _LONGEST: Final = 1000
 _PLACE: Final = re.compile(
     r"(?P<stamp>.*?)(?P<between>_?)(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"
@@ -90,7 +90,7 @@ _SUFFIXES: Final = re.compile(r"\.(mp4|pik|pkl|pickle)$")
 
 
 class Place(NamedTuple):
-    """Where something was recorded."""
+    """The layout and reflection of a recording."""
 
     layout: int  # number of the layout before any reflection
     # number of the reflection, 0 up-down, 1 left-right, 2 about y = x, 3 about y = -x; None for an
@@ -99,7 +99,7 @@ class Place(NamedTuple):
 
     @property
     def is_diagonal(self) -> bool:
-        """Whether it was reflected about a diagonal, in which the angles were wrapped."""
+        """Whether it was reflected about a diagonal; angles of such copies were wrapped."""
         return self.copy in (2, 3)
 
     def __str__(self) -> str:
@@ -107,15 +107,15 @@ class Place(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What a file name says."""
+    """The contents of a file name."""
 
-    id: str  # time stamp and place, or, in names that the authors did not give, what comes first
-    place: Place | None  # None where the name does not say
-    truth: Truth | None  # goals and strengths; None where the name does not say
+    id: str  # time stamp and place, or the first part of a name that is not the authors'
+    place: Place | None  # None: not in the name
+    truth: Truth | None  # goals and strengths; None: not in the name
 
 
 def parse_name(name: str) -> Recorded:
-    """Return what a file name says (InvalidEventError: too long, or its goals are none)."""
+    """Return the contents of a file name (InvalidEventError: too long, or invalid goals)."""
     if len(name) > _LONGEST:
         raise InvalidEventError(f"name is {shown(name)}, of more than {_LONGEST} characters")
     stem = _SUFFIXES.sub("", name)
@@ -160,7 +160,7 @@ def goal_string(goal: Goal, holder: int) -> str:
         literal = GoalLiteral(Predicate.ON, BLUE_ITEM + entity, target, positive)
     elif kind == "LMA" and on_landmark:
         literal = GoalLiteral(Predicate.ON, entity, target, positive)
-    elif kind == "TE" and {entity, target} == {0, 1}:  # chaser and chased, whoever holds it
+    elif kind == "TE" and {entity, target} == {0, 1}:  # chaser and chased, in either agent's goal
         literal = GoalLiteral(Predicate.TOUCH, holder, 1 - holder, positive)
     else:
         raise InvalidEventError(f"goal {list(goal)} is none of the paper's {len(GOALS)} goals")
@@ -168,7 +168,7 @@ def goal_string(goal: Goal, holder: int) -> str:
 
 
 def goal_numbers(goal: str, holder: int) -> Goal:
-    """Return what :func:`goal_string` turns into ``goal``, unless that names its own holder."""
+    """Invert :func:`goal_string` (InvalidEventError: ``goal`` names its own holder)."""
     literal = goal_literal(goal_index(goal), holder)
     sign = 1 if literal.positive else -1
     if literal.predicate is Predicate.TOUCH:
@@ -182,7 +182,7 @@ def goal_numbers(goal: str, holder: int) -> Goal:
 
 
 def place_in_id(id: str) -> Place | None:
-    """Return the place in an id as the authors' recordings have them, else None."""
+    """Return the place in an id of the authors' recordings, else None."""
     found = _ID.fullmatch(id)
     if found is None:
         return None
@@ -190,7 +190,7 @@ def place_in_id(id: str) -> Place | None:
 
 
 def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
-    """Return a name that :func:`parse_name` takes apart again."""
+    """Return a name from which :func:`parse_name` returns the same."""
     found = _ID.fullmatch(id)
     head = f"{found[1]}{found[2]}_0" if found and place == place_in_id(id) else f"{id}_0_0"
     parameters = alphas = ""
@@ -202,7 +202,7 @@ def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
         red, green = map(strength_level, truth.strengths)
         parameters = f"_G{goals}_ST{red}_{green}"
         of_red = of_green = 0.0
-        if truth.scenario == "opposing":  # whoever wants that something is not so hinders
+        if truth.scenario == "opposing":  # the agent that wants something to be false hinders
             positive = goal_literal(goal_index(truth.goal_red), 0).positive
             of_red, of_green = (0.0, -ALPHA) if positive else (-ALPHA, 0.0)
         alphas = f"_R{of_red}_{of_green}"
@@ -231,9 +231,9 @@ class _Named(msgspec.Struct):
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
-    """Return the videos of the pickle ``path``, in memory, each still to be checked.
+    """Return the videos of the pickle ``path``, in memory; each is checked when it is used.
 
-    Two videos whose stamp and place are the same go by their whole names.
+    Two videos with the same stamp and place have their whole names as ids.
     """
     content = read_pickle(path)
     if isinstance(content, dict):
@@ -287,7 +287,7 @@ def _event(given: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
         )
     columns = [0, 1, CHANNELS.index("angle")]
     rows = np.stack([track[:length, columns] for track in tracks], axis=1)
-    trajectory = np.array(Observation(rows).trajectory)  # refuses what is too short
+    trajectory = np.array(Observation(rows).trajectory)  # refuses a track that is too short
     scene = Scene(  # refuses impossible sizes, before they are used
         trajectory[0], radius, video.wall_segs, landmark_centres=video.landmark_centers
     )
@@ -306,14 +306,14 @@ def _event(given: Mapping[str, Any], said: Recorded, raw: bool) -> Event:
 
 
 def _averaged(track: FloatArray, wrapped: bool) -> FloatArray:
-    """Return a row per frame of a track with a row per substep."""
+    """Return a track with a row per frame from one with a row per substep."""
     first = len(track) % SUBSTEPS
     if first > 1 or len(track) < SUBSTEPS:
         raise InvalidEventError(
             f"a track has {len(track)} rows, expected a multiple of {SUBSTEPS}, or one more"
         )
     rows = np.array(track)
-    with np.errstate(over="ignore", invalid="ignore"):  # means beyond all numbers are refused later
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite means are refused later
         if wrapped:
             rows[:, -1] = np.unwrap(rows[:, -1])
         means = rows[first:].reshape(-1, SUBSTEPS, rows.shape[1]).mean(axis=1)
@@ -323,10 +323,10 @@ def _averaged(track: FloatArray, wrapped: bool) -> FloatArray:
 # --- which body has which colour -------------------------------------------------------------
 
 COLOUR_CODE: Final = {0: 0, 1: 1, 3: 2, 4: 3}
-"""The code of bodies that are in the order of the colours."""
+"""The code of bodies that are ordered by colour."""
 
 _KEYS: Final = ((0, 1, 3, 4), (0, None, 1, 2), (0, 1, 2, 3))
-"""Which keys ``entity_color_code`` has for the bodies; the last are those of records without
+"""Possible keys of ``entity_color_code`` for the bodies; the last are those of records without
 shuffling."""
 
 
@@ -334,12 +334,12 @@ def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
     """Return the numbers of the red, green, blue and pink body.
 
     Recordings number their bodies: agents 0 and 1, items 2 and 3. ``entity_color_code`` maps bodies
-    to colours (0 red, 1 green, 2 blue, 3 pink), but counts items from 3 on; where the colours of
-    the agents were not shuffled it has lost agent 1, whose number an item took.
+    to colours (0 red, 1 green, 2 blue, 3 pink), but counts items from 3 on. If the colours of the
+    agents were not shuffled, it lacks agent 1, since an item took that number.
     """
     for keys in _KEYS:
         if {*keys} - {None} == {*code}:
-            # a lost one has the colour that is left
+            # a missing body has the remaining colour
             colours = [1 - code[0] if key is None else code[key] for key in keys]
             if sorted(colours[:2]) == [0, 1] and sorted(colours[2:]) == [2, 3]:
                 return tuple(map(colours.index, range(len(ENTITIES))))
@@ -353,34 +353,32 @@ def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
 _TURN: Final = 2 * np.pi
 _ROUNDING: Final = 1e-6
 _MISFIT: Final = 4.0
-"""How much worse it is to be a radian off the cut than to turn by a radian."""
+"""Cost of being a radian off the cut, in costs of turning by a radian."""
 
 _PASS: Final = 0.1  # cost of passing the cut, rad^2
 _BACK: Final = 3.0  # cost of passing it forth and back within two frames, rad^2
 
 _JUMPS: Final = np.array([0, -1, 1])
-"""Cuts that may be passed between two frames; first what wins a tie."""
+"""Cuts that may be passed between two frames; earlier ones win ties."""
 
 _PASSING: Final = np.array(
     [(0, 0)] + [(way, after) for way in (1, -1) for after in range(1, SUBSTEPS)]
 )
-"""(state, 2): the way in which the cut is passed within a frame (1 as the angle grows, 0 not at
-all), and the number of substeps after that."""
+"""(state, 2): direction in which a frame passes the cut (1 as the angle grows, 0: it does not), and
+the number of substeps after that."""
 
 
 def repaired(angles: FloatArray, radius: float) -> FloatArray:
     """Return an agent's angles as if they had been averaged before they were wrapped.
 
-    In copies about a diagonal the angles (time,) [rad], means over the frames, were wrapped into
-    (-2 pi, 0] in every substep and only then averaged over the five substeps of a frame. A frame in
-    which the angle passes the cut is therefore off by a multiple of 2 pi / 5, beside the jump by 2
-    pi from then on.
+    In copies about a diagonal, angles were wrapped into (-2 pi, 0] in every substep, and then
+    averaged over the five substeps of a frame. So a frame in which the angle passes the cut is off
+    by a multiple of 2 pi / 5, and later frames by 2 pi. ``angles`` (time,) [rad] are these means.
 
-    Of all ways in which the angle may have passed the cut, the one that takes the least turning,
-    where a frame that passes it must lie near it: as near as at most a full turn, which an agent of
-    this radius can make, explains. Where it passed the cut forth and back within one frame, that
-    frame alone is off. Angles that lie beyond the cut anyway were never wrapped and
-    stay as they are.
+    Of all ways in which the angle may have passed the cut, the one with the least turning is taken.
+    A frame that passes the cut must lie near it, within what an agent of this radius can turn. If
+    the angle passed the cut forth and back within one frame, only that frame is off. Angles beyond
+    the cut were never wrapped and stay as they are.
     """
     if (angles > _ROUNDING).any() or (angles < -_TURN - _ROUNDING).any():
         return angles
@@ -390,7 +388,7 @@ def repaired(angles: FloatArray, radius: float) -> FloatArray:
     # (state, former state, jump) of passing the cut
     price = _PASS * np.abs(passes[[0, 2]]).sum(axis=0) + _BACK * back
     share = _TURN * way * after / SUBSTEPS
-    # relative to the turns done before the frame, and after it
+    # relative to the turns before the frame, and after it
     before, later = angles[:, None] + share, angles[:, None] + share - _TURN * way
     misfit = _misfit(before, radius)
     misfit[0, 1:] = np.inf  # the first frame is no mean
@@ -408,9 +406,9 @@ def repaired(angles: FloatArray, radius: float) -> FloatArray:
 
 
 def _misfit(before: FloatArray, radius: float) -> FloatArray:
-    """Return (time, state) how badly a frame would pass the cut there.
+    """Return (time, state) by how much a frame misses the cut, if it passes the cut in that state.
 
-    With an even turn of v a substep, ``after`` substeps of which lie beyond the cut, the mean is
+    Let the turn be an even v a substep, with ``after`` substeps beyond the cut. Then the mean is
     between (after - 3) v and (after - 2) v beyond it. The fastest substep turns by a third of a
     full turn.
     """
@@ -422,9 +420,9 @@ def _misfit(before: FloatArray, radius: float) -> FloatArray:
 
 
 def _without_spikes(angles: FloatArray, radius: float) -> FloatArray:
-    """Return angles without frames that are off by more than an agent can turn, forth and back.
+    """Return angles with single frames repaired that jump farther than an agent can turn, and back.
 
-    They are put near their neighbours if that is near the cut.
+    They are moved near their neighbours if that is near the cut.
     """
     most, share = full_turn(radius), _TURN / SUBSTEPS
     mended = np.array(angles)
@@ -440,8 +438,8 @@ def _without_spikes(angles: FloatArray, radius: float) -> FloatArray:
 def _followed(
     before: FloatArray, way: NDArray[np.int64], choices: list[NDArray[np.int64]], last: int
 ) -> FloatArray:
-    """Return the angles of the best way, which ends in state ``last``."""
-    steps = [(last, 0)]  # from the last frame on: the state, and the jump before it
+    """Return the angles of the best path, which ends in state ``last``."""
+    steps = [(last, 0)]  # from the last frame backwards: the state, and the jump before it
     for best in reversed(choices):
         state = steps[-1][0]
         former, jump = divmod(int(best[state]), len(_JUMPS))
@@ -455,21 +453,21 @@ def _followed(
 # --- the processed form ----------------------------------------------------------------------
 
 _COPIES: Final = tuple(REFLECTIONS.values())
-"""The reflections in the order of their numbers in file names."""
+"""Reflections, in the order of their numbers in file names."""
 
 _PROTOCOL: Final = 3
-"""The newest protocol that every Python 3 reads, and that names its modules in plain lines."""
+"""The newest protocol that every Python 3 reads and that names its modules in plain lines."""
 
 
 def pickled(videos: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return the pickle of a list of videos, which loads under any version of NumPy."""
-    # no text of a video has a line break, and no numbers in an arena spell this
+    """Return the pickle of a list of videos; any version of NumPy loads it."""
+    # safe: no text of a video has a line break, and numbers in an arena never spell this
     content = pickle.dumps(list(videos), _PROTOCOL)
     return content.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
 
 
 def video(event: Event) -> dict[str, Any]:
-    """Return an event as one video of the processed form, if that has a place for all of it."""
+    """Return an event as one video of the processed form (InvalidEventError: it does not fit)."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
     check_is_phase(scene.world, "this format")
     if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
@@ -499,7 +497,7 @@ def video(event: Event) -> dict[str, Any]:
 
 
 def _place(event: Event) -> Place:
-    """Return a layout, reflected or not, with the event's walls: that of its id if it fits."""
+    """Return the layout, reflected or not, with the event's walls; that of its id if it fits."""
     lengths = event.scene.rooms.wall_length
     in_id = place_in_id(event.id)
     known = [Place(layout, copy) for copy in (None, 0, 1, 2, 3) for layout in LAYOUTS]
@@ -523,10 +521,10 @@ def _lengths(place: Place) -> FloatArray:
 
 
 def _velocity(trajectory: FloatArray, copy: int | None, scene: Scene) -> FloatArray:
-    """Return (time, entity, 2) velocities as recordings of that kind have them.
+    """Return (time, entity, 2) velocities as in recordings of that kind.
 
-    In copies, velocities of agents were reflected as points, not as directions, about the line
-    that the positions were reflected about; those of items were not reflected.
+    In copies, agents' velocities were reflected like points, about the line of the reflection.
+    Items' velocities were not reflected.
     """
     velocity = np.gradient(trajectory[..., :2], 1 / FRAMES_PER_SECOND, axis=0)
     velocity[0] = 0.0  # at rest

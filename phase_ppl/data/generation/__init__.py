@@ -1,1 +1,1 @@
-"""Making data like PHASE: draw a situation, simulate it, keep it if it shows what it should."""
+"""Generation of data like PHASE: draw a situation, simulate it, keep it if it is as intended."""

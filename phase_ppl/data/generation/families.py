@@ -1,6 +1,6 @@
-"""Families of events by name: the original eight of PHASE, those of any world, and other people's.
+"""Families of events by name: the original eight of PHASE, those of any world, and user-defined.
 
-A family of one's own is a function that draws a situation::
+A user-defined family is a function that draws a situation::
 
     @register_family("two_on_one", scenario="collaborative", world=trio)
     def two_on_one(draw: Draw) -> Situation:
@@ -44,12 +44,12 @@ from phase_ppl.world.rooms import ROOMS_OF_RAY
 from phase_ppl.world.scene import PHASE, Scene, World
 from phase_ppl.world.worlds import named
 
-_TRIES: Final = 200  # draws that may be refused before the family is said to be impossible
+_TRIES: Final = 200  # refused draws after which a family is called impossible
 _OVERLAP: Final = 0.25  # units by which bodies may overlap; the simulator moves them apart
 
 
 class Drawn(NamedTuple):
-    """A situation with how it was drawn."""
+    """A situation, and the layout that it was drawn in."""
 
     scene: Scene
     roles: Hypothesis
@@ -58,22 +58,22 @@ class Drawn(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A family of events, perhaps with one of its variants chosen."""
+    """A family of events, with or without a chosen variant."""
 
     name: str  # as users call it
     # ``function(draw)`` or, with variants, ``function(draw, variant)``; None: draw anew
     function: Callable[..., Any]
     summary: str  # first line of the function's documentation
-    # what some two agents show, with "independent" all, or a single one that is alone
+    # the scenario of at least one pair of agents; "independent" is of all pairs, or of a lone agent
     scenario: str
-    variants: tuple[str, ...]  # names of its variants; empty where there are none
+    variants: tuple[str, ...]  # names of its variants; empty: none
     layouts: tuple[int, ...]  # numbers of the layouts that it can be drawn in
-    world: World | None  # whose it is; None: any with enough of the following
+    world: World | None  # its only world; None: any with enough of the following
     needs: Mapping[str, int]  # least number of "agents", "items" and "landmarks"
     variant: str | None = None
 
     def lacks(self, world: World) -> str:
-        """Return why a world cannot have it; "" where it can."""
+        """Return why a world cannot have it; "": it can."""
         if self.world is not None and self.world != world:
             whose = self.world.name
             return f"the family {self.name!r} is of the world {whose!r}, not of {world.name!r}"
@@ -86,7 +86,7 @@ class Family:
         return f"the family {self.name!r} needs {wanted}; {world.name!r} has {has}" if few else ""
 
     def draw(self, world: World, rng: np.random.Generator) -> Drawn:
-        """Return a situation of a world, in which nobody is where it wants to get."""
+        """Return a situation of a world in which no agent has reached its goal."""
         there = tables_of(world).layouts
         layouts = [number for number in self.layouts if number in there] or [*there]
         reason = ""
@@ -124,7 +124,7 @@ class Family:
             if literal.positive and is_true(literal, scene.start, scene):
                 draw.refuse(f"{draw.world.goals[goal]!r} is true at the start")
         what, depth = deepest_overlap(scene)
-        if depth > _OVERLAP and not draw.tables.spots:  # of which some are that near the border
+        if depth > _OVERLAP and not draw.tables.spots:  # some spots are that near the border
             draw.refuse(f"{what} overlap")
         return Drawn(scene, roles, draw.layout)
 
@@ -140,7 +140,7 @@ def pairs_showing(what: str, wanted: Hypothesis) -> list[tuple[int, int]]:
 
 
 FAMILIES: Final = Registry[Family]("family", entry_points="phase_ppl.families")
-"""By name; those of a world alone as "NAME of WORLD"."""
+"""Families by name; those of a single world by "NAME of WORLD"."""
 
 
 def register_family(
@@ -154,19 +154,19 @@ def register_family(
     items: int = 0,
     landmarks: int = 1,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator that makes a family known under ``name``.
+    """Return a decorator that registers a family as ``name``.
 
-    The function takes a :class:`Draw` and returns a scene and roles, such as ``draw.situation``
-    does, or None for another draw.
+    The function takes a :class:`Draw` and returns a scene and roles, as ``draw.situation`` does,
+    or None for another draw.
 
     Args:
-        name: as users call it, without a colon.
-        scenario: what its events show, of some two agents; "independent" of all.
+        name: its name, without a colon.
+        scenario: what at least one pair of agents shows; "independent": all pairs.
         layouts: numbers of PHASE's layouts that it can be drawn in.
-        variants: names of its variants, one of which the function is then given too.
-        world: whose it is, or the name of a ready-made one; None: any that has enough of the
+        variants: names of its variants; the function then takes one as second argument.
+        world: its world, or the name of a ready-made one; None: any world that has enough of the
             following, and no family of its own of that name.
-        agents, items, landmarks: least numbers, where ``world`` is None.
+        agents, items, landmarks: least numbers, if ``world`` is None.
 
     Raises:
         UnknownNameError: an unknown scenario, layout or world.
@@ -192,18 +192,18 @@ def register_family(
 
 
 def _families_of(world: World) -> dict[str, Family]:
-    """Return the families of a world by name: its own, and of others those that any has."""
+    """Return the families of a world by name: its own, and those of any world."""
     able = [family for _, family in FAMILIES.items() if not family.lacks(world)]
     return {one.name: one for one in sorted(able, key=lambda family: family.world is not None)}
 
 
 def available_families(world: World | str = PHASE) -> list[str]:
-    """Return the names of all families that a world, or the ready-made one of a name, has."""
+    """Return the names of all families of a world, or of the ready-made world of that name."""
     return sorted(_families_of(named(world)))
 
 
 def family_of(cell: str, world: World = PHASE) -> Family:
-    """Return the family, with its variant, that "FAMILY" or "FAMILY:VARIANT" names in a world."""
+    """Return the family, with its variant, for "FAMILY" or "FAMILY:VARIANT" in a world."""
     name, colon, variant = cell.partition(":")
     known = _families_of(world)
     if name not in known:
@@ -223,7 +223,7 @@ def family_of(cell: str, world: World = PHASE) -> Family:
 def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
     """Return the scene and roles that a family draws in a world.
 
-    As :func:`phase_ppl.generate` does; ``phase_ppl.simulate(scene, roles, ...)`` takes them.
+    :func:`phase_ppl.generate` draws alike; ``phase_ppl.simulate(scene, roles, ...)`` takes them.
 
     Args:
         cell: FAMILY or FAMILY:VARIANT.
@@ -232,8 +232,8 @@ def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
 
     Raises:
         UnknownNameError: there is no such world, family or variant.
-        InvalidSettingError: the world cannot have the family; or what the family draws is not what
-            it should be, or nothing.
+        InvalidSettingError: the world cannot have the family, or the family drew a wrong situation
+            or none.
     """
     world = named(world)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
@@ -242,8 +242,8 @@ def draw_situation(cell: str, world: World | str, seed: int) -> Situation:
 
 
 # --- the paper's, in PHASE ------------------------------------------------------------------------
-# Rooms and sizes are those of red and green agent, blue and pink item, strengths of the agents.
-# Rooms have the numbers of the landmarks in them.
+# Rooms and sizes are in the order red agent, green agent, blue item, pink item; strengths are of
+# the agents. Rooms have the numbers of their landmarks.
 
 _RED, _GREEN, _BLUE, _ = ENTITIES
 

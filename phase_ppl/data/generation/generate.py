@@ -1,4 +1,4 @@
-"""One call that makes a data set: a part for each slot of its plan, and of these the whole."""
+"""The call that generates a data set: it makes a part for each slot, then assembles them."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ from phase_ppl.world.worlds import named
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
 PARTS: Final = "parts"
 
-# --- what became of the slots, a file each -------------------------------------------------------
+# --- results of the slots, one file each ---------------------------------------------------------
 
 
 def part_file(folder: Path, slot: Slot) -> Path:
-    """Return the file of a slot, whether it is there or not."""
+    """Return the path of a slot's file, whether it exists or not."""
     return folder / PARTS / f"{slot.number:05d}.json"
 
 
 def read_part(folder: Path, slot: Slot) -> Part:
-    """Return what is kept of a slot, with events in place of their records.
+    """Return the stored part of a slot, with events in place of their records.
 
     InvalidEventError: it is damaged.
     """
@@ -88,10 +88,10 @@ def assemble(
     made_by: Sequence[Mapping[str, Any]],
     slots: Sequence[Slot],
 ) -> None:
-    """Write the data set of a plan, of which each slot has a part; the manifest comes last.
+    """Write the data set of a plan whose slots all have parts; the manifest comes last.
 
-    A block of slots is in memory at a time. A set of one block has its events in one file, and its
-    entries in the manifest. It was ``made_by`` these versions, the last ones last.
+    One block of slots is in memory at a time. A set of a single block has its events in one file,
+    and its entries in the manifest. ``made_by`` are the code versions that made it, oldest first.
     """
     kept = Counter(dict.fromkeys(plan["cells"], 0))
     refused = {cell: Counter[str]() for cell in plan["cells"]}
@@ -144,7 +144,7 @@ def assemble(
 def _make_missing(
     folder: Path, plan: Plan, missing: Sequence[Slot], total: int, keep_rejected: bool, **how: Any
 ) -> None:
-    """Make the parts of slots, of so many in all."""
+    """Make the missing parts; ``total`` is the number of all."""
     left, progress = len(missing), how.pop("progress")
     failures: list[str] = []
     made = results(make, plan, missing, what="the plan", **how)
@@ -179,11 +179,11 @@ def _make_missing(
 # --- the call --------------------------------------------------------------------------------
 
 PRESETS: Final[Mapping[str, Mapping[str, int]]] = {"phase500": PHASE500}
-"""Name -> cells: the paper's set."""
+"""Preset -> cells: the paper's set."""
 
 
 class GenerationInterrupted(KeyboardInterrupt):
-    """The generation was interrupted; what was finished is kept and can be resumed."""
+    """The generation was interrupted; finished events are kept, and it can be resumed."""
 
 
 def generate(
@@ -211,23 +211,23 @@ def generate(
 ) -> GeneratedEvents:
     """Make a data set like PHASE: draw situations, simulate them, keep those that show something.
 
-    Each event follows from ``seed`` and its number in the plan: the set is the same for any number
-    of workers, and after any interruption.
+    Each event depends on ``seed`` and its number in the plan only. So the set is the same for any
+    number of workers, and after any interruption.
 
-    A situation is one of a family, as of :func:`phase_ppl.draw_situation`, or a random scene with
-    roles, ``world.random_scene(seed)`` and ``roles(world, seed)``; of these kept are events in
-    which an agent with a goal of its own reaches it. Elsewhere than in PHASE all are made of one
-    number, the ``seed`` of their entry, which ``phase_ppl.simulate`` takes too.
+    A situation comes from a family, as in :func:`phase_ppl.draw_situation`, or is a random scene
+    with roles, ``world.random_scene(seed)`` and ``roles(world, seed)``. A random scene is kept if
+    an agent with a goal of its own reaches it. Except in PHASE, one number gives a whole event: the
+    ``seed`` of its entry, which ``phase_ppl.simulate`` takes too.
 
     Args:
         out: folder of the data set (:mod:`phase_ppl.data.generated`).
-        n: number of events in the proportions of ``cells``; None: the numbers of ``cells``. Needed
-            for random scenes where no cells are given.
+        n: number of events in the proportions of ``cells``; None: the numbers of ``cells``.
+            Required for random scenes without cells.
         world: the world, or the name of a ready-made one.
-        roles: of random scenes: function ``(world, seed)`` that draws who wants what, such as
-            :func:`phase_ppl.roles.draw`, or that of a prior of one's own,
-            ``functools.partial(phase_ppl.roles.draw, prior=...)``; where it returns None, scene and
-            roles are drawn anew. By default all goals are alike, and all ways to help or hinder.
+        roles: for random scenes, a function ``(world, seed)`` that returns goals and relations, or
+            None to draw scene and roles anew. Examples are :func:`phase_ppl.roles.draw` and, for a
+            prior of your own, ``functools.partial(phase_ppl.roles.draw, prior=...)``. By default
+            all goals are equally likely, and all ways to help or hinder.
         cells: FAMILY or FAMILY:VARIANT -> number; by default PHASE has the paper's 500, any other
             world, or with ``roles``, random scenes (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
@@ -238,15 +238,15 @@ def generate(
         frames: length, in PHASE before the cut after the last motion; default 101.
         max_tries: draws after which an event is given up; default 200.
         reflect, recolour: whether events are reflected, and colours exchanged, at random; by
-            default those of PHASE. Like copies they are of PHASE only.
+            default as in PHASE. Like copies, only PHASE has them.
         keep_rejected: whether rejected draws are kept, with the reason.
-        resume: go on with what ``out`` holds.
-        other_versions: also where that was made by other versions of this package, or of what it
-            builds on; the manifest keeps both.
+        resume: go on with the unfinished set in ``out``.
+        other_versions: resume even if other versions of this package or its libraries made that;
+            the manifest keeps both.
         workers: processes; by default one per usable core. With an ``executor``, how many events
-            to give it at a time; by default up to 1000.
-        executor: any PEP 3148 executor to make events in, such as that of a ``dask.distributed``
-            client; it is not shut down.
+            it gets at a time; by default up to 1000.
+        executor: any PEP 3148 executor to make events in, such as a ``dask.distributed`` client's;
+            it is not shut down.
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
     Returns:
@@ -255,9 +255,9 @@ def generate(
     Raises:
         UnknownNameError, InvalidSettingError: a setting that is not allowed.
         OutputError: the folder cannot be used.
-        SimulationError: an event could not be made, or the executor takes no more work; what was
-            made is kept.
-        GenerationInterrupted: Ctrl-C; what was finished is kept.
+        SimulationError: an event could not be made, or the executor takes no more work; finished
+            events are kept.
+        GenerationInterrupted: Ctrl-C; finished events are kept.
     """
     world = named(world)
     tables = tables_of(world)
@@ -307,7 +307,7 @@ def generate(
             assemble(folder, plan.to_dict(), made_by, slots)
             write_json(folder / COST, {**cost, "made_now": len(missing)})
         for file in (*(part_file(folder, slot) for slot in slots), *parts.glob(".part-*")):
-            file.unlink(missing_ok=True)  # also halves of a process that was killed
-        with contextlib.suppress(OSError):  # what else is there is not ours
+            file.unlink(missing_ok=True)  # also parts cut short when a process was killed
+        with contextlib.suppress(OSError):  # other files there are not ours
             parts.rmdir()
         return GeneratedEvents(folder)

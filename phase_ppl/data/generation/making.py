@@ -1,4 +1,4 @@
-"""Making one event of a plan, with its copies: simulated, measured, kept, and shown otherwise."""
+"""Making one event of a plan and its copies: simulate, measure, accept, reflect and recolour."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ SHORTEST: Final = 33  # frames that are always kept: the shortest original recor
 class Recording:
     """A simulated situation."""
 
-    scene: Scene  # what was known at the start
+    scene: Scene  # the start
     hypothesis: Hypothesis
     layout: int  # number of the layout, before any reflection
     trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
-    # (time, agent) whether the action that led to the frame pushes, and whether the agent held an
-    # item when it chose it; not so at the start
+    # (time, agent) whether the action that led to the frame pushes; whether the agent held an item
+    # when it chose that action. False at the start
     pushes: BoolArray
     holds: BoolArray
 
@@ -69,9 +69,8 @@ def after_motion(trajectory: FloatArray) -> int:
     return min(len(trajectory), max(SHORTEST, last_motion(trajectory) + 1 + AFTER_MOTION))
 
 
-# --- copies that look different and mean the same -------------------------------------------------
-# Landmarks keep their places and colours, so under a reflection a goal is about another landmark;
-# agents that turn one way only turn the other way.
+# Landmarks keep their places and colours. So a reflection changes the landmark of a goal. Agents
+# that turn one way only turn the other way.
 
 
 class Reflection(NamedTuple):
@@ -93,7 +92,7 @@ _OTHER_WAY: Final[dict[str, Turning]] = {"both": "both", "ccw": "cw", "cw": "ccw
 
 
 def reflected(recording: Recording, name: str) -> Recording:
-    """Return the recording seen in a mirror."""
+    """Return the recording's mirror image."""
     matrix, offset = REFLECTIONS[name]
     scene = recording.scene
 
@@ -149,15 +148,15 @@ def _renamed(hypothesis: Any, entity: list[int], landmark: list[int]) -> Hypothe
     return Hypothesis(goals[0], goals[1], (alpha[0], alpha[1]), *strengths)
 
 
-# --- what can be seen in a recording, and whether it is what it should show -----------------------
+# --- measures of a recording, and whether it shows its scenario -----------------------------------
 
 STILL: Final = 0.02
-"""Units per frame that an agent must move by for its push to count as having an effect."""
+"""Units per frame that an agent must move by if its push has an effect."""
 
 PUSHES: Final = tuple(int(action) for action in np.flatnonzero(DIRECTIONS.any(axis=1)))
 """Actions that push."""
 
-NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met
+NEAR: Final = 1.5  # distance at which agents have met, in units of the sum of their sizes
 MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push without any effect
 Measures = Mapping[str, Any]
 
@@ -170,10 +169,10 @@ def measures(recording: Recording) -> dict[str, Any]:
     * ``frames``.
     * ``at_start``, ``ever``, ``at_end`` [agent]: whether its effective goal is true then.
     * ``closest``: least distance between two agents, in units of the sum of their sizes; by pair,
-      such as "red & green", in PHASE of the only one.
+      such as "red & green"; in PHASE a single value.
     * ``met``: frames in which they touch, likewise.
     * ``touched`` [agent]: items that it touched.
-    * ``moved`` [entity]: length of its way, units.
+    * ``moved`` [entity]: length of its path, units.
     * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
     * ``held`` [agent], in PHASE: share of frames in which it holds something.
     * ``reached`` [agent], elsewhere: whether it has a goal of its own that became true.
@@ -219,15 +218,15 @@ def _reached(roles: Hypothesis, found: Measures) -> list[bool]:
 
 
 def _named(world: World, pair: tuple[int, int]) -> str:
-    """Return what measures call two agents, such as "red & green"."""
+    """Return the name of two agents in measures, such as "red & green"."""
     return " & ".join(world.keys[agent] for agent in pair)
 
 
 def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | None:
-    """Return why an event does not show its scenario; None where it does.
+    """Return why an event does not show its scenario; None: it does.
 
-    Of three agents and more, two are enough that want what makes the scenario, and show it;
-    independent are all.
+    With three or more agents, one pair must want what makes the scenario, and show it. For
+    "independent" all must.
     """
     world, n_agents = wanted.world, len(wanted.world.agents)
     literals = [goal_literal(goal, a, world) for a, goal in enumerate(wanted.effective_goals)]
@@ -239,7 +238,7 @@ def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | 
         return None if all(found["at_end"]) else "a goal is not reached"
 
     def against(pair: tuple[int, int]) -> str | None:
-        # whoever wants an item somewhere has to touch it
+        # an agent that wants an item somewhere must touch it
         both_touch = all(
             literals[agent].subject < n_agents
             or world.entities[literals[agent].subject] in found["touched"][agent]
@@ -265,20 +264,19 @@ def reason_against(scenario: str, wanted: Hypothesis, found: Measures) -> str | 
 _SLOTS: Final = 10**5
 
 Part = dict[str, Any]
-"""What became of a slot, as plain data.
+"""The result of a slot, as plain data.
 
-``name`` and ``cell`` are the slot's. ``events``, the event and its copies, are none where every
-draw was rejected; ``entries`` say of each what the manifest says. ``rejected`` are the draws before
-the one that was kept: with ``id``, ``reason``, ``measures``, and ``event`` unless there was
-nothing to simulate.
+``name`` and ``cell`` are the slot's. ``events`` are the event and its copies; empty if every draw
+was rejected. ``entries`` are their entries in the manifest. ``rejected`` are the draws before the
+accepted one: with ``id``, ``reason``, ``measures``, and ``event`` if anything was simulated.
 """
 
 
 def make(plan: Plan, slot: Slot) -> Part:
-    """Draw and simulate situations of a slot until one shows what it should.
+    """Draw and simulate situations of a slot until one is accepted.
 
-    A situation is one of a family, which shows its scenario, or a random scene with roles, in which
-    an agent reaches a goal of its own. Its event has copies where the plan wants them.
+    A situation of a family is accepted if it shows its scenario. A random scene with roles is
+    accepted if an agent reaches a goal of its own. The event has copies if the plan wants them.
     """
     family, simulator = plan.families.get(slot.cell), JointSimulator(plan.planner)
     before = is_as_before(plan.world)
@@ -332,7 +330,7 @@ def _shown(recording: Recording, look: Look) -> Recording:
 
 
 def _told(shown: Recording, look: Look) -> dict[str, Any]:
-    """Return what the manifest says of an event of PHASE."""
+    """Return an event's entry in the manifest, in PHASE."""
     return {
         "layout": shown.layout,
         "reflection": look.reflection,
@@ -351,7 +349,7 @@ def event_of(recording: Recording, id: str) -> Event:
 
 
 def _drawn_roles(plan: Plan, seed: int) -> Hypothesis | str:
-    """Return the roles of a random scene, or why there are none."""
+    """Return the roles of a random scene, or why it has none."""
     roles = (plan.roles or uniform_roles)(plan.world, seed)
     if roles is None:
         return "roles that are not wanted"
@@ -364,7 +362,7 @@ def _drawn_roles(plan: Plan, seed: int) -> Hypothesis | str:
 
 
 def uniform_roles(world: World, seed: int) -> Hypothesis:
-    """Return roles of which all goals are alike, and all ways to help or hinder (Appendix 4B)."""
+    """Return roles in which all goals, and all ways to help or hinder, are alike (Appendix 4B)."""
     rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
     ways = all_ways(len(world.agents))
     social = len(ways) > 1 and rng.random() < SOCIAL

@@ -1,7 +1,7 @@
-"""What is to be generated: how many events of which kind, how they are split, how they look.
+"""Plans of data sets: numbers of events of each kind, splits, and looks.
 
-A *slot* is one event to be made. Everything about it follows from the plan and its number, so it
-comes out the same whatever else is made, in whatever order.
+A *slot* is one event to be made. It depends on the plan and its number only. So it is the same
+whichever events are made before it or beside it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
 
 SPLITS: Final[Mapping[str, int]] = {"train": 320, "validation": 80, "test": 100}
-"""Shares of the splits, the paper's."""
+"""Shares of the splits, as in the paper."""
 
 UNCHANGED: Final = "none"
 
@@ -45,37 +45,37 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 """How often the original test videos are reflected, and how."""
 
 BLOCK: Final = 1000
-"""Slots whose events are put together at a time, in memory and in a file."""
+"""Slots whose events are assembled at a time, in memory and in a file."""
 
 _SLOT_BYTES: Final = 400
 _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
-"""Of memory that a slot takes; an event that is put together with others, and each frame of it."""
+"""Bytes of memory for a slot, for an event being assembled, and for each of its frames."""
 
-MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
+MOST_TRIES: Final = 1000  # in worlds other than PHASE, where each try has its own number
 
 DrawRoles = Callable[[World, int], Hypothesis | None]
-"""``(world, seed)`` -> who wants what, such as :func:`phase_ppl.roles.draw`; None: draw anew."""
+"""``(world, seed)`` -> goals and relations, as :func:`phase_ppl.roles.draw`; None: draw anew."""
 
 
 def is_as_before(world: World) -> bool:
-    """Whether numbers are drawn, and files written, as by versions that knew no other world."""
+    """Whether numbers and files must equal those of versions that knew PHASE only."""
     return world == PHASE
 
 
 class Look(NamedTuple):
-    """How a recording is shown."""
+    """The reflection and colours of a recording."""
 
     reflection: str  # a name of ``REFLECTION_SHARES``
-    agents: bool  # whether the colours of the agents, of the items are exchanged
+    agents: bool  # whether the colours of the agents are exchanged; ``items``: of the items
     items: bool
 
 
 class Slot(NamedTuple):
     """An event to be made, with its copies."""
 
-    number: int  # of the slot, from 0
-    # FAMILY or FAMILY:VARIANT, or ``cell_of`` the world: random scenes with roles
+    number: int  # from 0
+    # FAMILY or FAMILY:VARIANT, or ``cell_of`` the world for random scenes with roles
     cell: str
     split: str  # name of the split that it and its copies belong to
 
@@ -87,7 +87,7 @@ class Slot(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What is to be generated, in the settings of :func:`phase_ppl.generate`."""
+    """The settings of :func:`phase_ppl.generate`."""
 
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
@@ -124,7 +124,7 @@ class Plan:
             whole_number(name, getattr(self, name), minimum)
         if not is_as_before(self.world):
             whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
-        for family in self.families.values():  # what functions of others do is found out now
+        for family in self.families.values():  # errors of users' functions show now
             family.draw(self.world, np.random.default_rng(self.seed))
         n, each = sum(self.cells.values()), 1 + self.copies
         together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
@@ -145,39 +145,39 @@ class Plan:
 
     @functools.cached_property
     def families(self) -> Mapping[str, Family]:
-        """Cell -> family, with its variant; kept, since worker processes know none of others."""
+        """Cell -> family, with its variant; stored, as worker processes know no users' families."""
         own = cell_of(self.world)
         return {cell: family_of(cell, self.world) for cell in self.cells if cell != own}
 
     @functools.cached_property
     def looks(self) -> list[Look]:
-        """What events can look like."""
+        """The possible looks of events."""
         swaps = (False, True) if self.recolour else (False,)
         reflections = REFLECTION_SHARES if self.reflect else (UNCHANGED,)
         return [Look(*look) for look in itertools.product(reflections, swaps, swaps)]
 
     @functools.cached_property
     def shares(self) -> FloatArray:
-        """How often events look so."""
+        """The frequency of each look."""
         shares = np.array([REFLECTION_SHARES[look.reflection] for look in self.looks])
         return np.asarray(shares / shares.sum())
 
     def slots(self) -> list[Slot]:
-        """Return the events to be made; in each split about the same shares of every cell."""
+        """Return the events to be made; each split has about the same shares of every cell."""
         rng = np.random.default_rng([self.seed, 1])
         row = [cell for cell, n in self.cells.items() for _ in range(n)]
-        # neighbours are of a kind: dealing the splits out along the row stratifies them
+        # neighbours are of one kind, so that dealing out the splits along the row stratifies them
         names = list(self.splits)
         counts = apportioned(len(row), self.splits)
         place = np.concatenate(
             [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
         )
         split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
-        order = rng.permutation(len(row))  # numbers say nothing about kinds
+        order = rng.permutation(len(row))  # so that numbers do not reveal kinds
         return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
 
     def warm_up(self) -> None:
-        """Compile what its events are simulated with."""
+        """Compile the kernels that its simulations use."""
         JointSimulator(self.planner).warm_up()
 
     def to_dict(self) -> dict[str, Any]:
@@ -198,7 +198,7 @@ class Plan:
 
 
 def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
-    """Return what tells a function, and the functions that a partial holds, from others."""
+    """Return what identifies a function, and the functions inside a partial."""
     held = [function]
     if isinstance(function, functools.partial):
         held += [one for one in (*function.args, *function.keywords.values()) if callable(one)]
@@ -207,7 +207,7 @@ def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def cell_of(world: World) -> str:
-    """Return the cell of random scenes with roles of a world."""
+    """Return the cell of a world's random scenes with roles."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", world.name).strip("-") or "world"
 
 

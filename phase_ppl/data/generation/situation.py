@@ -1,4 +1,4 @@
-"""A situation: what a family draws, and what it draws it with."""
+"""Situations, and the draws by which families make them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LAYOUTS: Final[Mapping[int, tuple[float, float, float, float]]] = {
     21: (10, 7.5, 7.5, 7.5),
 }  # fmt: skip
 """Layout -> lengths of the walls up, left, down and right of the centre, units. Numbers as in
-the original files; those that are missing were never used."""
+the original files, which never used the missing ones."""
 
 SIZES: Final = (0.8, 1.2, 1.6, 1.01)  # sizes R by the original ids, units
 
@@ -39,7 +39,7 @@ SPOTS: Final[tuple[tuple[tuple[float, float], ...], ...]] = (
 """Room -> places where entities start, units."""
 
 NARROW: Final = 2.5
-"""Width of the narrowest doors, units: only agents of the smallest size drive through them."""
+"""Width of the narrowest doors, units; only the smallest agents can drive through them."""
 
 
 def walls_of(layout: int) -> FloatArray:
@@ -73,12 +73,12 @@ shares of the collaborative families are about those of the original test videos
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Tables:
-    """What the makers of a world fixed for its events, beside the world itself."""
+    """What the makers of a world fixed for its events, beyond the world itself."""
 
     layouts: Mapping[int, FloatArray]  # number -> inner walls (n, 2, 2), units
-    spots: Sequence[Sequence[tuple[float, float]]] = ()  # by room; none: everywhere
+    spots: Sequence[Sequence[tuple[float, float]]] = ()  # start places by room; none: everywhere
     strengths: Sequence[float] = ()  # newtons; none: all of ``STRENGTH_RANGE``
-    cells: Mapping[str, int] = dataclasses.field(default_factory=dict)  # of a set by default
+    cells: Mapping[str, int] = dataclasses.field(default_factory=dict)  # the default set
     has_looks: bool = False  # whether events can be reflected, and colours exchanged
     is_cut: bool = False  # whether events end soon after the last motion
 
@@ -97,32 +97,32 @@ _TABLES: Final = {
 
 @functools.lru_cache(16)
 def tables_of(world: World) -> Tables:
-    """Return what is fixed in a world: but in the paper's, one layout, its own."""
+    """Return the tables of a world; except in PHASE it has one layout, its own."""
     return _TABLES.get(world) or Tables({0: np.array(world.walls, float).reshape(-1, 2, 2)})
 
 
-_ARRANGEMENTS: Final = 50  # tries at places and angles without an overlap before a draw is given up
+_ARRANGEMENTS: Final = 50  # tries at places and angles without overlap before a draw is refused
 Option = TypeVar("Option")
 
 
 class Situation(NamedTuple):
-    """What is to be simulated."""
+    """A scene and roles, to be simulated."""
 
     scene: Scene
     roles: Hypothesis
 
 
 class CannotDraw(Exception):  # control flow within this package, never seen by users
-    """What the family wants is not possible here: draw again."""
+    """The family's situation is not possible here: draw again."""
 
 
 class Draw:
-    """One draw of a situation in a world, in its names, with the choices families are made of.
+    """One draw of a situation in a world: the choices that families are made of.
 
     Attributes:
-        world: the world.
-        rng: of everything that is drawn.
-        layout: number of the floor plan; of worlds that have only one 0.
+        world: the world; all names are its names.
+        rng: source of all randomness.
+        layout: number of the floor plan; 0 in worlds with only one.
         rooms: of the floor plan. In PHASE rooms and landmarks share their numbers 0..3.
     """
 
@@ -133,11 +133,11 @@ class Draw:
         self.rooms = Rooms.from_walls(self.walls, world.arena, world.quadrants)
 
     def refuse(self, reason: str = "") -> NoReturn:
-        """End this draw: another is made. If all are refused, the last reason is told."""
+        """End this draw and make another. If all are refused, the error has the last reason."""
         raise CannotDraw(reason)
 
     def one_of(self, options: Iterable[Option]) -> Option:
-        """Return one of some, all equally likely; the draw is refused where there is none."""
+        """Return one of the options, all equally likely; without any, the draw is refused."""
         allowed = list(options)
         return allowed[int(self.rng.integers(len(allowed)))] if allowed else self.refuse()
 
@@ -150,18 +150,18 @@ class Draw:
         return self.one_of(name for name in self.world.items if name not in but)
 
     def landmark(self, *, but: Sequence[str | int] = ()) -> str:
-        """Return the name of a landmark other than some, by name or by a room that they are in."""
+        """Return the name of a landmark other than ``but``, names or rooms of landmarks."""
         return self.one_of(
             name for name in self.world.landmark_names if not {name, self._room_of(name)} & {*but}
         )
 
     def room(self, *, but: Sequence[str | int] = ()) -> int:
-        """Return the number of a room other than some, by number or by a landmark that is there."""
+        """Return the number of a room other than ``but``, numbers or landmarks in rooms."""
         others = [self._room_of(one) for one in but]
         return self.one_of(room for room in range(len(self.rooms)) if room not in others)
 
     def _room_of(self, room: str | int) -> int:
-        """Return the number of a room, by it or by a landmark that is there."""
+        """Return the number of a room, given by number or by a landmark in it."""
         if not isinstance(room, str):
             return room
         check_name("landmark", room, self.world.landmark_names)
@@ -170,7 +170,7 @@ class Draw:
 
     @property
     def chain(self) -> tuple[int, ...]:
-        """PHASE's rooms in a row, from one side of the closed wall to the other.
+        """Return PHASE's rooms in a row, from one side of the closed wall to the other.
 
         An arena without a closed wall is cut at the upper one.
         """
@@ -179,7 +179,7 @@ class Draw:
         return tuple((first + i * (first - last)) % N_ROOMS for i in range(N_ROOMS))
 
     def sides_of(self, door: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the rooms on either side of a door, which is the only way between them."""
+        """Return the rooms on either side of a door that is the only way between them."""
         chain = self.chain
         cut = sorted(chain.index(room) for room in ROOMS_OF_RAY[door])
         if cut[1] - cut[0] != 1 or self.rooms.door_width.all():
@@ -187,37 +187,37 @@ class Draw:
         return chain[: cut[1]], chain[cut[1] :]
 
     def narrow_door(self) -> int:
-        """Return a door through which only the smallest agents drive."""
+        """Return a door that only the smallest agents can drive through."""
         width = self.rooms.door_width
         return self.one_of(ray for ray in range(len(width)) if 0 < width[ray] <= NARROW)
 
     def is_free(self, start: int | str, end: int | str) -> bool:
-        """Whether bodies of any size can pass between two rooms; not so of a room and itself."""
+        """Whether bodies of any size can pass between two different rooms."""
         one, other = self._room_of(start), self._room_of(end)
         return one != other and self.rooms.narrowest(one, other) > NARROW
 
     def size(self, *ways: tuple[int | str, int | str], but: Sequence[float] = ()) -> float:
-        """Return a size other than ``but``, the smallest where not all ways of rooms are free."""
+        """Return a size other than ``but``; the smallest unless all ways between rooms are free."""
         free = all(self.is_free(*way) for way in ways)
         allowed = SIZES if free else SIZES[:1]
         return self.one_of(size for size in allowed if size not in but)
 
     def strength(self, low: float = STRENGTH_RANGE[0], high: float = STRENGTH_RANGE[1]) -> float:
-        """Return a force between two, newtons; in PHASE one of the four that there are."""
+        """Return a force between two limits, newtons; in PHASE one of the four strengths."""
         levels = self.tables.strengths
         if not levels:
             return float(self.rng.uniform(low, high))
         return self.one_of(level for level in levels if low <= level <= high)
 
     def errand(self, agent: str, *, of_item: bool = False) -> str:
-        """Return a goal to get the agent itself, or an item, somewhere: a landmark or a room.
+        """Return a goal to get the agent itself, or an item, to a landmark or a room.
 
-        With ``of_item`` only to get an item somewhere.
+        With ``of_item``, only goals about items.
         """
         return self.one_of(self._errands(agent, of_item))
 
     def _errands(self, agent: str, of_item: bool = False) -> Iterator[str]:
-        """Yield the goals that agents have for themselves, and not about each other."""
+        """Yield the agent's own goals that are not about other agents."""
         world, holder = self.world, self.world.agent(agent)
         for goal in possible_goals(holder, world):
             predicate, subject, _, positive = goal_literal(goal, holder, world)
@@ -235,24 +235,24 @@ class Draw:
         near: Mapping[str, str] | None = None,
         size: Mapping[str, float] | Sequence[float | None] | float | None = None,
     ) -> Situation:
-        """Return a situation with all drawn that is not given.
+        """Return a situation; all that is not given is drawn.
 
-        Agents without a goal that neither help nor hinder run an errand that has nothing to do with
-        what the others want. Goals, strengths, rooms and sizes are given by name, or to all in
-        their order (None: not given), or one to all alike.
+        An agent without a goal that neither helps nor hinders runs an errand unrelated to the
+        others' goals. Goals, strengths, rooms and sizes are given by name, or as a list for all in
+        their order (None: not given), or as one value for all.
 
         Args:
             goals: own goals of agents.
             relation: (who, whom) -> "help" or "hinder".
             strength: of agents, newtons.
-            rooms, near, size: where agents and items start and how large they are, as of
+            rooms, near, size: start places and sizes of agents and items, as in
                 :meth:`phase_ppl.World.random_scene`; in PHASE a point is the place itself.
         """
         world, own = self.world, _by_name(goals, self.world.agents)
         forces = _by_name(strength, world.agents)
         busy = {*own, *(who for who, _ in relation or {})}
         others: list[str] = []
-        # beside PHASE numbers are drawn though nothing needs them, so that seeds mean what they did
+        # unused numbers are drawn in other worlds too, so that seeds keep their meaning
         if not self.tables.strengths or not {*world.agents} <= busy & {*forces}:
             others = [name for name in self.agents() if name not in busy]
             forces = {name: self.strength() for name in world.agents} | forces
@@ -277,7 +277,7 @@ class Draw:
         return Situation(scene, Hypothesis.of(world, own, relation, forces))
 
     def _on_spots(self, rooms: Mapping[str, Any], sizes: Mapping[str, float]) -> Scene:
-        """Return a scene with places and angles drawn, nothing overlapping."""
+        """Return a scene with random places and angles, without overlap."""
         spots, names = self.tables.spots, self.world.entities
         for name in (*rooms, *sizes):
             self.world.entity(name)
@@ -300,7 +300,7 @@ class Draw:
 
 
 def _by_name(given: Any, names: Sequence[str]) -> dict[str, Any]:
-    """Return what is given by name, to all in their order (None: not given), or to all alike."""
+    """Return values by name, given by name, for all in order (None: not given), or one for all."""
     if isinstance(given, Mapping):
         return dict(given)
     each = given if isinstance(given, (list, tuple)) else [given] * len(names)
