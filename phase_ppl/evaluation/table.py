@@ -1,7 +1,7 @@
-"""All that is said of events as one tidy table: by a model, by people, and what is true.
+"""Answers about events as one tidy table: a model's, people's, and the truth.
 
-It has a row per event, question and label that could be the answer; whatever is scored, compared
-or drawn is read off it.
+It has a row per event, question and possible answer (label). All scores, comparisons and figures
+are computed from it.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) ->
 def responses_of(events: Iterable[Event]) -> pd.DataFrame | None:
     """Return who said what: a row of ``event``, ``who``, ``question``, ``label`` per response.
 
-    None where that is not known of all events that people judged, or nobody judged any.
+    None if it is unknown for some judged event, or no event was judged.
     """
     judged = [(event.id, one) for event in events if (one := Judgments.of(event)) is not None]
     if not judged or not all(one.responses for _, one in judged):
