@@ -59,9 +59,9 @@ class Posterior(EventPosterior):
     """Posterior over agents' goals, their relation and their strengths.
 
     Its methods for questions are those of :class:`phase_ppl.analysis.hypotheses.Hypotheses`;
-    :mod:`phase_ppl.analysis.quantities` lists the quantities. ``goal_red`` and ``goal_green`` are
-    effective goals; ``stated_goal_red`` and ``stated_goal_green`` are stated goals, without alpha.
-    ``relation`` and ``scenario`` follow from the two effective goals.
+    :mod:`phase_ppl.analysis.quantities` lists the quantities. Goals such as ``goal_red`` are
+    effective. Goals such as ``stated_goal_red`` are stated, without alpha. Relation and scenario
+    follow from the two effective goals.
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).

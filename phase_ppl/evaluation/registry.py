@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from phase_ppl.models.model import Model
 
 Given: TypeAlias = Prediction | EventPosterior | Mapping[str, Any]
-"""An answer: a prediction, whose event id does not matter; a posterior; or a mapping from questions
-("goal_red", "goal_green", "relation"; in other worlds than PHASE those of
-:func:`~phase_ppl.evaluation.prediction.questions_of`) to a label, to label -> probability, or to
-probabilities in label order. What the model does not answer is absent, or None."""
+"""An answer: a prediction (its event id is ignored), a posterior, or a mapping from questions. A
+question is mapped to a label, to label -> probability, or to probabilities in label order; a
+question without an answer is absent, or None. PHASE's questions are "goal_red", "goal_green" and
+"relation"; other worlds have those of :func:`~phase_ppl.evaluation.prediction.questions_of`."""
 
 
 class Answer(NamedTuple):

@@ -108,11 +108,11 @@ class Answers:
     Attributes:
         events: which it is about, of one world, in order.
         world: of the events.
-        rows: the tidy table, events and questions in order, labels in theirs: ``event``, ``kind``
-            of question, ``question``, ``part`` of the metrics, ``label``, ``votes`` of people for
-            it, their share ``people``, ``truth``, the model's ``answer``, its ``probability`` and
-            ``error``, whether it is ``sure`` of the question and the event ``decided``. All but
-            names are numbers, truth and verdicts 1 or 0, NaN where nothing is known.
+        rows: the tidy table; events, questions and labels are in order. Columns are ``event``,
+            ``kind`` of question, ``question``, ``part`` of the metrics, ``label``; people's
+            ``votes`` for it and their share ``people``; ``truth``; the model's ``answer``, its
+            ``probability`` and ``error``; and whether the question is ``sure`` and the event
+            ``decided``. All but names are numbers: truth and verdicts 1 or 0, NaN: unknown.
     """
 
     def __init__(
