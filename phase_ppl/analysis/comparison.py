@@ -49,31 +49,31 @@ MEASURES: Final[Mapping[str, str]] = {
     "frames": "frames",
     "seconds": "seconds",
 }
-"""Measure -> heading; :func:`~phase_ppl.analysis.comparison.accuracy` and
-:func:`~phase_ppl.analysis.comparison.efficiency` say what they are."""
+"""Measure -> heading. See :func:`~phase_ppl.analysis.comparison.accuracy` and
+:func:`~phase_ppl.analysis.comparison.efficiency`."""
 
 RUN_COLUMNS: Final = ("kernel", "repeat", "seed", "validity", *MEASURES)
 CURVE_COLUMNS: Final = ("kernel", "repeat", *list(MEASURES)[:7], "simulations", "frames")
 
 DISTANCES: Final = ("tv_goals", "tv_relation")
-"""Measures that are distances from the reference, and as uncertain as it is."""
+"""Measures that are distances from the reference; they share its uncertainty."""
 
 _PRINTED_COLUMNS: Final = 7
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Comparison(Printed):
-    """What several kernels made of one event under the same budget, over repeats.
+    """Results of several kernels on one event under the same budget, over repeats.
 
     Attributes:
-        runs: one row per kernel and repeat: ``kernel`` (its label), ``repeat``, ``seed`` (with
-            which ``infer`` makes the same run), ``validity``, and every measure of
-            :data:`MEASURES`; NaN where there is none.
-        curve: the accuracy of every run after ever more simulations: ``kernel``, ``repeat``,
+        runs: one row per kernel and repeat: ``kernel`` (its label), ``repeat``, ``seed`` (the seed
+            of the same run by ``infer``), ``validity``, and every measure of :data:`MEASURES`;
+            NaN: none.
+        curve: the accuracy of every run by number of simulations: ``kernel``, ``repeat``,
             ``simulations``, and the measures of accuracy.
         settings: all that determines the result: event, model, kernels with their options,
             budget, chains, seed, weights, and ``reference``: its ``description``, ``marginals``,
-            its own ``error`` and what it makes of the truth (``truth``).
+            its own ``error`` and its probabilities of the truth (``truth``).
     """
 
     runs: pd.DataFrame
@@ -82,7 +82,7 @@ class Comparison(Printed):
 
     @property
     def kernels(self) -> list[str]:
-        """Labels of the kernels, in the order in which they were given."""
+        """Labels of the kernels, in the given order."""
         return [name for name in self.settings["kernels"] if (self.runs["kernel"] == name).any()]
 
     @property
@@ -98,9 +98,9 @@ class Comparison(Printed):
         return table.loc[self.kernels]
 
     def reference_error(self, measure: str = "tv_goals") -> float | None:
-        """Return how far halves of the reference are apart; None: not known.
+        """Return the distance between halves of the reference; None: not known.
 
-        The reference itself is nearer than this to what it estimates, in some nine of ten cases.
+        The reference's own error is smaller than this in some nine of ten cases.
 
         Raises:
             UnknownNameError: ``measure`` is none of :data:`DISTANCES`.
@@ -110,18 +110,18 @@ class Comparison(Printed):
         return None if value is None else float(value)
 
     def ranks(self, measure: str = "tv_goals") -> pd.DataFrame:
-        """Return which kernels are nearer to the reference, as far as that can be told.
+        """Return the ranks of kernels by distance from the reference, with their uncertainty.
 
-        Two kernels are told apart if their mean distances differ by more than the reference's own
-        error and two standard errors of the difference over repeats, together. Without either,
-        with a single repeat or a reference of unknown error, none are.
+        Two kernels are told apart if their mean distances differ by more than a margin: the
+        reference's own error plus two standard errors of the difference over repeats. With a single
+        repeat, or a reference of unknown error, none are told apart.
 
         Args:
             measure: of :data:`DISTANCES`.
 
         Returns:
-            A row per kernel, the nearest first: ``mean``, and ``best`` and ``worst``, the places
-            that the kernel can have, from 1 to the number of kernels.
+            A row per kernel, the nearest first: ``mean``, and ``best`` and ``worst``, its possible
+            ranks, from 1 to the number of kernels.
 
         Raises:
             UnknownNameError: there is no such distance.
@@ -245,14 +245,14 @@ def _cell(mean: float, error: float) -> str:
     return f"{mean:.{digits}f}" + (f" ±{error:.{digits}f}" if np.isfinite(error) else "")
 
 
-# --- what is compared -----------------------------------------------------------------------------
+# --- measures -------------------------------------------------------------------------------------
 
-CURVE_POINTS: Final = 40  # prefixes of a run that are looked at, at most
+CURVE_POINTS: Final = 40  # most prefixes of a run that are evaluated
 Marginals = Mapping[str, FloatArray]  # goals and relations -> probabilities of their labels
 
 
 def marginals(post: EventPosterior) -> dict[str, FloatArray]:
-    """Return the marginals that are compared: of all goals and relations."""
+    """Return the marginals of all goals and relations."""
     return {name: np.asarray(post.marginal(name).values, float) for name in marginals_of(post)}
 
 
@@ -279,16 +279,16 @@ def distances(found: Marginals, reference: Marginals | None) -> dict[str, float]
 def accuracy(
     post: Posterior, reference: Marginals | None, truth: Truth | Hypothesis | None
 ) -> dict[str, float]:
-    """Return how near a posterior is to a reference and to the truth; NaN where there is none.
+    """Return measures of a posterior against a reference and the truth; NaN without these.
 
     Keys:
 
-    * ``tv_goals``: total variation between the marginal of a goal and the reference's, mean over
-      the agents; ``tv_relation``: of a relation, mean over the pairs.
-    * ``p_pair``: probability of the true effective goals of all; ``p_goals``: of the true goal of
-      an agent, mean over them; ``p_relation``: of a true relation, likewise.
-    * ``map_goals``: share of the agents whose most probable goal is the true one;
-      ``map_relation``: of the pairs whose most probable relation is.
+    * ``tv_goals``: total variation between the marginals of a goal and the reference's, mean over
+      the agents; ``tv_relation``: the same for relations, mean over the pairs.
+    * ``p_pair``: probability of the true effective goals of all agents; ``p_goals``: of an agent's
+      true goal, mean over agents; ``p_relation``: of a true relation, mean over pairs.
+    * ``map_goals``: share of agents whose most probable goal is the true one; ``map_relation``:
+      share of pairs whose most probable relation is the true one.
     """
     found, pair = marginals(post), np.nan
     if truth is not None:
@@ -310,7 +310,7 @@ def _true_codes(truth: Truth | Hypothesis) -> dict[str, int]:
 
 
 def of_truth(found: Marginals, truth: Truth | Hypothesis | None) -> dict[str, float]:
-    """Return what marginals make of the truth, as :func:`accuracy`; NaN where there is none."""
+    """Return the measures of marginals against the truth, as :func:`accuracy`; NaN without it."""
     if truth is None:
         return dict.fromkeys(("p_goals", "p_relation", "map_goals", "map_relation"), np.nan)
     codes = _true_codes(truth)
@@ -320,7 +320,7 @@ def of_truth(found: Marginals, truth: Truth | Hypothesis | None) -> dict[str, fl
 
 
 def efficiency(post: Posterior) -> dict[str, float]:
-    """Return how the chains went and what they cost; NaN where it cannot be told.
+    """Return measures of the chains' mixing and cost; NaN: unknown.
 
     Keys:
 
@@ -331,8 +331,8 @@ def efficiency(post: Posterior) -> dict[str, float]:
     * ``ess_per_simulation``: effective sample size of the log joint
       (:func:`phase_ppl.analysis.diagnostics.ess`), per simulation; of weighted draws, 1 / the
       sum of their squared weights. ``ess_per_second``: the same by ``seconds``.
-    * ``simulations``, their ``frames``, and ``seconds`` of wall time, in which reading the video
-      before the first simulation counts, where proposals need it.
+    * ``simulations``, their ``frames``, and ``seconds`` of wall time. If proposals need a reading
+      of the video before the first simulation, its time counts.
     """
     found, weight = post.diagnostics(), post.table.weights
     simulations, moves = int(post.cost["simulations"]), found["move_rate"]
@@ -360,11 +360,11 @@ def efficiency(post: Posterior) -> dict[str, float]:
 def curve(
     post: Posterior, reference: Marginals | None, truth: Truth | Hypothesis | None
 ) -> pd.DataFrame:
-    """Return :func:`accuracy` of what a run had after ever more simulations.
+    """Return :func:`accuracy` of a run by number of simulations.
 
-    Of the first draws of all chains, with the simulations made until then; nothing is simulated.
-    Columns are ``simulations``, ``frames`` and those of :func:`accuracy`, rows :data:`CURVE_POINTS`
-    at most. A run that keeps its last population only has one.
+    Each row uses the first draws of all chains, with the simulations made until then; nothing is
+    simulated. Columns are ``simulations``, ``frames`` and those of :func:`accuracy`. There are at
+    most :data:`CURVE_POINTS` rows, and one for a run that keeps its last population only.
     """
     tree = post.tree
     n_draws = tree["posterior"].sizes["draw"]

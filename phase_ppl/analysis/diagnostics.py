@@ -1,4 +1,4 @@
-"""How the chains went, and which frames this world cannot show."""
+"""Diagnostics of chains, and frames that are impossible in this world."""
 
 from __future__ import annotations
 
@@ -45,50 +45,50 @@ def diagnostics(
     * ``move_rate``: share of iterations that changed a particle's pair of effective goals.
     * ``distinct_hypotheses``, ``distinct_goal_pairs``: among the draws.
     * ``effective_rows``: Kish's 1 / sum of squared weights, of the weighting in use.
-    * ``weighted_draws_ess``: the same of draws that the kernel weighs, as a share of them; None for
-      others. The next three count the draws' weights.
+    * ``weighted_draws_ess``: the same for draws that the kernel weighs, as a share of their number;
+      None for others. The next three count the draws' weights.
     * ``agreement``: per goal, the share of particles whose own leading goal leads overall.
     * ``leading_goals``: per goal, how many particles each goal leads in, most first.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
       variation between their marginals; None with one particle.
     * ``leaders``: :meth:`~phase_ppl.analysis.hypotheses.Hypotheses.leaders`, and the probability
-      ``without_prior``, with all pairs of goals that were simulated equally probable beforehand;
-      None where the file does not hold the prior of pairs. A pair is what all agents want.
-    * ``untried_rivals``: how many pairs that differ from the leading one in nothing but one
-      agent's landmark were never simulated, though the prior allows them.
+      ``without_prior``: under a uniform prior over the simulated pairs of goals. A pair holds the
+      goals of all agents. None: the file does not hold the prior of pairs.
+    * ``untried_rivals``: number of rivals of the leading pair that were never simulated, though the
+      prior allows them.
     * ``decided``: whether all leaders are sure, have more than ``ALONE`` without the prior, by
       ``effective_size_needed`` independent draws or more, and all rivals were tried.
     * ``monte_carlo_error``: per goal, the error of the leading goal's probability.
     * ``effective_size``: how many independent draws would be as sure of the goals;
-      ``effective_size_needed``: how many an answer needs to be sure; None where no number will do,
-      as most goals were not simulated and what was does not fit by choice.
+      ``effective_size_needed``: how many an answer needs to be sure. None: no number is enough,
+      since most goals were not simulated and suggested goals fit no better.
     * ``untried``: prior mass of the pairs of effective goals without a completed simulation.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
       ``r_hat``, ``ess_bulk`` and ``ess_tail``.
-    * ``categories``: of goals, relation and scenario, each category whose ``probability`` under
+    * ``categories``: for goals, relation and scenario, each category whose ``probability`` under
       the weighting or ``share`` of the draws exceeds 2 %, most probable first, with ``ess``,
       ``mcse`` (standard error of the share) and split ``r_hat`` of its indicator.
-    * ``windows``: of the proposals, how many came from a window (``proposals``) and from none
-      (``without``); the first frames that occur (``starts``) and how often each (``counts``);
-      ``frames`` of a window, None where the run has no such setting.
+    * ``windows``: how many proposals came from a window (``proposals``) and from none
+      (``without``); the windows' first frames (``starts``) and how often each occurs
+      (``counts``); ``frames`` of a window, None: the run has no such setting.
     * ``simulations``: total, completed, aborted (stopped early), failed; ``frames_saved`` and
       ``frames_saved_share`` by stopping early.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       entities.
-    * ``overlapping_frames``: in which bodies lie on each other or in a wall.
+    * ``overlapping_frames``: frames in which bodies overlap each other or a wall.
     * ``trust``, ``answer``, ``checks``, ``next``, ``verdict``: see
       :func:`phase_ppl.analysis.verdict.judged`.
 
-    What does not exist is None: errors and effective sizes of one particle; R-hat and ESS of fewer
-    than four draws per chain, of weighted draws, and of what never changes (R-hat: within half a
-    chain). Of goal codes they mean nothing and are not given.
+    Undefined values are None: errors and effective sizes of one particle; R-hat and ESS of fewer
+    than four draws per chain, of weighted draws, and of constants (R-hat: constant within half a
+    chain). They mean nothing for goal codes and are not given.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
     space, labels = words.space, words.space.world.goals
     accepted, log_weight = stats["accepted"].values.astype(float), trees.log_weight_of_draws(tree)
     n_chains, n_draws = accepted.shape
     n_frames = tree["observed_data"].sizes["time"]
-    if not np.isfinite(log_weight).any():  # under other weights than the draws' own
+    if not np.isfinite(log_weight).any():  # only possible under other weights than the draws' own
         log_weight = np.zeros_like(log_weight)
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
@@ -177,7 +177,7 @@ def diagnostics(
 def _without_prior(
     tree: xr.DataTree, rows: Rows, leaders: Mapping[str, dict[str, Any]], words: Vocabulary
 ) -> dict[str, dict[str, Any]]:
-    """Return the leaders with what they would have, were all pairs of goals alike beforehand."""
+    """Return the leaders with their probability under a uniform prior over pairs of goals."""
     goals = np.stack([rows.values[name] for name in words.space.goal_sites], axis=1)
     prior = trees.prior_of_goals(tree, goals.astype(np.int64))
     if prior is None:
@@ -195,8 +195,8 @@ def untried_rivals(
 ) -> NDArray[np.int64]:
     """Return (rival, agent) the rivals of the leading goals that were never simulated.
 
-    A rival differs in the landmark of one agent's goal, about the same entity and of the same sign.
-    No rows where the file keeps no prior, which says what is possible.
+    A rival differs in the landmark of one agent's goal; entity and sign are the same. There are no
+    rows if the file has no prior: possible goals are then unknown.
     """
     space = trees.space_of_tree(tree)
     tried = trees.effective_goals(tree, "simulations")[~trees.array(tree, "simulations", "failed")]
@@ -254,7 +254,7 @@ def _windows(window: NDArray[Any], settings: str, n_frames: int) -> dict[str, An
 def _by_particle(
     codes: NDArray[Any], weights: FloatArray, labels: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return what the particles that weigh anything make of a goal, and how far they agree."""
+    """Return a goal's statistics over particles with weight, and how far they agree."""
     mass = np.stack([np.bincount(c, w, len(labels)) for c, w in zip(codes, weights, strict=True)])
     by_chain = mass / np.maximum(mass.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     shares = weights.sum(axis=1)
@@ -286,12 +286,12 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
 
 
 _SHRUNK: Final = 0.8
-"""Part of their size with which bodies must meet to be said to lie on each other: in contact they
-press into each other a little."""
+"""Overlap, as a share of their size, at which bodies count as overlapping: in contact they press
+into each other a little."""
 
 
 def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
-    """Return the frames in which bodies lie on each other, or in a wall."""
+    """Return the frames in which bodies overlap each other or a wall."""
     radius, walls, n_agents = scene.radius, scene.walls, len(scene.world.agents)
     small = _SHRUNK * radius
     near = np.full(len(trajectory), len(walls) > 0)
@@ -306,11 +306,11 @@ def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
 # --- as a table -----------------------------------------------------------------------------------
 
 _NAME: Final = 38  # columns of a name, beside the label before it
-_BLOCKS: Final = 10  # stretches of iterations whose acceptance is told, at most
+_BLOCKS: Final = 10  # most stretches of iterations whose acceptance is printed
 
 
 class Diagnostics(Printed, dict[str, Any]):
-    """How the chains went; ``print`` shows a table of at most 88 columns with the verdict."""
+    """Diagnostics of chains; ``print`` shows a table of at most 88 columns with the verdict."""
 
     def __init__(self, event_id: str, found: Mapping[str, Any]) -> None:
         super().__init__(found)

@@ -1,26 +1,26 @@
 """Results with their Monte-Carlo errors.
 
-A statistic is computed anew without some of the chains (the jackknife); how much the results differ
-tells how much it would differ between runs: error^2 = (n - d) / d * mean squared deviation from
-their mean, where sets of d of n chains are left out: single chains, but for the ends of intervals,
-which jump from draw to draw, random thirds. Added is what chains do not show by differing:
+The error is a jackknife: a statistic is computed anew without sets of d of n chains. Then
+error^2 = (n - d) / d * mean squared deviation of these results from their mean. Sets are single
+chains. For the ends of intervals, which jump from draw to draw, they are random thirds. Three
+errors that chains do not show by differing are added:
 
-* Chains that still move away from where they began. Where draws count equally, the squared
-  difference of the statistic between the first and the last half of the draws, as far as it is
-  clearly beyond chance.
-* What few draws need not have shown. Fifteen particles that agree do not make a goal impossible:
-  the error of a probability is at least that of a posterior after as many independent draws as the
-  run is worth (:func:`with_unseen`), at most the distinct simulations that it rests on.
-* What a proposal that was fitted has never tried (``phase_ppl.analysis.tree.unseen_share``).
+* Chains that still move away from their start. If draws count equally, the squared difference of
+  the statistic between the first and the last half of the draws, as far as it is clearly beyond
+  chance.
+* Labels that few draws missed. Fifteen particles that agree do not make a goal impossible. The
+  error of a probability is at least that of a posterior after as many independent draws as the run
+  is worth (:func:`with_unseen`), at most its number of distinct simulations.
+* Goals that a fitted proposal never tried (``phase_ppl.analysis.tree.unseen_share``).
 
 So an error is
 
-* unknown (NaN) with one chain, or where without one of the sets nothing is left to condition on;
-* too small where all chains began at the same wrong place and none has left it;
+* unknown (NaN) with one chain, or if nothing is left to condition on without one of the sets;
+* too small if all chains began at the same wrong place and none has left it;
 * too small for kernels whose chains exchange states (sa, aies), and too large for
   ``enumerate``, whose chains share out the hypotheses and do not sample them.
 
-It is no MCSE of ArviZ's: that is of chains whose draws count alike, and knows neither weighted
+It differs from ArviZ's MCSE, which is for chains with equal draws and covers neither weighted
 simulations nor sets of searches.
 
 How often an answer lies within 1.96 errors of the exact one was measured on worlds that can be
@@ -41,7 +41,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown
 
 ROUNDING: Final = 1e-12
-"""What is smaller, as a share of what was summed up, is left over from rounding."""
+"""Sums smaller than this share of their terms are rounding errors."""
 
 
 def share(which: NDArray[np.bool_], weights: FloatArray) -> FloatArray:
@@ -50,7 +50,7 @@ def share(which: NDArray[np.bool_], weights: FloatArray) -> FloatArray:
 
 
 def cautious(share: float, n: int) -> tuple[float, float]:
-    """Return a share of ``n`` and its standard error as if there had been one more of each."""
+    """Return a share of ``n`` and its standard error, after adding one of either kind."""
     p = (share * n + 1) / (n + 2)
     return p, math.sqrt(p * (1 - p) / (n + 2))
 
@@ -69,7 +69,7 @@ def median(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 def sd(values: FloatArray, weights: FloatArray) -> FloatArray:
     """Return (...) the standard deviation of values (row,) under weights (..., row) of sum 1."""
-    # about any fixed centre, and one in their midst loses no digits
+    # any fixed centre is right; one amid the values loses no digits
     centred = values - mean(values, weights.reshape(-1, len(values))[0])
     shift = mean(centred, weights)
     variance = mean(centred**2, weights) - shift**2
@@ -92,14 +92,14 @@ def entropy(mass: FloatArray) -> FloatArray:
 
 
 def worth(weights: FloatArray) -> float:
-    """Return how many equal draws weighted ones of sum 1 are worth, at most (Kish)."""
+    """Return Kish's effective size of weights of sum 1."""
     return float(1 / (weights**2).sum())
 
 
 def typical(codes: NDArray[np.int64], values: FloatArray, size: int) -> FloatArray:
-    """Return (code,) the geometric mean of the values with each code, 0 of those without any.
+    """Return (code,) the geometric mean of the values with each code; 0: no values.
 
-    Values that are NaN do not count.
+    NaN values do not count.
     """
     known = ~np.isnan(values)
     codes, logs = codes[known], np.log(np.maximum(values[known], np.finfo(float).tiny))
@@ -113,29 +113,29 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
 
 
 FEW_DRAWS: Final = 10.0
-"""Independent draws below which an answer rests on too little to be sure of anything."""
+"""Fewest independent draws with which an answer can be sure."""
 
 FEW_WHERE_TOLD, TOLD = 2.0, 2.0
-"""Likewise, where goals fit the better the more the video suggested them: from a rank correlation
-of so many standard errors on. In some videos of PHASE they do, and answers on 2
-to 10 effective draws were right (``benchmarks/decided.py``)."""
+"""Fewest independent draws if suggested goals fit better, and the least rank correlation, in
+standard errors, that shows it. So it is in some videos of PHASE: answers on 2 to 10 effective draws
+were right (``benchmarks/decided.py``)."""
 
 LEARNT: Final = 1.5
-"""By how much errors grow where what was drawn decides what is drawn next, which groups of chains
+"""Factor on errors of adaptive proposals: earlier draws decide later ones, which groups of chains
 do not show (``benchmarks/estimates.py --only amis``)."""
 
 MISLED: Final = 0.5  # standard errors below which suggestions are no better than chance
 _FEWEST_DEGREES: Final = 2.0  # of freedom: with one, 6.5 spreads would be one error
-_CLEARLY: Final = 2.0  # standard errors by which halves of the draws are to differ
+_CLEARLY: Final = 2.0  # standard errors by which halves of the draws must differ to count
 N_SETS: Final = 30  # random sets of chains that are left out
 _MOST_DECIMALS: Final = 4
 
 
 class Estimate(float):
-    """A number with its Monte-Carlo error, printed as 0.83 ± 0.04; in all else a plain float.
+    """A float with its Monte-Carlo error, printed as 0.83 ± 0.04.
 
     Attributes:
-        error: standard error; NaN where it is unknown, which prints as ``?``.
+        error: standard error; NaN: unknown, printed as ``?``.
     """
 
     error: float
@@ -165,10 +165,10 @@ class Mode(str):
     """The most probable label; a plain string.
 
     Attributes:
-        error: how probable it is that another label leads in truth: the highest such probability
-            of any other, from the Monte-Carlo error of the difference, taken as normal, and at
-            least as in Jeffreys' posterior of the two after as many independent draws as they are
-            worth. 0.5 for a tie; NaN where it is unknown.
+        error: probability that another label leads in truth, the highest over all others. It comes
+            from the Monte-Carlo error of the difference, taken as normal. It is at least that of
+            Jeffreys' posterior of the two labels, after as many independent draws as they are
+            worth. 0.5 for a tie; NaN: unknown.
     """
 
     error: float
@@ -198,18 +198,19 @@ def with_error(value: float, error: float) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Jackknife:
-    """Weights of rows without sets of groups of chains."""
+    """Weights of rows, with sets of groups of chains left out."""
 
-    # (set, row), each set's sum 1. Where halves of the draws are compared, further ones follow: the
-    # first and the last half, and both without each set
+    # (set, row), each set's sum 1. If halves of the draws are compared, more weights follow: of the
+    # first and the last half, and of both without each set
     weights: FloatArray
     factor: float  # (n - d) / d, where sets of d of n groups are left out
     n_sets: int | None = None  # how many of the weights are those of sets; None: all
 
     def error(self, results: ArrayLike, value: ArrayLike) -> FloatArray:
-        """Return the standard error of a statistic, with what the halves differ beyond chance.
+        """Return the standard error of a statistic, with the halves' difference beyond chance.
 
-        Results (set, ...) are those under each of the weights, the value (...) is that of all.
+        ``results`` (set, ...) are the statistic under each of the weights, ``value`` (...) under
+        all rows.
         """
         found = np.asarray(results, np.float64)
         n = self.n_sets
@@ -225,7 +226,7 @@ class Jackknife:
         return np.asarray(self.factor * ((found - found.mean(axis=0)) ** 2).mean(axis=0))
 
     def only(self, rows: NDArray[np.bool_]) -> Jackknife | None:
-        """Return it for the ``rows`` alone; None where they weigh nothing without a set."""
+        """Return the jackknife of ``rows`` alone; None: without some set they have no weight."""
         weights = self.weights if rows.all() else self.weights[:, rows]
         total = weights.sum(axis=1, keepdims=True)
         n = self.n_sets
@@ -253,7 +254,7 @@ class Jackknives:
         return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
 
     def only(self, rows: NDArray[np.bool_]) -> Jackknives | None:
-        """Return it for the ``rows`` alone; None where a set leaves nothing of them."""
+        """Return the jackknives of ``rows`` alone; None: without some set they have no weight."""
         parts = [part.only(rows) for part in self.parts]
         return None if None in parts else Jackknives(tuple(p for p in parts if p is not None))
 
@@ -267,12 +268,12 @@ def leaving_out(
 ) -> Jackknife | None:
     """Return the weights of rows without sets of groups of chains (:func:`sets_to_leave_out`).
 
-    None of a single group, or where without one of the sets nothing would be left. Arguments are
+    None with a single group, or if nothing would be left without one of the sets. Arguments are
     (row,) weights, the number of each row's group, and masks of the first and the last half of the
-    draws if these are compared; of rows in strata whose mass does not depend on who is left out
-    the stratum of each (row,) and the share of each group in it (stratum, group).
+    draws if these are compared. ``strata`` have a mass that does not depend on who is left out:
+    the stratum of each row (row,), and the share of each group in a stratum (stratum, group).
     """
-    # in strata there are groups too that have no row, as none of their simulations was completed
+    # strata may have groups without rows: none of their simulations was completed
     n_groups = int(groups.max()) + 1 if strata is None else strata[1].shape[1]
     if n_groups < 2:
         return None
@@ -291,10 +292,10 @@ def leaving_out(
 
 
 def widened(size: float) -> float:
-    """Return by what the error of a mean over ``size`` draws grows for their spread being unknown.
+    """Return the factor on the error of a mean over ``size`` draws whose variance is estimated.
 
-    So that 1.96 errors hold as much as Student's t would: 2.2 for three draws or fewer, 1.04 for
-    thirty; 1 where the size is NaN.
+    With it 1.96 errors cover as much as Student's t: 2.2 for three draws or fewer, 1.04 for thirty;
+    1 if the size is NaN.
     """
     if math.isnan(size):
         return 1.0
@@ -304,14 +305,14 @@ def widened(size: float) -> float:
 
 
 def with_unseen(mass: ArrayLike, error: ArrayLike, size: float, n_labels: int = 2) -> FloatArray:
-    """Return errors of probabilities that are not 0 only because few draws all say the same.
+    """Return errors of probabilities that stay above 0 when a few draws all agree.
 
-    The posterior of a probability p after n draws, and one that was divided as b, has the mean
-    p' = (n p + b) / (n + 1) and the variance p' (1 - p') / (n + 2); the error is at least its root
-    mean squared distance from p. It vanishes as n grows. b is 1/2 (Jeffreys), and from
-    :data:`FEW_DRAWS` draws on one over the number of labels (Perks): few leave anything possible,
-    many have room for one label among many only. ``error`` is what the chains show of it, ``size``
-    the number n of independent draws that they are worth, NaN where it is not known.
+    The posterior of a probability p after n draws, plus one prior draw divided as b, has the mean
+    p' = (n p + b) / (n + 1) and the variance p' (1 - p') / (n + 2). The error is at least its root
+    mean squared distance from p, which vanishes as n grows. b is 1/2 (Jeffreys); from
+    :data:`FEW_DRAWS` draws on it is one over the number of labels (Perks). Few draws leave anything
+    possible; many leave room for one label among many only. ``error`` is the chains' own,
+    ``size`` their effective number n of independent draws, NaN: unknown.
     """
     p = np.asarray(mass, np.float64)
     beforehand = 0.5 if size < FEW_DRAWS else 1 / n_labels
@@ -339,11 +340,11 @@ def doubt(
     size: float = math.nan,
     luck: ArrayLike = 0.0,
 ) -> float:
-    """Return how probable it is that another label than the first of the highest leads in truth.
+    """Return the probability that another label than the leader leads in truth; see :class:`Mode`.
 
-    See :class:`Mode`. Probabilities are (label,), results (set, label) those without each set;
-    ``size`` is the number of independent draws that they are worth, NaN where it is not known;
-    ``luck`` (label,) what one more lucky simulation of each would add to its error.
+    The leader is the first of the most probable labels. ``probabilities`` are (label,), ``results``
+    (set, label) without each set. ``size`` is the effective number of independent draws, NaN:
+    unknown. ``luck`` (label,) is what one more lucky simulation of each would add to its error.
     """
     leading = int(probabilities.argmax())
     leads = np.delete(probabilities[leading] - probabilities, leading)
@@ -354,7 +355,7 @@ def doubt(
     for lead, error in zip(leads.tolist(), errors.tolist(), strict=True):
         tied = 0.5 if lead <= ROUNDING else 0.0
         chances.append(0.5 * math.erfc(lead / (math.sqrt(2) * error)) if error > 0 else tied)
-    if not math.isnan(size):  # a few draws that agree need not be those of the leader
+    if not math.isnan(size):  # the true leader may be absent from a few draws
         from scipy.special import betainc
 
         others = np.delete(probabilities, leading)

@@ -1,4 +1,4 @@
-"""What both kinds of posterior of an event offer: files, ArviZ, priors, what if, what next."""
+"""Common methods of both posteriors of an event: files, ArviZ, priors, what-ifs, predictions."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 
 class EventPosterior(Hypotheses):
-    """What posteriors that were sampled and those read step by step have in common.
+    """Base of both posteriors of an event, sampled and by the closed loop.
 
-    Beside what :class:`Hypotheses` takes it is told what one can ask for in the event's world
-    (``words``), the attributes of the file, and its variables that tell of the scene.
+    Beside the arguments of :class:`Hypotheses` it takes the quantities of the event's world
+    (``words``), the attributes of the file, and its variables of the scene.
     """
 
     def __init__(
@@ -63,17 +63,17 @@ class EventPosterior(Hypotheses):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What determined the result: model, likelihood, seed and the rest."""
+        """All that determined the result: model, likelihood, seed and the rest."""
         return dict(json.loads(self._attrs["settings"]))
 
     @property
     def cost(self) -> dict[str, Any]:
-        """What it cost: simulations or searches, seconds, workers."""
+        """Cost: simulations or searches, seconds, workers."""
         return dict(json.loads(self._attrs["cost"]))
 
     @property
     def scene(self) -> Scene:
-        """Where the event takes place, and how it starts."""
+        """The scene of the event: its place and start."""
         return kept_scene(self._constant)
 
     @property
@@ -111,39 +111,37 @@ class EventPosterior(Hypotheses):
     def replay(self) -> FloatArray | None:
         """Return the stored simulation (time, entity, [x, y, angle]) of the best hypothesis.
 
-        None of what was read step by step, which has no simulations.
+        None: the closed loop's posterior has no simulations.
         """
         return None
 
     @property
     def untried(self) -> float:
-        """Prior mass of the pairs of effective goals that nothing was asked about.
+        """Prior mass of the pairs of effective goals that were not tried.
 
-        A sampled posterior gives these probability 0, whatever they would explain; NaN where the
-        prior of pairs is not kept. 0 of what was read step by step, under all hypotheses.
+        A sampled posterior gives these probability 0, however well they may explain the video. NaN:
+        the prior of pairs is not kept. The closed loop tries all hypotheses: 0.
         """
         return 0.0
 
     @property
     def arviz(self) -> Any:
-        """The posterior that is printed, for ArviZ, as in ``az.summary(post.arviz)``.
+        """The posterior as equal draws for ArviZ, as in ``az.summary(post.arviz)``.
 
-        Equal draws: those of the chains after the burn-in where they count alike (weights
-        ``"count"``), otherwise 4 chains of 1000 resampled from the weights, with a seed that
-        follows from the run's. R-hat and effective sizes of resampled draws are of the resampling:
-        :attr:`chains` has the chains as they ran.
+        If draws count equally (weights ``"count"``), they are the chains after the burn-in. Else
+        they are 4 chains of 1000 draws resampled from the weights, with a seed derived from the
+        run's. R-hat and effective sizes of resampled draws describe the resampling; :attr:`chains`
+        has the original chains.
 
-        The group ``posterior`` has numbers, such as strengths, real sites and quantities of one's
-        own, and of a sampled posterior ``log_joint`` and ``total_error``; and of what has
-        categories an indicator (0 or 1) of each of more than 2 %, so that its mean is a
-        probability. ``observed_data`` and ``constant_data`` have the observation and the scene.
-        There is no ``log_likelihood`` for ``az.loo``; the attribute ``loo`` says why. ``weights``,
-        ``effective_size_kish`` (how many equal draws the weights are worth) and ``draws`` say how
-        draws were made.
+        The group ``posterior`` has numbers: strengths, real sites and a user's own quantities, and
+        ``log_joint`` and ``total_error`` of a sampled posterior. Categories of more than 2 % have
+        an indicator (0 or 1) each, so its mean is a probability. ``observed_data`` and
+        ``constant_data`` have the observation and the scene. There is no ``log_likelihood`` for
+        ``az.loo``; the attribute ``loo`` says why. The attributes ``weights``,
+        ``effective_size_kish`` (Kish's size of the weights) and ``draws`` describe the draws.
 
         Returns:
-            An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
-            :class:`xarray.DataTree`.
+            An ``arviz.InferenceData`` for ArviZ before 1, otherwise an :class:`xarray.DataTree`.
         """
         weights, exact = self._rows.weights, self._is_exact
         rows = resampled(weights, int(self.settings.get("seed", 0)), exact=exact)
@@ -154,7 +152,7 @@ class EventPosterior(Hypotheses):
 
     @property
     def chains(self) -> Any:
-        """The chains as they ran, for ArviZ: ``az.rhat``, ``az.ess``, ``az.plot_trace``.
+        """The original chains for ArviZ: ``az.rhat``, ``az.ess``, ``az.plot_trace``.
 
         Raises:
             InvalidSettingError: there are none.
@@ -163,12 +161,12 @@ class EventPosterior(Hypotheses):
 
     @property
     def _is_exact(self) -> bool:
-        """Whether the table has every hypothesis once, so that nothing was drawn."""
+        """Whether the table has every hypothesis exactly once: nothing was drawn."""
         return False
 
     @property
     def _weighting(self) -> str:
-        """Name of what weighs hypotheses."""
+        """Name of the weighting of hypotheses."""
         raise NotImplementedError
 
     @property
@@ -210,22 +208,22 @@ class EventPosterior(Hypotheses):
 
     @property
     def tempering(self) -> str:
-        """What a frame counts as evidence, in words; "" where nothing is known to be tempered."""
+        """The weight of a frame as evidence, in words; "": not tempered, as far as known."""
         raise NotImplementedError
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
-        """Return which frames speak for ``event``, and against what.
+        """Return the log odds of ``event`` by frame: which frames are evidence for it.
 
         Args:
             event: conditions in words, such as ``"goal_red=get to green agent"`` or
                 ``"strength_red > strength_green, not relation=friendly"``.
-            over: what to compare with, likewise; by default that ``event`` is false.
+            over: conditions to compare with; by default that ``event`` is false.
 
         Returns:
             ``log_odds`` (time,) of one over the other given the frames so far, nats, tempered as
-            the attribute ``tempering`` says, its ``error`` (time,) by the jackknife over planner
-            seeds (NaN: not known), and ``change`` (time,) by each frame. Of a sampled posterior in
-            hindsight, as :meth:`over_time`.
+            the attribute ``tempering`` says; its ``error`` (time,) by the jackknife over planner
+            seeds (NaN: unknown); and ``change`` (time,) by each frame. A sampled posterior's are in
+            hindsight, as in :meth:`over_time`.
 
         Raises:
             QueryError, UnknownNameError: it cannot be read, or names something unknown.
@@ -236,11 +234,11 @@ class EventPosterior(Hypotheses):
     def _sides(
         self, table: Mapping[str, NDArray[Any]], event: str, over: str | None
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return in which rows of a table an event is true, and what it is compared with."""
+        """Return the rows of a table in which ``event`` is true, and those in which ``over`` is."""
         columns = dict(self._words.completed(table))
         known = {n: one for n, one in self._quantities.items() if n in columns}
         for name, definition in self._own.items():
-            with contextlib.suppress(QueryError):  # of what frames do not speak of
+            with contextlib.suppress(QueryError):  # the table may lack a quantity of the definition
                 known[name], columns[name] = defined(name, definition, known, columns)
         wanted = conditions(known, event).holds(columns)
         return wanted, ~wanted if over is None else conditions(known, over).holds(columns)
@@ -248,7 +246,7 @@ class EventPosterior(Hypotheses):
     def _odds(
         self, odds: FloatArray, error: FloatArray, event: str, over: str | None, **attrs: str
     ) -> xr.Dataset:
-        """Return log odds (time,) and their errors as :meth:`why` does."""
+        """Return log odds (time,) and their errors as the dataset of :meth:`why`."""
         time = np.arange(len(odds)) / FRAMES_PER_SECOND
         columns = {"log_odds": odds, "error": error, "change": np.diff(odds, prepend=odds[0])}
         said = {"event": event, "over": over or f"not {event}", "tempering": self.tempering}
@@ -267,19 +265,19 @@ class EventPosterior(Hypotheses):
         return xr.Dataset(found, {"time": ("time", time, {"units": "s"}), **labels}, attrs)
 
     def diagnostics(self) -> dict[str, Any]:
-        """Return whether this can be trusted: numbers, and what they say.
+        """Return diagnostics: numbers, and a verdict on whether to trust the posterior.
 
-        Among them ``trust``, ``answer``, ``checks``, ``next`` and ``verdict``, as
-        :func:`phase_ppl.analysis.verdict.judged` makes them.
+        They include ``trust``, ``answer``, ``checks``, ``next`` and ``verdict``, from
+        :func:`phase_ppl.analysis.verdict.judged`.
         """
         raise NotImplementedError
 
     def _head(self, found: Mapping[str, Any]) -> str:
-        """Return in a line what this is, given its diagnostics."""
+        """Return a heading in one line, given the diagnostics."""
         raise NotImplementedError
 
     def _body(self, found: Mapping[str, Any]) -> list[str]:
-        """Return the lines of a table about all answers, and what they cost."""
+        """Return the lines of a table of all answers and their cost."""
         raise NotImplementedError
 
     def __str__(self) -> str:
@@ -297,8 +295,8 @@ class EventPosterior(Hypotheses):
 
         Keys: ``goals`` (agent -> all goals), ``relation``, ``scenario``, ``strengths`` (agent
         -> mean, sd, hdi_low, hdi_high in newtons), ``errors`` (of each of these, in the same
-        form), ``map``, ``diagnostics``, ``settings``, ``cost``; read step by step ``log_evidence``
-        (nats) and ``frame`` too.
+        form), ``map``, ``diagnostics``, ``settings``, ``cost``. The closed loop's posterior also
+        has ``log_evidence`` (nats) and ``frame``.
         """
         record = {**self._answers(), "map": self.map_record(), **self._judged()}
         return dict(plain({**record, "settings": self.settings, "cost": self.cost}))
@@ -310,8 +308,8 @@ class EventPosterior(Hypotheses):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything to ``path`` as NetCDF, whole or not at all.
 
-        The weighting and the burn-in in use, or the last frame that is counted, become the file's
-        defaults; what was defined in words is kept.
+        The weighting and the burn-in in use, or the last frame that counts, become the file's
+        defaults. Definitions in words are kept.
 
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
@@ -322,7 +320,7 @@ class EventPosterior(Hypotheses):
         groups, packing = self._to_keep()
         attrs = {k: v for k, v in groups["/"].attrs.items() if k != KEPT_DEFINITIONS}
         groups["/"].attrs = attrs | self._definitions_to_keep()
-        # every array carries a checksum, so that a damaged file is noticed when it is read
+        # every array has a checksum, so reading notices a damaged file
         how = {"fletcher32": True, **packing}
         write_bytes(path, (".nc",), netcdf_bytes(groups, how, sealed=True))
         return Path(path)
@@ -334,18 +332,18 @@ class EventPosterior(Hypotheses):
     def with_prior(self, prior: Callable[..., object] | str) -> Self:
         """Return the posterior under another prior; nothing is simulated or searched again.
 
-        Read step by step, all hypotheses are there, so this is what a new run would say, but for
-        which pairs of goals all sets of searches were made for. A sampled one is reweighted by the
-        ratio of the priors over what was simulated; what that is worth is in its ``settings`` and
-        is printed.
+        The closed loop's posterior has all hypotheses, so this equals a new run, except that the
+        old prior chose which goal pairs got all searches. A sampled posterior is reweighted by the
+        ratio of the priors over its simulations. The effective size is in its ``settings`` and is
+        printed.
 
         Args:
             prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one
                 (:func:`phase_ppl.priors.available`).
 
         Raises:
-            InvalidSettingError: it is no prior, or too little was simulated of what it makes
-                probable.
+            InvalidSettingError: it is no prior, or too few of its probable hypotheses were
+                simulated.
             UnknownNameError: there is no such prior.
         """
         return self.under(self._checked(prior))
@@ -366,21 +364,21 @@ class EventPosterior(Hypotheses):
         """Return the answer to a question as an argument of the prior varies.
 
         Args:
-            question: after numbers, such as ``"P(relation)"``, ``"P(relation=friendly)"`` or
-                ``"E[strength_red]"``.
-            prior: NumPyro program of one argument, as ``ppl.priors.relation_first`` is of others.
+            question: question with a numeric answer, such as ``"P(relation)"``,
+                ``"P(relation=friendly)"`` or ``"E[strength_red]"``.
+            prior: NumPyro program of one argument; compare ``ppl.priors.relation_first``.
             values: of that argument.
 
         Returns:
-            The answers along ``value``, with their ``error``. NaN where too little was simulated
-            for that prior, which the attribute ``refused`` says line by line.
+            The answers along ``value``, with their ``error``. NaN: too little was simulated for
+            that prior; the attribute ``refused`` lists the reasons, one per line.
 
         Example:
             ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with
             ``def related(p): ...`` that samples ``alpha`` and the rest.
 
         Raises:
-            InvalidSettingError: no value can be answered for, or the answer is no number.
+            InvalidSettingError: there is no answer for any value, or the answer is no number.
             QueryError: as of :meth:`query`.
         """
         if not callable(prior):
@@ -391,7 +389,7 @@ class EventPosterior(Hypotheses):
         at = [float(value) for value in values]
         if not at:
             raise InvalidSettingError("values is empty: expected numbers")
-        # once is enough for a check that takes a while
+        # the check is slow, and one value is enough
         self._checked(functools.partial(prior, at[0]))
         answers: list[xr.DataArray | None] = []
         refusals: list[str] = []
@@ -407,7 +405,7 @@ class EventPosterior(Hypotheses):
             if not isinstance(answer, xr.DataArray):
                 raise InvalidSettingError(
                     f"{question!r} is answered by {type(answer).__name__}, which makes no curve: "
-                    "expected a question after numbers, such as P(relation)"
+                    "expected a question with numbers as answer, such as P(relation)"
                 )
             answers.append(answer)
         known = next((answer for answer in answers if answer is not None), None)
@@ -440,28 +438,27 @@ class EventPosterior(Hypotheses):
         simulator: Simulator | None = None,
         **changed: Any,
     ) -> WhatIf:
-        """Return what would have happened with something changed, beside what does happen.
+        """Return simulations of a counterfactual change, beside simulations without it.
 
-        Hypotheses are drawn from the posterior, and each is simulated twice with the same seed: as
-        it is, and with the change, if there is one. Printed, the result says how often and when
-        each agent reaches its goal in either world, and whether that differs by more than chance
-        (sign test of the pairs); see :class:`phase_ppl.analysis.what_if.WhatIf`.
+        Hypotheses are drawn from the posterior. Each is simulated twice with the same seed: as it
+        is, and with the change, if there is one. The printed result says how often and when each
+        agent reaches its goal in either world, and whether that differs by more than chance (sign
+        test of the pairs); see :class:`phase_ppl.analysis.what_if.WhatIf`.
 
         Args:
             alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
-            relation: the same in any world, (who, whom) -> "help" or "hinder"; of all others,
-                neither. Whoever helps or hinders no more pursues a goal of its own; beside PHASE
-                it is drawn from the prior.
+            relation: the same in any world, (who, whom) -> "help" or "hinder"; pairs left out do
+                neither. An agent that no longer helps or hinders pursues its own goal; in other
+                worlds than PHASE this is drawn from the prior.
             remove: an entity or several, such as ``"green agent"``.
-            walls: (n, 2, 2) ends of the inner walls, units; an empty list: there are none.
-            at: frame from which on it is changed; agents believe what they saw until then. By
-                default the start.
+            walls: (n, 2, 2) ends of the inner walls, units; an empty list: no walls.
+            at: frame of the change; agents believe what they saw until then. By default the start.
             seconds: simulated time from there; by default to the end of the video.
             n, seed, workers: hypotheses, their seed, and processes (by default one per core).
-            simulator: of a run that had one of its own.
-            **changed: ``goal_<agent>``, such as ``goal_red="get to green agent"``: what that agent
-                acts for; the others know it, and go on with their own goals.
-                ``stated_goal_<agent>``: likewise, but who helps or hinders the agent follows.
+            simulator: needed if the run had a simulator of its own.
+            **changed: ``goal_<agent>``, such as ``goal_red="get to green agent"``: the effective
+                goal of that agent. The others know it, and keep their own goals.
+                ``stated_goal_<agent>``: the same, but agents that help or hinder it follow.
                 ``strength_<agent>``: newtons.
 
         Example:
@@ -482,12 +479,12 @@ class EventPosterior(Hypotheses):
     def predict(
         self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None
     ) -> WhatIf:
-        """Return what comes after the last frame in so much simulated time: posterior predictive.
+        """Return the posterior predictive: ``seconds`` of simulated time after the last frame.
 
-        ``n``, ``seed``, ``workers`` are as of :meth:`do`.
+        ``n``, ``seed``, ``workers`` are as in :meth:`do`.
 
         Example:
-            ``post.at(40).predict(2).tracks.mean("simulation")``, for a posterior read step by step
+            ``post.at(40).predict(2).tracks.mean("simulation")``, for the closed loop's posterior
         """
         last = len(self.observed()) - 1
         return self.do(at=last, seconds=seconds, n=n, seed=seed, workers=workers)

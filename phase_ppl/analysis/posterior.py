@@ -1,4 +1,4 @@
-"""The posterior over goals, relation and strengths, and what one can ask it."""
+"""The sampled posterior over goals, relation and strengths."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ HINDSIGHT: Final = (
 """Goes with every result over time."""
 
 _ARRIVED: Final = 0.5
-"""Share of the chains, weighted by the density where they are, that is to be left (Kish) for them
-to have come to the same place."""
+"""Least effective share of the chains (Kish), weighted by their densities, at which they count as
+having reached the same place."""
 
 _MOST_UNTRIED: Final = 0.5
-"""Prior mass of goals that may never have been simulated, where suggestions do not tell of them."""
+"""Largest prior mass of untried goals, if suggested goals fit no better than others."""
 
 _STREAM: Final = 0x9EA1  # keeps replicates apart from what else follows from the run's seed
 
@@ -58,19 +58,18 @@ _FORMERLY: Final = {"importance": "stratified", "visited": "count"}
 class Posterior(EventPosterior):
     """Posterior over agents' goals, their relation and their strengths.
 
-    What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`, what one can ask
-    for in :mod:`phase_ppl.analysis.quantities`. ``goal_red`` and ``goal_green`` are effective
-    goals, what an agent acts on; ``stated_goal_red`` and ``stated_goal_green`` those before alpha
-    is counted in. ``relation`` and ``scenario`` follow from the two effective goals.
+    Its methods for questions are those of :class:`phase_ppl.analysis.hypotheses.Hypotheses`;
+    :mod:`phase_ppl.analysis.quantities` lists the quantities. Goals such as ``goal_red`` are
+    effective. Goals such as ``stated_goal_red`` are stated, without alpha. Relation and scenario
+    follow from the two effective goals.
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
         weights: "count", "stratified" or "likelihood"
-            (``phase_ppl.analysis.weights`` says when each is valid); None: what the run recorded
-            as its default.
-        burn_in: draws at the beginning of each chain that do not count; None: what the run
-            recorded, a quarter of a run of twenty iterations or more, else none. Weights
-            "stratified" are of all simulations, whatever it is.
+            (``phase_ppl.analysis.weights`` says when each is valid); None: the run's default.
+        burn_in: first draws of each chain that do not count; None: the run's default, a quarter of
+            twenty iterations or more, else none. Weights "stratified" ignore it: they use all
+            simulations.
         scenario: replaces the paper's scenario of two effective goals: (goal of red, goal of
             green) -> one of "collaborative", "independent", "competing", "opposing". The
             relation follows from it.
@@ -120,10 +119,10 @@ class Posterior(EventPosterior):
             self._without_sets = weights_without / weights_without.sum(axis=1, keepdims=True)
 
     def _jackknife(self, share: float) -> estimate.Jackknife | estimate.Jackknives | None:
-        """Return what errors come from.
+        """Return the jackknife that errors come from.
 
-        Draws from what the closed loop has read have its error too: the sets of searches disagree,
-        whatever the kernel does. It is unknown where there is a single one.
+        Draws from a closed loop's table have its error too: its sets of searches disagree for any
+        kernel. With a single set the error is unknown.
         """
         over_chains = self._over_chains(share)
         if over_chains is not None and self._attrs.get("adapts"):
@@ -145,19 +144,19 @@ class Posterior(EventPosterior):
         told = trees.suggestion_agreement(self._tree)
         if told >= estimate.TOLD:
             return estimate.FEW_WHERE_TOLD
-        # what was tried does not fit any better for being suggested, and most was not tried
+        # suggested goals fit no better than others, and most goals were not tried
         misled = told < estimate.MISLED and self.untried > _MOST_UNTRIED
         return math.inf if misled else super()._needed
 
     @functools.cached_property
     def _unseen(self) -> float:
-        # chains come to what they have not seen; a proposal that was fitted need not
+        # chains can still reach unseen goals; a fitted proposal may not
         return trees.unseen_share(self._tree) if self._attrs.get("adapts") else 0.0
 
     @functools.cached_property
     def _luck(self) -> FloatArray | None:
-        # a simulator with noise comes near the video now and then: goals for which it did not may
-        # be as probable as those for which it did
+        # a noisy simulator comes near the video by luck: goals without such luck may be as probable
+        # as goals with it
         if not self._attrs.get("adapts") or "draw" not in self._rows.index:
             return None
         log_weight = trees.log_weight_of_draws(self._counted).ravel()
@@ -172,11 +171,11 @@ class Posterior(EventPosterior):
         return np.where(known, luck, np.nan)
 
     def _most_effective(self) -> float:
-        """Return how many independent draws the draws can be worth at most.
+        """Return the most independent draws that the draws can be worth.
 
-        As many as Kish's size of the simulations that they rest on: a draw that stayed where it
-        was, and particles of one ancestor, are one. Where chains have not come to where the others
-        are, which their log joint shows, as many as the best of them.
+        It is Kish's size of their simulations: draws that did not move, and particles of one
+        ancestor, count once. If the log joint shows that chains have not reached the others, only
+        the best chains count.
         """
         if "draw" not in self._rows.index:
             return super()._most_effective()
@@ -189,7 +188,7 @@ class Posterior(EventPosterior):
         visited = frame.groupby(names, sort=False).ngroup().to_numpy()
         size = estimate.worth(estimate.shares(visited, self._rows.weights))
         if len(stats["draw"]) == 1 and "log_evidence" in stats:
-            # a population has chosen among its particles all along
+            # a population was resampled repeatedly
             return size / 2
         if not are_equal(self._rows.weights) or trees.are_weighted(self._counted):
             return size
@@ -259,9 +258,9 @@ class Posterior(EventPosterior):
     def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.
 
-        Among all simulations that were paid for, accepted or not. Its goals are the stated
-        ones; the simulator was given the effective ones, ``.effective_goals``. ``.relation`` and
-        ``.scenario`` give the rest. The simulator is noisy, so this is the best single simulation.
+        All simulations count, accepted or not. Its goals are stated goals; the simulator got
+        ``.effective_goals``. ``.relation`` and ``.scenario`` follow from these. The simulator is
+        noisy, so this is the best single simulation.
 
         Returns:
             A :class:`phase_ppl.Hypothesis`.
@@ -294,11 +293,11 @@ class Posterior(EventPosterior):
     def replay(self) -> FloatArray:
         """Return the stored simulation (time, entity, [x, y, angle]) of the best hypothesis.
 
-        That of :meth:`map` if a chain accepted it. Only trajectories of draws are kept, so
-        otherwise that of the draw with the highest log joint. Nothing is simulated again.
+        It is the simulation of :meth:`map` if a chain accepted it. Only trajectories of draws are
+        kept; otherwise it is that draw's with the highest log joint. Nothing is simulated again.
         """
         if "trajectory" not in self._tree[trees.SIMULATED].dataset:
-            return self.observed()  # what was read is conditioned on it, frame by frame
+            return self.observed()  # the closed loop conditions on it, frame by frame
         is_best = trees.simulation_of_draw(self._tree) == self._best_simulation()
         draws = trees.array(self._tree, "sample_stats", "log_joint")
         chain, draw = np.argwhere(is_best if is_best.any() else draws == draws.max())[0]
@@ -309,7 +308,7 @@ class Posterior(EventPosterior):
         return np.asarray(trees.array(self._tree, "observed_data", "trajectory"), np.float64)
 
     def diagnostics(self) -> Diagnostics:
-        """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`.
+        """Return diagnostics, with a verdict; see :mod:`phase_ppl.analysis.diagnostics`.
 
         ``print`` shows it as a table.
         """
@@ -325,11 +324,11 @@ class Posterior(EventPosterior):
         return Diagnostics(self.event_id, found)
 
     def over_time(self) -> xr.Dataset:
-        """Return the marginals on ever more of the video, in hindsight (:data:`HINDSIGHT`).
+        """Return the marginals given the first frames, by frame, in hindsight (:data:`HINDSIGHT`).
 
-        At the last frame they are those of weights ``"stratified"``, whatever the weighting in
-        use; where proposals have no density that is known, of ``"count"``, whose draws show little
-        of what early frames would have let believe. Nothing is simulated.
+        They use weights ``"stratified"``, not the weighting in use. If proposals have no known
+        density, they use ``"count"``, whose draws show little of the belief at early frames.
+        Nothing is simulated.
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
@@ -347,7 +346,7 @@ class Posterior(EventPosterior):
         return self._along_time(time, tables, hindsight=HINDSIGHT, weights=weighting)
 
     def _simulated(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Return the columns of a hypothesis of these simulations."""
+        """Return the columns of the hypotheses of simulations ``rows``."""
         simulations = self._tree["simulations"].dataset
         return {name: simulations[name].values[rows] for name in self._words.space.columns}
 
@@ -371,16 +370,16 @@ class Posterior(EventPosterior):
 
     @property
     def chains(self) -> Any:
-        """The chains as they ran, after the burn-in, for ArviZ: R-hat, effective sizes, traces.
+        """The original chains after the burn-in, for ArviZ: R-hat, effective sizes, traces.
 
         ``az.rhat(post.chains)``, ``az.ess``, ``az.plot_trace`` and ``az.plot_rank`` take them.
-        Every draw counts once, whatever the weights. Groups and attributes are those of
-        :attr:`arviz`, with ``sample_stats``; and ``posterior_predictive``, what could have been
-        observed by the draws: the simulation that each rests on, with the likelihood's noise on x
-        and y of every frame, from a seed that follows from the run's. Angles are the simulation's,
-        of which the likelihood says nothing: ``az.plot_ppc(post.chains, coords={"coord": ["x",
-        "y"]})``. The paper's beta of 0.05 is a tempered likelihood: its noise is 160 units long in
-        a frame. Of a likelihood of one's own there is no such group.
+        Every draw counts once, under any weights. Groups and attributes are those of :attr:`arviz`,
+        with ``sample_stats`` and ``posterior_predictive``. The latter is each draw's simulation
+        with the likelihood's noise on x and y of every frame, from a seed derived from the run's.
+        Angles are the simulation's, since the likelihood ignores them:
+        ``az.plot_ppc(post.chains, coords={"coord": ["x", "y"]})``. The paper's beta of 0.05 is a
+        tempered likelihood: its noise is 160 units long in a frame. A user's own likelihood has no
+        such group.
 
         An indicator that does not change within any half of a chain has no R-hat; the attribute
         ``left_out`` of the posterior (JSON) names these. With fewer than ten draws per chain
@@ -393,7 +392,7 @@ class Posterior(EventPosterior):
             raise InvalidSettingError(
                 f"the draws of this posterior (kernel {self._attrs['kernel']!r}) have weights of "
                 "their own and are no chains: post.arviz has equal draws resampled from them, "
-                "post.to_dataframe() all with their weights"
+                "post.to_dataframe() has all with their weights"
             )
         counted = self if self._weights == "count" else self._under_weights("count")
         return counted._as_chains("all of the chains, each counted once", moving=True)
@@ -527,8 +526,7 @@ def load_posterior(
 ) -> Posterior | StepwisePosterior:
     """Read a posterior that was saved, sampled or read step by step.
 
-    Where it is known which, ``Posterior.load`` and ``StepwisePosterior.load`` do the same and
-    refuse the other.
+    ``Posterior.load`` and ``StepwisePosterior.load`` do the same for one kind and refuse the other.
 
     Args:
         path: the .nc file.

@@ -1,4 +1,4 @@
-"""Questions in words: their grammar, and what their words mean.
+"""Questions in words: their grammar and meaning.
 
 ::
 
@@ -22,13 +22,15 @@
                | name "in" "{" value { "," value } "}"                 any of them
                | name "in" "[" number "," number "]"                   ends included
 
-What follows the first word may stand in round or square brackets: ``P(relation=friendly)``,
+Text after the first word may stand in round or square brackets: ``P(relation=friendly)``,
 ``E[strength_red | relation=friendly]``, ``top 3 goal_red``. "|" reads "given". Two quantities are
-compared by what they are called, as in ``P(strength_red > strength_green)`` or ``P(target_red =
-target_green)``. A comma reads "and" and binds the least: ``P(a=x or b=y, c=z)`` is of (a=x or b=y)
-and c=z. Values are written as they are, ``goal_red = Get blue item to red lm``, in any case and
-spacing; with quotes, single or double, where they hold one of ``, | = < > ! ( ) [ ] { }``, a quote,
-or the word "and" or "or". ``alpha=(1, 0)`` needs none. A quantity's name may be quoted too.
+compared by name, as in ``P(strength_red > strength_green)`` or ``P(target_red = target_green)``. A
+comma reads "and" and binds the least: ``P(a=x or b=y, c=z)`` is the probability of (a=x or b=y) and
+c=z.
+
+Values are written without quotes, ``goal_red = Get blue item to red lm``, in any case and spacing.
+They need quotes, single or double, if they hold one of ``, | = < > ! ( ) [ ] { }``, a quote, or the
+word "and" or "or". ``alpha=(1, 0)`` needs none. A quantity's name may be quoted too.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _OPERATOR: Final = re.compile(r"!=|<=|>=|=|<|>|in(?!\w)")
 _BARE: Final = re.compile(r"""[^,|()\[\]{}=<>!"']*""")
 _JOINING: Final = re.compile(r"\s(?:and|or)(?![^\s(])", re.IGNORECASE)
-"""What ends a value that is not quoted."""
+"""Characters and words that end an unquoted value."""
 
 _CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
 _DEEPEST: Final = 50  # brackets and "not" within each other
@@ -77,9 +79,9 @@ class Word(NamedTuple):
 
 
 class Query(NamedTuple):
-    """What is asked, one of :data:`QUESTIONS`: of quantities by name, or for P of an event.
+    """A question, one of :data:`QUESTIONS`, about named quantities or, for P, an event.
 
-    The number is that of ``top`` and ``hdi``, a share for ``hdi``; None: the default.
+    The number is that of ``top`` or ``hdi`` (a share for ``hdi``); None: the default.
     """
 
     question: str
@@ -89,7 +91,7 @@ class Query(NamedTuple):
 
 
 class Clause(NamedTuple):
-    """What a condition says of columns; where it is of one quantity alone, of which."""
+    """A condition on columns and, if it is about one quantity alone, that quantity."""
 
     holds: Callable[[Columns], NDArray[np.bool_]]
     quantity: str | None = None
@@ -99,7 +101,7 @@ class Clause(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What a text says of hypotheses: all clauses hold."""
+    """Conditions on hypotheses: all clauses hold."""
 
     text: str
     clauses: tuple[Clause, ...]
@@ -112,12 +114,12 @@ class Conditions(NamedTuple):
 def understood(
     text: str, quantities: Mapping[str, Quantity]
 ) -> tuple[Query, Conditions | None, Conditions | None]:
-    """Return what ``text`` asks, its event and what is given, None where there is none."""
+    """Return the question in ``text``, its event and the given event; None: there is none."""
     return _Reader(text, quantities).query()
 
 
 def conditions(quantities: Mapping[str, Quantity], text: str) -> Conditions:
-    """Return what a text such as ``"relation=friendly or strength_red > 400"`` says."""
+    """Return the conditions of a text such as ``"relation=friendly or strength_red > 400"``."""
     reader = _Reader(text, quantities)
     found = reader.events()
     if reader.skip() < len(text):
@@ -126,7 +128,7 @@ def conditions(quantities: Mapping[str, Quantity], text: str) -> Conditions:
 
 
 class _Reader:
-    """Reads a text, and says what its words mean given the quantities that there are."""
+    """Parser of questions about given quantities."""
 
     def __init__(self, text: str, quantities: Mapping[str, Quantity]) -> None:
         if not isinstance(text, str):
@@ -183,7 +185,7 @@ class _Reader:
         return number
 
     def _is_event(self) -> bool:
-        """Look ahead whether an event follows, and not names of quantities."""
+        """Whether an event follows instead of names of quantities; looks ahead."""
         start = self.skip()
         found = self._word("not") or self._take("(")
         if not found:
@@ -249,7 +251,7 @@ class _Reader:
         return found
 
     def possible(self, clauses: list[Clause]) -> Conditions:
-        """Return conditions; QueryError if no value of a quantity can fulfil all that are on it."""
+        """Return conditions; QueryError if no value of a quantity can fulfil all of its own."""
         for n, one in enumerate(clauses):
             if one.quantity is None:
                 continue
@@ -325,7 +327,7 @@ class _Reader:
             self._fail(str(error), label.at)
 
     def _comparison(self, name: Word, how: Word, other: Word) -> Clause:
-        """Return that two quantities compare in this way."""
+        """Return the clause that compares two quantities."""
         (sign, at), one, two = how, self._quantity(name), self._quantity(other)
         compare, first, second = _COMPARED[sign], one.name, two.name
         if sign in ("=", "!="):
@@ -372,7 +374,7 @@ class _Reader:
     def _label(self, name: str, joined: bool = False) -> Word:
         """Read a label: quoted, a pair such as (1, 0), or words up to the next sign.
 
-        Where it may be ``joined`` to other conditions, up to the next "and" or "or" too.
+        If it may be ``joined`` to other conditions, "and" and "or" end it too.
         """
         start = self.skip()
         if (quoted := self._quoted()) is not None:
@@ -415,7 +417,7 @@ class _Reader:
     # --- characters ----------------------------------------------------------------------------
 
     def skip(self) -> int:
-        """Go past spaces, and return where the next character is."""
+        """Skip spaces, and return the index of the next character."""
         while self._at < len(self._text) and self._text[self._at].isspace():
             self._at += 1
         return self._at

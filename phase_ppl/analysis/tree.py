@@ -1,4 +1,4 @@
-"""The tree of draws: what inference writes, what every analysis reads, and its file.
+"""The tree of draws: written by inference, read by every analysis, and kept in a file.
 
 An :class:`xarray.DataTree` with ArviZ's group names. Its root attributes are strings and
 numbers only, so that it survives NetCDF unchanged.
@@ -24,13 +24,13 @@ from phase_ppl.world.space import HypothesisSpace, space_of
 SCHEMA: Final = "phase-ppl-posterior-2"  # value of the root attribute ``schema``
 
 SIMULATED: Final = "simulated"
-"""Group of the simulation that each draw rests on, as the simulator made it. Where the likelihood
-is the radial one, its attribute ``beta`` says how much noise the likelihood puts around it."""
+"""Group of each draw's simulation, without noise. For the radial likelihood its attribute ``beta``
+gives the likelihood's noise."""
 
 DRAW: Final = ("chain", "draw")
 SIMULATION: Final = ("simulation",)
 FRAME: Final = ("time", "entity", "coord")
-"""Dimensions of what there is of each draw, of each simulation, and of a trajectory."""
+"""Dimensions of variables per draw, per simulation, and of a trajectory."""
 
 REQUIRED: Final[Mapping[str, Mapping[tuple[str, ...], str]]] = {
     "posterior": {},
@@ -46,8 +46,8 @@ REQUIRED: Final[Mapping[str, Mapping[tuple[str, ...], str]]] = {
     },
     "constant_data": {(): "start radius walls arena landmark_centres"},
 }
-"""Group -> dimensions (none: any) -> variables; beside the columns of a hypothesis, which draws and
-simulations have: ``HypothesisSpace.columns`` of the world."""
+"""Group -> dimensions (none: any) -> required variables. Draws and simulations also have the
+columns of a hypothesis: ``HypothesisSpace.columns`` of the world."""
 
 OPTIONAL: Final[Mapping[str, Mapping[tuple[str, ...], str]]] = {
     "sample_stats": {
@@ -57,9 +57,9 @@ OPTIONAL: Final[Mapping[str, Mapping[tuple[str, ...], str]]] = {
     SIMULATED: {(*DRAW, *FRAME): "trajectory"},
     "simulations": {(*SIMULATION, "time"): "step_log_likelihood"},
 }
-"""Likewise further variables: not all files and kernels have them. Where simulations were looked up
-in what the closed loop has read there are no trajectories, but log likelihoods without each of its
-sets of searches, less those with all."""
+"""Group -> dimensions -> optional variables, which some files and kernels lack. Runs on a closed
+loop's table have no trajectories. They have log likelihoods without each of its sets of searches,
+minus those with all sets."""
 
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "kernel", "validity", "weights", "schema")
 
@@ -114,7 +114,7 @@ def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
 
 
 def completed(tree: xr.DataTree) -> NDArray[np.bool_]:
-    """Return (simulation,) which were simulated to the end."""
+    """Return (simulation,) whether each was simulated to the end."""
     return array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
 
 
@@ -150,9 +150,9 @@ _MOST: Final = 100.0  # nats that make anything certain
 
 
 def untried(tree: xr.DataTree) -> float:
-    """Return the prior mass of the effective goals of all without a completed simulation.
+    """Return the prior mass of effective goals (of all agents) without a completed simulation.
 
-    NaN where the tree does not hold their prior.
+    NaN: the tree does not hold their prior.
     """
     tried = np.unique(effective_goals(tree, "simulations")[completed(tree)], axis=0)
     found = prior_of_goals(tree, tried)
@@ -163,11 +163,11 @@ def untried(tree: xr.DataTree) -> float:
 
 
 def suggestion_agreement(tree: xr.DataTree) -> float:
-    """Return how clearly goals fit the better the more the video suggests them.
+    """Return how clearly goals that bottom-up proposals suggest fit the video better.
 
-    The rank correlation of log proposal less log prior density with the log likelihood, of the
-    first simulation of the goals of all, over the standard error that it has by chance. NaN where
-    proposals have no density, or goals are few.
+    It is a rank correlation, divided by its standard error under chance: of log proposal minus log
+    prior density with the log likelihood, over the first simulation of each combination of goals.
+    NaN: proposals have no density, or goals are few.
     """
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
@@ -187,10 +187,10 @@ _FEWEST_RANKS: Final = 10
 
 
 def unseen_share(tree: xr.DataTree) -> float:
-    """Return the posterior probability that goals which were never simulated may have.
+    """Return the estimated posterior probability of goals that were never simulated.
 
-    They are taken to be as likely, given the video, as those that were simulated for the first time
-    in the later half of these. 0 where the tree has no evidence to compare that with.
+    Their likelihood is assumed to equal that of goals first simulated in the later half of first
+    simulations. 0: the tree has no evidence to compare with.
     """
     stats, simulations = tree["sample_stats"].dataset, tree["simulations"].dataset
     mass = untried(tree)
@@ -210,7 +210,7 @@ def unseen_share(tree: xr.DataTree) -> float:
 
 
 def possible_mass(tree: xr.DataTree) -> float:
-    """Return the prior mass of all effective goals: 1, or less where some cannot be."""
+    """Return the prior mass of all effective goals: 1, or less if some are impossible."""
     constant = tree["constant_data"].dataset
     if "log_prior_company" not in constant:
         return 1.0
@@ -227,7 +227,7 @@ def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
 
 
 def are_weighted(tree: xr.DataTree) -> bool:
-    """Whether the kernel, or another prior, gives draws weights, so that they are no chains."""
+    """Whether draws have weights, from the kernel or another prior, and so are no chains."""
     log_weight = log_weight_of_draws(tree)
     highest = log_weight.max()
     differ = np.isfinite(highest) and (log_weight < highest).any()
@@ -235,9 +235,9 @@ def are_weighted(tree: xr.DataTree) -> bool:
 
 
 def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:
-    """Return the (chain, draw) index of the simulation that each draw rests on.
+    """Return (chain, draw) the index of each draw's simulation.
 
-    A draw and its simulation share hypothesis and seed; -1 where no completed simulation does.
+    A draw and its simulation share hypothesis and seed; -1: there is no completed simulation.
     """
     names = [*space_of_tree(tree).kept_columns, "seed"]
     seeds = array(tree, "sample_stats", "sim_seed")
@@ -313,19 +313,19 @@ def space_of_tree(tree: xr.DataTree) -> HypothesisSpace:
 
 
 FEWEST: Final = 10.0
-"""Equal draws that a run under another prior must be worth, unless it was worth few before."""
+"""Least effective size of a run under another prior, unless it was small before."""
 
 _LEFT: Final = 0.5
-"""Share of the worth of a run that another prior may cost where fewer than that are left."""
+"""Largest share of the effective size that another prior may cost if fewer draws remain."""
 
 _TRIED: Final = 0.25
-"""Share that what was simulated must hold of the new prior, of its share of the old one."""
+"""Least mass of the simulated goals under the new prior, as a share of their mass under the old."""
 
 
 def settings_under(settings: str, program: Any, **found: float) -> str:
-    """Return a run's settings, JSON, under another prior: which, and instead of which.
+    """Return a run's settings, JSON, with another prior; the replaced one is kept.
 
-    The numbers ``found`` are kept beside it, in ``reweighted``.
+    The numbers ``found`` are added as ``reweighted``.
     """
     from phase_ppl.models.roles import as_given
 
@@ -341,7 +341,7 @@ def settings_under(settings: str, program: Any, **found: float) -> str:
 
 
 def changed_text(settings: dict[str, Any]) -> str:
-    """Return in words that a posterior is under another prior than its run; "" if it is not."""
+    """Return in words the change of prior since the run; "": no change."""
     if "reweighted" not in settings:
         return ""
     found = settings["reweighted"]
@@ -355,12 +355,11 @@ def changed_text(settings: dict[str, Any]) -> str:
 
 
 def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree:
-    """Return a tree of draws with the densities of another prior in place of the run's.
+    """Return a tree of draws reweighted to another prior.
 
-    What is simulated depends on effective goals and strengths only, so these are weighted by the
-    ratio of their priors, and stated goals and alpha are drawn anew given them. Sites of a user's
-    own, where the other prior has them too, are weighted along with all the rest; else they are
-    left out.
+    Simulations depend on effective goals and strengths only. So these are weighted by the ratio of
+    their priors, and stated goals and alpha are drawn anew given them. A user's own sites are
+    included in the ratio if the other prior has them too; else they are dropped.
     """
     from phase_ppl.models.density import NO_DENSITY
     from phase_ppl.models.effective import log_prior_of_hypotheses, upstream
@@ -400,10 +399,10 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
 
 
 def check_overlap(worths: tuple[float, float], tried: tuple[float, float]) -> None:
-    """Refuse what too little was simulated for.
+    """Raise InvalidSettingError if too little was simulated for another prior.
 
     Args:
-        worths: equal draws that the simulations are worth under the other prior, and before.
+        worths: effective sizes of the simulations under the other prior, and before.
         tried: shares of the other prior, and of the run's own, that were simulated.
     """
     reason = ""

@@ -1,4 +1,4 @@
-"""Whether a posterior can be trusted: an answer, what was checked, and what to do next."""
+"""Verdict on whether to trust a posterior: its answer, the checks, and what to do next."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from phase_ppl.analysis.with_arviz import MIN_DRAWS
 from phase_ppl.world.picture import LABEL, wrapped
 
 AGREED: Final = 0.8
-"""Share of particles with the same leading goal from which on they are said to agree."""
+"""Least share of particles with the same leading goal at which they agree."""
 
-STUCK: Final = 0.05  # acceptance rate below which the particles are said to have hardly moved
-FEW: Final = 0.1  # effective share of weighted draws below which a few of them are said to decide
+STUCK: Final = 0.05  # acceptance rate below which the particles hardly moved
+FEW: Final = 0.1  # effective share of weighted draws below which a few of them decide
 
-MIXED: Final = 1.1  # R-hat above which draws are said to depend on where their chain began
+MIXED: Final = 1.1  # R-hat above which draws depend on the start of their chain
 
 ALONE: Final = 0.99
-"""Probability that an answer needs without the prior, for the video to be said to decide: mean
-likelihoods of few simulations err by nats (``benchmarks/decided.py``)."""
+"""Probability under a uniform prior over goal pairs that a decided answer needs. It is high because
+mean likelihoods of few simulations err by nats (``benchmarks/decided.py``)."""
 
 UNTRIED: Final = 0.05
-"""Prior mass of pairs of goals without a simulation from which on it is a sign."""
+"""Prior mass of untried pairs of goals from which on the verdict mentions it."""
 
 UNEXPLAINED: Final = 17.0
-"""Nats below a perfect match, after the best joint action, from which on a frame counts as
-explained by no action: one body some 3 units from where it could be. 41 real videos without noise
-have none (16 at most); of the model's own videos, whose positions have noise of heavy tails, 3 %
-of the frames come to as much (``benchmarks/stepwise.py calibration``)."""
+"""Nats below a perfect match, after the best joint action, at which no action explains a frame: one
+body is some 3 units from where it could be. 41 real videos without noise have no such frame (16
+nats at most). The model's own videos have noise with heavy tails: 3 % of their frames reach it
+(``benchmarks/stepwise.py calibration``)."""
 
 SURPRISE: Final = 4.0
-"""Nats by which what was done was less probable than one sure action, beyond what is unexplained;
-the model's own videos have ``SURPRISING`` of their frames above it
+"""Nats by which the observed actions were less probable than one certain action, beyond what no
+action explains. A share ``SURPRISING`` of the frames of the model's own videos is above it
 (``benchmarks/stepwise.py calibration``)."""
 
 SURPRISING: Final = 0.1
 TOO_SURPRISING: Final = 0.5
-"""Share of such frames from which on the agents are said not to do what any goals make likely."""
+"""Share of such frames from which on the agents' actions are unlikely under all goals."""
 
 DISAGREE: Final = 0.1
 """Standard error of a leading probability from which on the sets of searches disagree."""
@@ -53,7 +53,7 @@ _LOOKS: Final[Mapping[str, tuple[str, str]]] = {
     "unknown": ("?", "#57606a"),
     "ok": ("+", "#1a7f37"),
 }
-"""State, the worst first -> its mark, and its colour."""
+"""State -> its mark and colour, the worst state first."""
 
 _TRUST: Final = {
     "confident": "The computation can be trusted.",
@@ -70,22 +70,22 @@ Record = Mapping[str, Any]
 
 
 class Check(NamedTuple):
-    """One thing that was looked at, to see whether an answer can be trusted."""
+    """One check of whether an answer can be trusted."""
 
     name: str
     state: str  # "fail": do not trust the answer; "doubt": it is not certain
-    value: str  # what was found
-    limit: str  # what it takes to pass
-    says: str = ""  # what it means that it was not passed
-    advice: str = ""  # what to do about it
+    value: str  # the value found
+    limit: str  # the limit for passing
+    says: str = ""  # meaning of not passing
+    advice: str = ""  # remedy
 
 
 def judged(leaders: Record, checks: Sequence[Check], closing: str = "") -> dict[str, Any]:
-    """Return the end of a record of diagnostics.
+    """Return the verdict part of a record of diagnostics.
 
-    ``trust`` ("confident", "not certain", "do not trust"), the ``answer`` in a line, the
-    ``checks``, what to do ``next``, and the ``verdict``: what the checks say that were not passed,
-    the worst first, or the ``closing`` where none says anything.
+    Keys: ``trust`` ("confident", "not certain", "do not trust"), the ``answer`` in a line, the
+    ``checks``, what to do ``next``, and the ``verdict``. The verdict has the texts of failed
+    checks, the worst first, or else ``closing``.
     """
     checks = [one._replace(says="", advice="") if one.state == "ok" else one for one in checks]
     ordered = sorted(checks, key=lambda one: list(_LOOKS).index(one.state))
@@ -119,7 +119,7 @@ def _asked(name: str) -> str:
 
 
 def verdict_lines(found: Record) -> list[str]:
-    """Return the answer, the checks, what the worst one says, and the next step, as lines."""
+    """Return the answer, the checks, the worst one's text, and the next step, as lines."""
     shown, label = list(wrapped("answer", found["answer"])), "checks"
     for one in found["checks"]:
         row = f"{_LOOKS[one['state']][0]} {one['name']:<24}{one['value']:<29}{one['limit']}"
@@ -190,7 +190,7 @@ def _decided(leaders: Record, advice: str) -> Check:
 
 
 def of_draws(found: Record) -> dict[str, Any]:
-    """Return whether a posterior of draws or simulations with these diagnostics can be trusted."""
+    """Return the verdict on a posterior of draws or simulations, from its diagnostics."""
     draws, particles, weights = found["iterations"], found["particles"], found["weights"]
     weighted, simulations = found["weighted_draws_ess"] is not None, found["simulations"]
     more = f"run longer: iterations={max(40, 4 * draws)}"
@@ -244,12 +244,12 @@ def _enough(found: Record, longer: str) -> Check:
 
 
 def _by_prior(found: Record) -> Iterator[Check]:
-    """Yield whether the video decides what is sure, or the prior."""
+    """Yield the check of whether the video or the prior decides the sure answers."""
     leaders = found["leaders"].items()
     known = {n: one["without_prior"] for n, one in leaders if one["sure"]}
     known = {name: share for name, share in known.items() if share is not None}
     if known:
-        # rounded down, so that what is short of a limit is not shown as it
+        # rounded down, so that a value just below a limit does not look like the limit
         shown = {name: f"{math.floor(100 * share) / 100:.2f}" for name, share in known.items()}
         short = [f"{shown[name]} for {_asked(name)}" for name in known if known[name] <= ALONE]
         says = (
@@ -319,7 +319,7 @@ def _camps(leading: Mapping[str, int]) -> str:
 
 
 def _mixing(found: Record, longer: str) -> Check:
-    """Return whether chains differ more than draws of one law do."""
+    """Return the check of whether chains differ more than draws of one distribution."""
     worst = {"the log joint": [found["scalars"]["log_joint"]["r_hat"]]}
     for name, labels in found["categories"].items():
         titled = name.replace("_", " ").replace("goal ", "goal of ")
@@ -346,7 +346,7 @@ def _mixing(found: Record, longer: str) -> Check:
 
 
 def _other_leaders(categories: Record) -> Iterator[Check]:
-    """Yield for which agent the weighting puts another goal first than the draws do."""
+    """Yield a check for each agent whose leading goal differs between weighting and draws."""
     for name, goals in categories.items():
         agent, first = name.removeprefix(_GOAL), max(goals, key=lambda g: goals[g]["probability"])
         others = max(entry["share"] for entry in goals.values()) > goals[first]["share"]
@@ -371,7 +371,7 @@ def _worth(found: Record, longer: str) -> Check:
 
 
 def of_reading(found: Record) -> dict[str, Any]:
-    """Return whether a posterior that was read step by step can be trusted."""
+    """Return the verdict on a posterior of the closed loop."""
     n_sets, samples, leaders = found["planner_seeds"], found["samples"], found["leading"]
     own = samples is not None
     if found["frames"] == 1:

@@ -1,32 +1,35 @@
-"""Ways to turn a tree of draws into a table of hypotheses with weights.
+"""Weightings: ways to turn a tree of draws into a table of hypotheses with weights.
 
-Every query is a sum over such a table. Which weighting is valid when:
+Every query is a sum over such a table. Each weighting is valid under conditions:
 
 ``"count"``
-    Every draw after the burn-in weighs exp(its log weight). Draws of a Markov chain weigh the
-    same: a chain visits a hypothesis in proportion to its probability, once it has forgotten where
-    it began. Kernels such as importance sampling give each draw a weight of its own. Valid for
-    every kernel whose stationary law is the posterior, and for those that approach it as particles
-    grow.
+    Every draw after the burn-in weighs exp(its log weight). Draws of a Markov chain weigh the same:
+    once a chain has forgotten its start, it visits hypotheses in proportion to their probability.
+    Kernels such as importance sampling give each draw a weight of its own. Valid for every kernel
+    whose stationary law is the posterior, or approaches it with more particles.
 ``"stratified"``
-    Every completed simulation of known proposal density, accepted or not: its pair of effective
-    goals weighs P(pair) times the mean likelihood of the pair's simulations, each of which counts
-    in it by P(h) / Q(h), with Q the density of the proposal that it was drawn from, given all that
-    was done before (post-stratification: the prior says what the share of a stratum is, not how
-    often it was drawn). Pairs that were proposed fewer than twenty times are one stratum together,
-    which stands for all that was tried less, or never. It does not matter how it was chosen to
-    simulate a pair, so that rivals, which earlier results called for, are strata of their own. The
-    weights P / Q within a stratum, and then those of all, are truncated twice at the square root of
-    their number times their mean (Ionides 2008, JCGS 17:295), so that no simulation decides alone;
-    what that changes vanishes as they grow. A simulation that could have been stopped early weighs
-    more by the reciprocal of the probability that it was not, which makes up for those that were.
-    Consistent, whatever the acceptance rule, for kernels whose proposals have a density that covers
-    the prior (``local_mh``, ``prior_mh``, the local moves of ``mixture``), given all that was done
-    before (Rudolf & Sprungk 2020, Electronic Journal of Statistics 14:857).
+    Every completed simulation of known proposal density counts, accepted or not. A pair of
+    effective goals weighs P(pair) times the mean likelihood of its simulations. In this mean a
+    simulation counts by P(h) / Q(h), with Q the density of its proposal given the history of the
+    run. This is post-stratification: the prior gives a stratum's mass, not its number of draws.
+
+    Pairs proposed fewer than twenty times form one stratum, which stands for everything tried less
+    or never. A pair may be chosen for simulation in any way. So rivals, which earlier results
+    called for, are strata of their own.
+
+    The weights P / Q within a stratum, and then all weights, are truncated twice, at the square
+    root of their number times their mean (Ionides 2008, JCGS 17:295). So no simulation decides
+    alone; the change vanishes as their number grows. A simulation that could have been stopped
+    early weighs more, by the reciprocal of the probability that it was not. This compensates for
+    simulations that were stopped.
+
+    Consistent under any acceptance rule, for kernels with proposal densities, given the history,
+    that cover the prior: ``local_mh``, ``prior_mh``, the local moves of ``mixture`` (Rudolf &
+    Sprungk 2020, Electronic Journal of Statistics 14:857).
 ``"likelihood"``
-    Every draw weighs its own likelihood. This is how the authors' published probabilities
-    behave, and for reproducing them only: on the draws of an exact kernel the likelihood
-    counts twice, which makes every probability too extreme.
+    Every draw weighs its own likelihood. The authors' published probabilities behave like this; use
+    it only to reproduce them. On the draws of an exact kernel the likelihood counts twice, so every
+    probability is too extreme.
 """
 
 from __future__ import annotations
@@ -45,12 +48,12 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 
 FEWEST_OF_PAIR: Final = 20
-"""Times that a pair of goals is to be proposed to be a stratum of its own: in one of a few
-simulations P / Q hardly counts, and strengths stay where they were proposed
+"""Fewest proposals of a pair of goals for a stratum of its own. In a stratum of few simulations
+P / Q has hardly any effect, and strengths keep the proposal's distribution
 (``benchmarks/estimates.py``)."""
 
 MOST_GROUPS: Final = 32
-"""Groups of chains that are left out, at most: more would hardly make errors surer."""
+"""Most groups of chains for the jackknife: more would hardly make errors more precise."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,14 +62,14 @@ class Rows:
 
     values: Mapping[str, NDArray[Any]]  # site -> (row,) codes or numbers
     weights: FloatArray  # (row,) non-negative, sum 1
-    # what identifies a row in the tree: column -> (row,) integers
+    # place of a row in the tree: column -> (row,) integers
     index: Mapping[str, NDArray[np.int64]]
-    # of rows in strata whose mass is known: (row,) stratum, and (stratum, group) the share of each
-    # group of chains in it
+    # strata of known mass: (row,) stratum of each row, and (stratum, group) the share of each group
+    # of chains in it
     strata: tuple[NDArray[np.int64], FloatArray] | None = None
-    # (row,) of which group of chains each is, 0 and up; None: nothing was drawn in chains
+    # (row,) group of chains of each row, 0 and up; None: there are no chains
     groups: NDArray[np.int64] | None = None
-    # masks (row,) of the first and the last half of the draws, if these are to agree
+    # masks (row,) of the first and the last half of the draws, if these should agree
     halves: tuple[NDArray[np.bool_], ...] = ()
 
 
@@ -90,20 +93,20 @@ def normalised(log_weights: FloatArray) -> FloatArray:
 
 
 def chain_groups(tree: xr.DataTree) -> NDArray[np.int64]:
-    """Return (chain,) the group that each chain belongs to when groups are left out in turn.
+    """Return (chain,) the group of each chain, for leaving out groups in turn.
 
-    Groups are single chains, or where there are more than :data:`MOST_GROUPS` as many groups of
-    neighbouring chains, whose sizes differ by 1 at most.
+    Groups are single chains. With more than :data:`MOST_GROUPS` chains they are that many groups of
+    neighbouring chains, whose sizes differ by at most 1.
     """
     n_chains = trees.shape_of_draws(tree)[0]
     return np.arange(n_chains) * min(n_chains, MOST_GROUPS) // n_chains
 
 
 def halves(tree: xr.DataTree, name: str, rows: Rows) -> tuple[NDArray[np.bool_], ...]:
-    """Return which rows are of the first and of the last half of the draws, to compare these.
+    """Return masks of the rows of the first and of the last half of the draws, to compare these.
 
-    Only of draws that count equally: those of a chain that still moves away from where it began
-    differ by more than chance between the halves. Else, or of a single draw, nothing.
+    If a chain still moves away from its start, its halves differ by more than chance. Empty if
+    draws have weights, or for a single draw.
     """
     if name != "count" or np.ptp(trees.log_weight_of_draws(tree)) > 0:
         return ()
@@ -114,7 +117,7 @@ def halves(tree: xr.DataTree, name: str, rows: Rows) -> tuple[NDArray[np.bool_],
 
 
 def count(tree: xr.DataTree) -> Rows:
-    """Return all draws, weighted as the kernel says: equally, but for weighted draws."""
+    """Return all draws with the kernel's weights: equal, unless its draws are weighted."""
     values, index = _draws(tree)
     return Rows(values, normalised(trees.log_weight_of_draws(tree).reshape(-1)), index)
 
@@ -134,7 +137,7 @@ def likelihood(tree: xr.DataTree) -> Rows:
 
 
 def stratified(tree: xr.DataTree) -> Rows:
-    """Return every completed simulation, by its stratum's prior and part of the mean L there."""
+    """Return every completed simulation, weighted by its stratum's prior and mean likelihood."""
     if not has_proposals(tree):
         raise InvalidSettingError(
             "weights 'stratified' need the density of each proposal, which kernel "
@@ -143,7 +146,7 @@ def stratified(tree: xr.DataTree) -> Rows:
     if not _has_prior(tree):
         raise InvalidSettingError("weights 'stratified' need the prior of pairs of goals")
     strata, simulations = _strata(tree), tree["simulations"].dataset
-    with np.errstate(invalid="ignore"):  # of what failed
+    with np.errstate(invalid="ignore"):  # failed simulations
         log_weight = strata.log_mass + simulations["log_likelihood"].values
         log_weight = log_weight + _log_reciprocal_proposal(tree)
     row = np.flatnonzero(trees.completed(tree) & np.isfinite(log_weight))
@@ -165,11 +168,11 @@ def _has_prior(tree: xr.DataTree) -> bool:
 
 
 class _Strata(NamedTuple):
-    """Into which strata simulations fall."""
+    """The strata of simulations."""
 
-    of: NDArray[np.int64]  # (simulation,) number of the stratum; -1 where Q is not known
-    # (simulation,) P(h) / Q(h), truncated, of a sum of 1 over the simulations of the stratum, those
-    # that were stopped or failed too
+    of: NDArray[np.int64]  # (simulation,) number of the stratum; -1: Q is not known
+    # (simulation,) P(h) / Q(h), truncated, with sum 1 over all simulations of the stratum, stopped
+    # and failed ones included
     share: FloatArray
     log_mass: FloatArray  # (simulation,) log of Q(h), the stratum's prior and the share
 
@@ -177,7 +180,7 @@ class _Strata(NamedTuple):
 def _strata(tree: xr.DataTree) -> _Strata:
     """Return the strata: pairs asked for ``FEWEST_OF_PAIR`` times or as rivals, and all others."""
     simulations = tree["simulations"].dataset
-    # what was asked for again counts each time
+    # repeated requests count each time
     log_proposal = -_with_again(simulations, -simulations["log_proposal"].values.astype(float))
     n_requests = _n_requests(simulations)
     with np.errstate(invalid="ignore"):
@@ -189,7 +192,7 @@ def _strata(tree: xr.DataTree) -> _Strata:
     prior = trees.prior_of_goals(tree, pairs)
     assert prior is not None, "it was asked for"
     alone = np.bincount(pair, n_requests[known], len(pairs)) >= FEWEST_OF_PAIR
-    # rivals are there because of what others came to
+    # rivals were chosen by the results of others
     are_rivals = simulations["iteration"].values >= tree.attrs.get("rivals_from", np.inf)
     alone[pair[are_rivals[known]]] = True
     of = np.full(len(log_ratio), -1)
@@ -232,7 +235,7 @@ def _log_reciprocal_proposal(
 ) -> FloatArray:
     """Return (simulation,) log 1 / (Q(h) P(it was not stopped)); NaN where Q is not known.
 
-    The log likelihood is that at best, as far as it was needed; by default of whole simulations.
+    ``log_likelihood`` is an upper bound, as far as needed; by default that of whole simulations.
     """
     simulations = tree["simulations"].dataset
     if log_likelihood is None:
@@ -247,21 +250,21 @@ def _log_reciprocal_proposal(
 def truncated(weights: FloatArray, n_requests: NDArray[np.int64] | None = None) -> FloatArray:
     """Return n weights of sum 1, truncated at sqrt(n) times their mean, and then once more.
 
-    A weight that stands for some of n requests together is truncated as that many weights.
+    A weight that stands for several of n requests together is truncated as that many weights.
     """
     each = np.ones(weights.size) if n_requests is None else np.maximum(n_requests, 1)
-    # of weights that differ by many nats the first truncation leaves little beside the largest
+    # if weights differ by many nats, one truncation leaves little beside the largest
     for _ in range(2):
         weights = np.minimum(weights, each * weights.sum() / math.sqrt(each.sum()))
     return weights / weights.sum()
 
 
 def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
-    """Return weights on ever more of the video: name, simulations, and weights (simulation, time).
+    """Return weights by frame: name of the weighting, simulations, and weights (simulation, time).
 
-    At frame t every simulation that came so far weighs as under weights ``"stratified"``, but with
-    the likelihood of frames 0 to t only; where their proposals have no density, or the file
-    no prior of pairs, every draw by what its later frames made of it, L(0 to t) / L(all).
+    At frame t every simulation that got so far has its ``"stratified"`` weight, with the likelihood
+    of frames 0 to t only. If proposals have no density, or the file no prior of pairs, every draw
+    weighs L(0 to t) / L(all).
     """
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" not in simulations:
@@ -280,13 +283,13 @@ def so_far(tree: xr.DataTree) -> tuple[str, NDArray[np.int64], FloatArray]:
         log_weights = log_weight[:, None] + likelihood[row] - likelihood[row, -1:]
         return "count", row, np.stack([normalised(one) for one in log_weights.T], axis=1)
     log_mass, n_requests = _strata(tree).log_mass, _n_requests(simulations)
-    # a frame that was not simulated counts as one without error where a simulation may be stopped
+    # where a simulation may be stopped, frames that were not simulated count as without error
     unknown = (~known).sum(axis=1)
     total = simulations["log_likelihood"].values
     stopped = (unknown > 0) & np.isfinite(total)
     perfect = ((total - likelihood[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
     perfect = perfect if np.isfinite(perfect) else np.inf
-    # where one was stopped, its last frame is the first that the probability does not allow for
+    # the last frame of a stopped simulation is the first that the probability does not cover
     cut = np.isfinite(simulations["log_bound"].values) & ~simulations["completed"].values
     n_known = np.where(cut, simulations["frames_simulated"].values - 1, known.shape[1])
     weights, used = np.zeros(known.shape), np.zeros(len(known), bool)
@@ -321,5 +324,5 @@ WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
 }
 """Name of a weighting -> the function that makes the table.
 
-They raise InvalidSettingError where nothing has weight, or the kernel's proposals have no density
-that is known, and InvalidEventError where a draw rests on no simulation of the tree."""
+They raise InvalidSettingError if nothing has weight, or the density of the kernel's proposals is
+unknown, and InvalidEventError if a draw has no simulation in the tree."""

@@ -1,4 +1,4 @@
-"""What if: hypotheses of a posterior simulated anew, as they are and with something changed."""
+"""What if: simulations of a posterior's hypotheses, unchanged and with a change."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from phase_ppl.world.space import space_of
 
 WORLDS: Final = ("as it is", "changed")
 _BY_CHANCE: Final = 0.05
-"""Two-sided p of the sign test of the pairs up to which a difference is put down to the change."""
+"""Significance level of the sign test of the pairs (two-sided p)."""
 
 _FEWEST: Final = 2
 
@@ -52,17 +52,17 @@ _FEWEST: Final = 2
 class WhatIf(Printed):
     """Simulations of hypotheses drawn from a posterior, in one world or in two.
 
-    Errors are those of so many simulations; that of the posterior is not in them.
+    Errors are due to the number of simulations only; the posterior's own error is not included.
 
     Attributes:
-        event_id: of which event.
-        change: what is changed, in words; "" where nothing is.
-        begin: the frame that they go on from; 0 is the start.
+        event_id: id of the event.
+        change: the change, in words; "": none.
+        begin: first frame of the simulations; 0 is the start.
         scenes: of each world.
-        goals: (simulation, agent) the effective goals of the hypotheses as they are.
+        goals: (simulation, agent) the effective goals of the unchanged hypotheses.
         poses: (world, simulation, time, entity, [x, y, angle]).
-        removed: entities that the last world does without.
-        is_removal: whether that is all that is changed.
+        removed: entities that are missing from the last world.
+        is_removal: whether that is the only change.
     """
 
     event_id: str
@@ -81,7 +81,7 @@ class WhatIf(Printed):
 
     @functools.cached_property
     def tracks(self) -> xr.DataArray:
-        """(world, simulation, time, entity, coord), units and radians; NaN of what was removed.
+        """(world, simulation, time, entity, coord), units and radians; NaN for removed entities.
 
         ``time`` is in simulated seconds from the start of the event.
         """
@@ -94,17 +94,17 @@ class WhatIf(Printed):
         return xr.DataArray(poses, coords, dims, "tracks")
 
     def reached(self, agent: str, goal: str | None = None) -> xr.DataArray:
-        """Return in which simulations an agent's goal is reached, and when.
+        """Return the time at which each simulation reaches an agent's goal.
 
-        A goal to get something somewhere is reached when that is true for the first time; one to
-        get or keep it away, if it is away at the end. What was removed is near nothing.
+        A goal to get something somewhere is reached when that is first true. A goal to get or keep
+        it away is reached if it is away at the end. Removed entities are near nothing.
 
         Args:
             agent: its name, such as "red agent", or the first word of that.
-            goal: a goal of the agent; by default that of each hypothesis as it is.
+            goal: a goal of the agent; by default that of each unchanged hypothesis.
 
         Returns:
-            (world, simulation) simulated seconds from the start of the event; inf where it is not.
+            (world, simulation) simulated seconds from the start of the event; inf: not reached.
 
         Raises:
             UnknownNameError: there is no such agent or goal.
@@ -128,7 +128,7 @@ class WhatIf(Printed):
         return xr.DataArray(found, coords, ("world", "simulation"), "seconds")
 
     def _wanted_near(self, literal: Literal, holder: int) -> bool | None:
-        """Return whether what was removed is to be near something; None: it is about the rest."""
+        """Return whether a goal wants a removed entity near something; None: it is about others."""
         planned = planned_as(literal, holder, self.scenes[0])
         touched = [planned.target] if planned.predicate is Predicate.TOUCH else []
         about_it = not {planned.subject, *touched}.isdisjoint(self.removed)
@@ -140,7 +140,7 @@ class WhatIf(Printed):
         return [Estimate(share, cautious(share, len(self.goals))[1]) for share in shares]
 
     def difference(self, agent: str, goal: str | None = None) -> Estimate:
-        """Return how much more probable the change makes it that an agent's goal is reached.
+        """Return the change in the probability that an agent's goal is reached.
 
         Simulations are compared in pairs, of one hypothesis and one seed.
 
@@ -151,7 +151,7 @@ class WhatIf(Printed):
             raise InvalidSettingError("nothing was changed: there is no difference to speak of")
         before, after = np.isfinite(self.reached(agent, goal).values).astype(float)
         change, n = after - before, len(after)
-        # as if there had been one more of either sort
+        # with one more of either kind added
         spread = ((change**2).sum() + 2) / (n + 2) - (change.sum() / (n + 2)) ** 2
         return Estimate(float(change.mean()), math.sqrt(spread / (n + 2)))
 
@@ -215,10 +215,10 @@ def _entity(name: object, among: Sequence[str]) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """What is done to a world; see ``do`` of a posterior."""
+    """A change to a world; see ``do`` of a posterior."""
 
     world: World
-    # site -> value, of stated goals, strengths and how agents stand to each other; helpers follow
+    # site -> value, for stated goals, strengths and alpha or company; helpers follow
     sites: Mapping[str, Any]
     goals: Mapping[str, int]  # site of a goal -> effective goal, of that agent alone
     removed: tuple[int, ...]  # entities that are there no more
@@ -240,7 +240,7 @@ class Change:
         remove: str | Sequence[str] = (),
         walls: Any = None,
     ) -> Change:
-        """Return the change that is said in names; arguments and errors as of ``do``."""
+        """Return the change given by names; arguments and errors as of ``do``."""
         space, words = space_of(world), []
         sites: dict[str, Any] = {}
         goals: dict[str, int] = {}
@@ -291,7 +291,7 @@ class Change:
         """Return a hypothesis, given by its sites, with the change: stated first, then effective.
 
         Raises:
-            InvalidSettingError: somebody could do nothing for or against what another then wants.
+            InvalidSettingError: an agent cannot help or hinder the other's new goal.
         """
         space, sites = space_of(self.world), {**sites, **self.sites}
         codes = {name: np.array([sites[name]]) for name in space.limits}
@@ -320,10 +320,10 @@ def simulated(
     workers: int | None,
     simulator: Simulator | None = None,
 ) -> WhatIf:
-    """Return hypotheses drawn from a posterior, simulated from a frame on.
+    """Return simulations, from a frame on, of hypotheses drawn from a posterior.
 
-    In a second world with the change, if there is one; all else as of ``do``. Beside PHASE
-    ``own_goals`` (agent, goal) is the prior of what agents want for themselves.
+    A change is simulated in a second world; all else is as of ``do``. In other worlds than PHASE
+    ``own_goals`` (agent, goal) is the prior of agents' own goals.
     """
     observed, scene, settings = post.observed(), post.scene, post.settings
     at, frames = _length(len(observed) - 1, at, seconds)
@@ -389,9 +389,9 @@ def _drawn(post: Any, own_goals: FloatArray | None, n: int, seed: int) -> list[d
         ways = np.array([way_of[tuple(values[name][row] for name in codes)] for row in rows])
     columns = {space.company_site: ways}
     for site, name in zip(space.goal_sites, space.stated_sites, strict=True):
-        # whoever pursues a goal of its own acts on it
+        # an agent that pursues its own goal acts on it
         columns[site] = values[name if name in values else site][rows]
-    if own_goals is not None:  # of those who help or hinder nothing is known but the prior
+    if own_goals is not None:  # own goals of helpers and hinderers have the prior's distribution
         for agent, (site, masses) in enumerate(zip(space.goal_sites, own_goals, strict=True)):
             idle = space.owner[ways, agent] != agent
             columns[site][idle] = rng.choice(len(masses), idle.sum(), p=masses / masses.sum())
@@ -415,7 +415,7 @@ def _simulate(
 
 
 def _length(last: int, at: int | None, seconds: float | None) -> tuple[int, int]:
-    """Return the frame to go on from, and how many frames to simulate from there, it included."""
+    """Return the first frame, and how many frames to simulate from there, that one included."""
     begin = 0 if at is None else at
     if isinstance(begin, bool) or not isinstance(begin, int) or not 0 <= begin <= last:
         raise InvalidSettingError(f"at={shown(at)}, expected a frame in 0..{last}")

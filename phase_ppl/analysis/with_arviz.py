@@ -1,8 +1,7 @@
 """ArviZ, 0.22 or newer and 1.x: the one module that calls it.
 
-First what it estimates, under one name in all its versions; then what posteriors hand to it:
-``post.arviz``, equal draws of the posterior that is printed, and ``post.chains``, the chains as
-they ran.
+First its estimators, under one name for all versions. Then the objects that posteriors hand to it:
+``post.arviz``, equal draws of the printed posterior, and ``post.chains``, the original chains.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from phase_ppl.world.arrays import FloatArray
 
 N_CHAINS: Final = 4
 N_DRAWS: Final = 1000
-"""Shape of draws that are resampled: sums over them are off by less than 0.01."""
+"""Shape of resampled draws: sums over them have an error below 0.01."""
 
-MASS: Final = 0.02  # share of the draws, or probability, from which on a category is reported
+MASS: Final = 0.02  # least share of the draws, or probability, of a reported category
 
 NO_LOO: Final = (
     "az.loo, az.waic and az.compare need independent observations, and the frames of a video are "
@@ -70,12 +69,12 @@ def _is_new() -> bool:
 
 
 def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> float:
-    """Return the split R-hat of (chain, draw) numbers: 1 where chains have mixed.
+    """Return the split R-hat of (chain, draw) numbers: 1 if chains have mixed.
 
-    Rank-normalised, the larger one of bulk and tail; or by ``"split"`` of the numbers as they
-    are, as for indicators. Of a single chain the halves are the chains. Infinite where all
-    spread is between halves of chains. NaN where it does not exist: fewer than four draws, a
-    value that is not finite, or all values the same.
+    ``"rank"`` is rank-normalised, the larger one of bulk and tail; ``"split"`` uses the raw
+    numbers, as for indicators. The halves of a single chain are its chains. Infinite: all spread is
+    between halves of chains. NaN: fewer than four draws, a value that is not finite, or constant
+    values.
     """
     if not _varies(values):
         return math.nan
@@ -89,11 +88,11 @@ def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> floa
 
 
 def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
-    """Return the effective number of (chain, draw) numbers; NaN as for :func:`r_hat`.
+    """Return the effective sample size of (chain, draw) numbers; NaN as for :func:`r_hat`.
 
-    For the centre (bulk), for the 5 % and 95 % quantiles, the lower (tail), or for the mean. Of
-    chains too short for autocorrelations, where the usual estimate hardly depends on the draws,
-    it follows from the spread between the chains, if there are enough.
+    It is for the centre (bulk), the lower of the 5 % and 95 % quantiles (tail), or the mean. The
+    usual estimate of chains too short for autocorrelations hardly depends on the draws. With enough
+    such chains the spread between them is used instead.
     """
     if not _varies(values):
         return math.nan
@@ -105,7 +104,7 @@ def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
 
     if method == "tail":
         return min(_ess_between((values <= q).astype(float)) for q in np.quantile(values, _TAIL))
-    if method == "bulk":  # ranks, of equals the mean, as quantiles of the normal distribution
+    if method == "bulk":  # ranks (ties: their mean) as quantiles of the normal distribution
         ranks = rankdata(values).reshape(values.shape)
         values = ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
     return _ess_between(values)
@@ -114,9 +113,9 @@ def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
 def mcse(values: FloatArray) -> float:
     """Return the Monte-Carlo standard error of the mean of (chain, draw) numbers; or NaN.
 
-    It is that of chains whose draws count alike. The ``.error`` of an answer is another thing, the
-    jackknife of :mod:`phase_ppl.analysis.estimate`: draws with weights, simulations in strata and
-    sets of searches are nothing that ArviZ knows.
+    It is for chains with equal draws. The ``.error`` of an answer differs: it is the jackknife of
+    :mod:`phase_ppl.analysis.estimate`. ArviZ does not support weighted draws, simulations in strata
+    or sets of searches.
     """
     if not _varies(values):
         return math.nan
@@ -128,8 +127,8 @@ def mcse(values: FloatArray) -> float:
 def hdi(levels: FloatArray, mass: FloatArray, n: int, prob: float) -> FloatArray:
     """Return the ends of the shortest interval that holds ``prob`` of ``n`` equal draws.
 
-    The draws are the quantiles of a distribution: its values, ascending, and their masses, as
-    probabilities. Where it is that of n equal draws, these are the draws themselves.
+    The draws are quantiles of the distribution with ascending values ``levels`` and probabilities
+    ``mass``. For a distribution of n equal draws they are these draws themselves.
     """
     at = (np.arange(n) + 0.5) / n * mass.sum()
     draws = levels[np.searchsorted(np.cumsum(mass), at)]
@@ -139,7 +138,7 @@ def hdi(levels: FloatArray, mass: FloatArray, n: int, prob: float) -> FloatArray
 
 
 def n_equal(weights: FloatArray) -> int:
-    """Return how many draws stand for (row,) weights: those rows that count alike, or 4000."""
+    """Return how many draws represent weights (row,): one per row if they are equal, else 4000."""
     counted = weights[weights > 0]
     return counted.size if are_equal(counted) else N_CHAINS * N_DRAWS
 
@@ -161,7 +160,7 @@ def chain_halves(values: FloatArray) -> FloatArray:
 
 
 def _ess_between(chains: FloatArray) -> float:
-    """Return the effective sample size that the spread between the chains' means tells."""
+    """Return the effective sample size, from the spread between the chains' means."""
     if np.ptp(chains) < np.finfo(float).resolution:
         return float(chains.size)
     if len(chains) < MIN_CHAINS_BETWEEN:
@@ -171,7 +170,7 @@ def _ess_between(chains: FloatArray) -> float:
     return float(variance / max(squared_error, variance / (chains.size * math.log10(chains.size))))
 
 
-# --- what ArviZ is given --------------------------------------------------------------------------
+# --- objects for ArviZ ----------------------------------------------------------------------------
 
 
 def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -189,7 +188,7 @@ def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
 def arviz_groups(
     groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
 ) -> Any:
-    """Return groups, (chain, draw, ...) each, in the form that the installed ArviZ takes."""
+    """Return groups, (chain, draw, ...) each, in the installed ArviZ's format."""
     if not _is_new():
         return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
     data = xr.DataTree.from_dict(dict(groups))
@@ -198,12 +197,12 @@ def arviz_groups(
 
 
 def resampled(weights: FloatArray, seed: int, *, exact: bool) -> NDArray[np.int64]:
-    """Return (chain, draw) rows that count alike, drawn in proportion to (row,) weights.
+    """Return equal draws (chain, draw): row numbers, drawn in proportion to weights (row,).
 
-    By systematic resampling: a row is there as often as its weight says, but for one. Copies of a
-    row follow each other, rows in random order, so that ArviZ finds these draws worth about as
-    many as the weights are (Kish). Where a table is ``exact``, with each of its hypotheses once,
-    its weights are probabilities and nothing was drawn: draws are in random order.
+    Resampling is systematic: the count of a row differs from its expectation by less than one.
+    Rows are in random order, with copies of a row next to each other. So ArviZ's effective size of
+    the draws is close to Kish's size of the weights. An ``exact`` table has each hypothesis once
+    and nothing was drawn: its draws are in random order.
     """
     n, rng = N_CHAINS * N_DRAWS, np.random.default_rng([seed, _STREAM])
     order = rng.permutation(len(weights))
@@ -219,16 +218,16 @@ def draws_of(
     *,
     moving: bool = False,
 ) -> xr.Dataset:
-    """Return the group ``posterior``: numbers, and indicators of what has categories.
+    """Return the group ``posterior``: numbers, and indicators of categories.
 
-    Goal codes, whose mean or R-hat says nothing, become an indicator (0 or 1) of each category
-    that has more than 2 % of the probability, so that its mean is a probability.
+    Means and R-hat of goal codes are meaningless. So each category with more than 2 % probability
+    becomes an indicator (0 or 1), whose mean is a probability.
 
     Args:
-        numbers: (chain, draw) of each.
-        codes: of each its quantity, codes (chain, draw), and the probabilities of its labels.
-        moving: leave out an indicator that does not change within any half of a chain, and so has
-            no R-hat, and name these in the attribute ``left_out`` (JSON).
+        numbers: name -> (chain, draw).
+        codes: name -> its quantity, codes (chain, draw), and the probabilities of its labels.
+        moving: leave out indicators that are constant within every half of a chain, since they have
+            no R-hat, and name them in the attribute ``left_out`` (JSON).
     """
     chains, draws = next(iter(numbers.values())).shape
     result = xr.Dataset(

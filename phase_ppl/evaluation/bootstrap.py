@@ -1,17 +1,18 @@
-"""Error bars: of shares by the binomial law, of everything else by resampling events.
+"""Confidence intervals: binomial for shares, by resampling events for everything else.
 
-Resampling a handful of events, or many of which nearly all are right, shows too little spread:
-where all answers are right it shows none. Shares of right answers (:func:`proportion`) therefore
-have Clopper and Pearson's interval, which covers at least as often as it says, for as many
-independent answers as the given ones are worth (Korn and Graubard 1998, Survey Methodology 24);
-differences of shares are resampled with one more event that speaks for either side (after Bonett
-and Price 2012, Journal of Educational and Behavioral Statistics 37). Of everything else the
-percentiles are those further out that make the interval of a mean of normal numbers Student's
-(Hesterberg 2015, The American Statistician 69, "expanded percentiles").
+Resampling shows too little spread for few events, or if nearly all answers are right. If all are
+right it shows none. So shares of right answers (:func:`proportion`) have Clopper and Pearson's
+interval, whose coverage is at least nominal. It is for the effective number of independent answers
+(Korn and Graubard 1998, Survey Methodology 24).
+
+Differences of shares are resampled with one more event for either side (after Bonett and Price
+2012, Journal of Educational and Behavioral Statistics 37). Everything else has expanded percentiles
+(Hesterberg 2015, The American Statistician 69): they make the interval of a mean of normal numbers
+Student's.
 
 A resample of n events is a vector of n weights: how often each event was drawn. Every measure is a
-function of weighted sums over events, so that one matrix of weights, whose first row is the data
-themselves, gives its value and all its resampled values at once.
+function of weighted sums over events. So one matrix of weights gives its value and all resampled
+values at once; the first row is the data themselves.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Measure = dict[str, float | None]  # ``value``, ``ci_low``, ``ci_high``
 LEVEL: Final = 0.95  # share of the resampled values between ``ci_low`` and ``ci_high``
 
 _CONSTANT: Final = 1e-12
-"""Variance up to which a vector of probabilities is constant but for rounding."""
+"""Variance up to which a vector of probabilities is constant, up to rounding."""
 
 
 def resampled(n: int, seed: int = 0, resamples: int = 1000) -> FloatArray:
@@ -48,7 +49,7 @@ def resampled(n: int, seed: int = 0, resamples: int = 1000) -> FloatArray:
 def weighted_mean(weights: FloatArray, values: ArrayLike) -> FloatArray:
     """Return the mean (row,) of ``values`` (event, ...) under each row of weights.
 
-    NaN among the values counts for nothing; the mean of nothing is NaN.
+    NaN values are ignored; the mean of none is NaN.
     """
     given = by_event(values)
     known = ~np.isnan(given)
@@ -57,7 +58,7 @@ def weighted_mean(weights: FloatArray, values: ArrayLike) -> FloatArray:
 
 
 def by_event(values: ArrayLike) -> FloatArray:
-    """Return values (event, ...), be they of no event, as (event, component)."""
+    """Return values (event, ...) reshaped to (event, component), even without events."""
     given = np.asarray(values, np.float64)
     return given.reshape(len(given), int(np.prod(given.shape[1:])))
 
@@ -67,17 +68,17 @@ def correlation(
 ) -> FloatArray:
     """Return Pearson's r (row,) of ``x`` and ``y``, each (event, component), flattened.
 
-    Either may also have values of its own for every row, (row, event, component). With ``groups``,
-    numbers of shape (event, component), it is the r of deviations from the mean of the group, which
-    every row of weights has anew. A pair with a NaN, or of a group below 0, is left out. NaN where
-    a vector is constant.
+    Either may also have separate values for every row, (row, event, component). ``groups`` are
+    numbers (event, component): r is then of deviations from the mean of the group, computed anew
+    for every row of weights. Pairs with a NaN, or of a group below 0, are left out. r is NaN if a
+    vector is constant.
     """
     left, right = np.asarray(x, np.float64), np.asarray(y, np.float64)
     known = ~np.isnan(left) & ~np.isnan(right)
     group = np.asarray(0 if groups is None else groups, np.int64)
     group = np.broadcast_to(group, known.shape)
     known &= group >= 0
-    # about their mean, so that little is lost in the differences of sums below
+    # centred, so that the differences of sums below lose little precision
     left, right = (
         np.where(known, values - (np.nanmean(values) if known.any() else 0), 0)
         for values in (left, right)
@@ -119,9 +120,8 @@ def divided(total: FloatArray, count: FloatArray) -> FloatArray:
 def measure(values: FloatArray, n: int) -> Measure | None:
     """Return value and 95 % interval (percentiles of the resampled values); None without a value.
 
-    Values are (1 + resamples,), the value first; those that are NaN, such as of resamples without
-    the events that count, are left out of the interval. With ``n`` = 1 event there is none (None,
-    None).
+    ``values`` are (1 + resamples,), the value first. NaN, as for resamples without the events that
+    count, is left out of the interval. With ``n`` = 1 event the interval is (None, None).
     """
     if not np.isfinite(values[0]):
         return None
@@ -130,12 +130,12 @@ def measure(values: FloatArray, n: int) -> Measure | None:
 
 
 def proportion(values: ArrayLike) -> Measure | None:
-    """Return the mean of scores (event, answer) from 0 to 1, NaN: none, with its 95 % interval.
+    """Return the mean of scores (event, answer) from 0 to 1 (NaN: none), with its 95 % interval.
 
-    Answers about one event go together: two that are always both right or both wrong are worth one.
-    Of scores 0 and 1 the design effect is estimated from how alike the answers of an event are; of
-    shares, such as that of people who are right, from how much the events' means vary, with the
-    quantile of Student's t. None without a score; of one event there is no interval (None, None).
+    Answers about one event are dependent: two that always agree are worth one. For scores 0 and 1
+    the design effect is estimated from the similarity of an event's answers. For shares, such as
+    the share of people who are right, it is estimated from the variance of the events' means, with
+    the quantile of Student's t. None without a score; the interval of one event is (None, None).
     """
     given = by_event(values)
     given = given[~np.isnan(given).all(axis=1)]
@@ -151,7 +151,7 @@ def proportion(values: ArrayLike) -> Measure | None:
 
 
 def clopper_pearson(right: float, n: float) -> tuple[float, float]:
-    """Return the 95 % interval of a probability of which ``right`` of ``n`` trials came true.
+    """Return Clopper and Pearson's 95 % interval of a probability, for ``right`` of ``n`` trials.
 
     Neither needs to be a whole number.
     """
@@ -163,14 +163,14 @@ def clopper_pearson(right: float, n: float) -> tuple[float, float]:
 
 
 def _effective_answers(given: FloatArray) -> float:
-    """Return how many independent answers, right or wrong, (event, answer) scores are worth."""
+    """Return the effective number of independent answers of scores (event, answer), 0 or 1."""
     n = (~np.isnan(given)).sum(axis=1)
     mean = float(np.nanmean(given))
     spread = mean * (1 - mean)
     more = int((n - 1).sum())
     if not more:
         return float(n.sum())
-    # share of the variance that answers of one event do not have in common; all alike: none
+    # share of the variance within events; 0 if all answers are alike
     own = np.nansum((given - np.nanmean(given, axis=1, keepdims=True)) ** 2) / more
     alike = float(np.clip(1 - own / spread, 0, 1)) if spread > _CONSTANT else 1.0
     each = (n**2).sum() / n.sum()
@@ -178,14 +178,14 @@ def _effective_answers(given: FloatArray) -> float:
 
 
 def _effective_shares(given: FloatArray) -> float:
-    """Return how many independent answers the mean of (event, answer) shares is worth."""
+    """Return the effective number of independent answers of shares (event, answer)."""
     means = np.nanmean(given, axis=1)
     n, mean = len(means), float(means.mean())
     z = float(special.ndtri((1 + LEVEL) / 2))
-    # drawn in from the ends, where a mean says nothing of the spread
+    # shrunk from 0 and 1, where a mean tells nothing about the spread
     inner = (mean * n + z**2 / 2) / (n + z**2)
     spread = means.var() + (mean - inner) ** 2
-    # means that happen to be the same are not without spread
+    # equal means still have some spread
     spread = max(spread, inner * (1 - inner) / n**2)
     worth = n * inner * (1 - inner) / spread
     return float(max(worth * (z / special.stdtrit(n - 1, (1 + LEVEL) / 2)) ** 2, 1.0))
@@ -194,9 +194,9 @@ def _effective_shares(given: FloatArray) -> float:
 def interval(
     values: FloatArray, level: float = LEVEL, n: int | None = None
 ) -> tuple[float | None, float | None]:
-    """Return the percentile interval of ``values[1:]``; None, None where none is finite.
+    """Return the percentile interval of ``values[1:]``; (None, None) if none is finite.
 
-    Expanded as for resamples of ``n`` events, None: of as many as one likes.
+    It is expanded as for resamples of ``n`` events; None: not expanded.
     """
     finite = values[1:][np.isfinite(values[1:])]
     if not finite.size:
@@ -216,14 +216,13 @@ def difference(
     Differences ``of_shares``, of means from 0 to 1, are resampled with two more events
     (:func:`with_two`).
 
-    p is twice the share of resamples (the data among them) in which the difference is not above
-    0, or not below 0, whichever is smaller, expanded as the interval is, so that it is below 0.05
-    where that is on one side of 0; but at least 2 ** (1 - n): resamples of a few events that agree
-    all agree, while the signs of n differences are all alike by chance that often. None, like the
-    interval, with one event.
+    p is twice the smaller of two shares of resamples (including the data): difference not above 0,
+    and not below 0. It is expanded like the interval: below 0.05 if the interval is on one side of
+    0. It is at least 2 ** (1 - n), the chance that n signs all agree, since resamples of a few
+    events that agree all agree. With one event p and the interval are None.
     """
     values = one - other
-    # what is equal but for rounding is equal
+    # differences that are only rounding are 0
     values = np.where(np.abs(values) < _CONSTANT, 0, values)
     found = measure(values, n)
     if found is None:
@@ -241,14 +240,14 @@ def difference(
 
 
 def with_two(values: FloatArray, n: int) -> FloatArray:
-    """Return resampled differences (1 + resamples,) of shares of n events as with two more.
+    """Return resampled differences (1 + resamples,) of shares of n events, with two events more.
 
-    One of these is answered rightly by the first only, one by the second only, so that n
-    differences that are all the same are not without spread.
+    The first alone is right about one of these, the second alone about the other. So n equal
+    differences still have some spread.
     """
     rng = np.random.default_rng(0)
     drawn = rng.binomial(n + 2, 1 / (n + 2), (2, len(values) - 1))  # how often a resample has them
     more = drawn[0] - drawn[1]
-    # either way, so that the other difference has the same interval, mirrored
+    # both signs, so that the reversed difference has the mirrored interval
     both = np.concatenate([values[1:] * n + more, values[1:] * n - more])
     return np.clip(np.append(values[0] * n, both) / (n + 2), -1, 1)

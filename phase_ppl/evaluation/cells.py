@@ -1,4 +1,4 @@
-"""Figures of the metrics, and other values, as text: in tables, on pages and in pictures."""
+"""Metrics and other values as text, for tables, pages and figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phase_ppl.evaluation.metrics import PREFIX, Place, at
 from phase_ppl.evaluation.table import PEOPLE
 from phase_ppl.world.hypothesis import SCENARIOS
 
-NOTHING: Final = "-"  # what a table of a terminal has where there is no number
+NOTHING: Final = "-"  # in a terminal's table, in place of a missing number
 WIDTH: Final = 100  # columns of a terminal
 LINES: Final = 40  # of a terminal, about
 MAJORITY: Final = "people, majority"
@@ -48,7 +48,7 @@ def p_text(value: float | None) -> str:
 
 
 def lines_of(table: pd.DataFrame, width: int | None = WIDTH) -> list[str]:
-    """Return the lines of a table of texts, names on the left; columns beyond the width below."""
+    """Return the lines of a table of texts; columns beyond the width follow below."""
     lines = table.to_string(line_width=width).splitlines()
     return [line.rstrip(" \\") for line in lines if line.strip()]
 
@@ -58,10 +58,10 @@ class Table(NamedTuple):
 
     title: str
     cells: pd.DataFrame  # the index has the names, one or both of a pair
-    note: str = ""  # what stands below
+    note: str = ""  # printed below
 
     def lines(self) -> list[str]:
-        """Return it for a terminal."""
+        """Return its lines for a terminal."""
         most = _LABEL if self.cells.index.nlevels == 1 else _OF_PAIR
         names = self.cells.index.to_frame().map(lambda name: _short(name, most))
         shown = self.cells.set_axis(names.agg(" - ".join, axis=1).tolist())
@@ -71,8 +71,8 @@ class Table(NamedTuple):
 
 
 def on_screen(tables: Iterable[Table], most: int) -> list[str]:
-    """Return the lines of those tables that fit, at least one; the last lines name the others."""
-    most -= 3  # which these may take
+    """Return the lines of the tables that fit, at least one; the last lines name the others."""
+    most -= 3  # for these last lines
     lines: list[str] = []
     left_out = []
     for table in tables:
@@ -87,7 +87,7 @@ def on_screen(tables: Iterable[Table], most: int) -> list[str]:
 
 
 def _short(name: str, most: int) -> str:
-    """Return a name; of a long one both ends, as one of them tells it from others."""
+    """Return a name, shortened in the middle: usually one end tells it from others."""
     return name if len(name) <= most else f"{name[: most // 2 - 1]}...{name[2 - most // 2 :]}"
 
 
@@ -97,7 +97,7 @@ def wrapped(text: str) -> list[str]:
 
 
 def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
-    """Return a number as it is typeset; a dash where there is none."""
+    """Return a number as typeset text; a dash for None."""
     if value is None:
         return "\N{EN DASH}"
     rounded = round(value, digits) + 0.0  # without the sign of a zero
@@ -132,7 +132,7 @@ def metric_tables(
 def _tables(
     models: Sequence[Row], people: Mapping[str, Any] | None
 ) -> Iterator[tuple[str, _Columns, Sequence[Row]]]:
-    """Yield title, columns and rows of the tables, what matters most first."""
+    """Yield title, columns and rows of the tables, the most important first."""
     right = [*models]
     judged = people is not None and people["n_events"] > 0
     if people is not None and judged:
@@ -198,9 +198,9 @@ def _tables(
 
 
 def _by_part(metrics: Sequence[Mapping[str, Any]], kind: str) -> tuple[str, dict[str, Place]]:
-    """Return by what answers are told apart, and heading -> its place in the metrics.
+    """Return how answers are grouped, and heading -> its place in the metrics.
 
-    In PHASE by scenario; elsewhere goals by agent, relations by pair.
+    In PHASE they are grouped by scenario; elsewhere goals by agent, relations by pair.
     """
     parts = "by_agent" if kind == "goal" else "by_pair"
     if not any("by_scenario" in of_model for of_model in metrics):
@@ -214,9 +214,9 @@ def _by_part(metrics: Sequence[Mapping[str, Any]], kind: str) -> tuple[str, dict
 
 
 def _among_people(models: Sequence[Row]) -> dict[str, Any]:
-    """Return people's agreement with each other, in the places of models' with people.
+    """Return people's agreement with each other, in the places of models' agreement with people.
 
-    It is about the same events as a model's; of those that have it, the one with most events.
+    It is taken from the metrics of the model with the most events, and is about these events.
     """
     by_events = sorted((m for _, m in models), key=lambda metrics: -metrics["n_events"])
 
@@ -232,7 +232,7 @@ def _among_people(models: Sequence[Row]) -> dict[str, Any]:
 
 
 def _cell(metrics: Mapping[str, Any], place: str | Place) -> str:
-    """Return what a table shows of a place in the metrics."""
+    """Return a table's text for a place in the metrics."""
     found = at(metrics, place)
     if place == "cpu_seconds" and found is not None:
         value = found["value"]

@@ -67,11 +67,11 @@ from phase_ppl.world.picture import Printed, plain
 from phase_ppl.world.scene import World
 
 Source: TypeAlias = Evaluation | str | os.PathLike[str]
-ALL: Final = "all"  # stands for all models whose answers the events carry
+ALL: Final = "all"  # stands for all reference models of the events
 SCHEMA: Final = "phase-ppl-model-comparison-1"  # value of ``schema`` in comparison.json
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
-"""Resamples for differences: with 1000 no p is below 0.002, which many pairs make useless."""
+"""Resamples for differences: with 1000 no p is below 0.002, too coarse for many pairs."""
 
 _TABLE: Final = (
     *("goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
@@ -84,12 +84,12 @@ _TABLE: Final = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Entry:
-    """A model that is compared."""
+    """One of the compared models."""
 
     name: str  # as the comparison calls it, different for all
     kind: str  # "model", of an evaluation; or "reference", whose answers the events carry
     predictions: Mapping[str, Prediction]  # event id -> answers, of the events compared
-    # of the evaluation, as in its settings.json but for the events
+    # of the evaluation, as in its settings.json, without the events
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     # event id -> what went wrong, of the events compared
     failures: Mapping[str, str] = dataclasses.field(default_factory=dict)
@@ -98,15 +98,15 @@ class Entry:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ModelComparison(Printed):
-    """Several models, and people, on the same events. ``print`` shows all tables.
+    """Comparison of several models, and people, on the same events. ``print`` shows all tables.
 
-    What a model or the events do not give is None, never a guess.
+    Missing values are None, never a guess.
 
     Attributes:
-        events: that all models were asked about.
-        entries: the models, in the order in which they were given.
+        events: events that all models were asked about.
+        entries: the models, in the given order.
         settings: ``margin`` of equivalence, ``against``, ``seed`` and ``resamples``.
-        notes: what is to be known about the events.
+        notes: remarks about the events.
     """
 
     events: Sequence[Event]
@@ -128,8 +128,8 @@ class ModelComparison(Printed):
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Model -> its metrics (:mod:`phase_ppl.evaluation.metrics`).
 
-        They come with ``cpu_seconds`` and ``seconds``, the means per event; None where they are not
-        known. Each is about the events of which the model has a prediction.
+        They include ``cpu_seconds`` and ``seconds``, means per event; None: unknown. Each model's
+        metrics are over the events that it predicts.
         """
         seed = self.settings["seed"]
         scores = Scores(self.events, seed=seed)
@@ -145,7 +145,7 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
-        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
+        """People's accuracy (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
         return human_accuracy(self.events, seed=self.settings["seed"])
 
     @functools.cached_property
@@ -176,7 +176,7 @@ class ModelComparison(Printed):
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
-        """The same with metrics."""
+        """All answers, of people first, with metrics."""
         metrics = {**self.metrics, PEOPLE: self.people}
         return [dataclasses.replace(one, metrics=metrics[one.name]) for one in self.answers]
 
@@ -213,7 +213,7 @@ class ModelComparison(Printed):
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> ModelComparison:
-        """Read what :meth:`save` wrote. All numbers follow from the answers in it.
+        """Read a comparison that :meth:`save` wrote; all numbers follow from its answers.
 
         Raises:
             InvalidEventError: there is no such folder, or a file in it is damaged.
@@ -270,15 +270,15 @@ def compare_models(
 
     Args:
         sources: evaluations, or folders of evaluations; a folder with several in it stands for
-            all of them. With names, ``{"fast": ..., "paper": ...}``, they are called so;
-            otherwise by the model, or by the folder where several are of the same model.
-        stored: names of models whose answers the events carry, to be compared too, or "all".
-        against: name of the model from which the others' differences are wanted; by default
-            those of every pair.
+            all of them. Names may be given, ``{"fast": ..., "paper": ...}``. The default name is
+            the model's, or the folder's if several are of the same model.
+        stored: names of reference models, whose answers the events carry, to compare too; or "all".
+        against: name of the model that the others are compared with; by default every pair is
+            compared.
         common: compare on the events that all evaluations share; otherwise they must be about
             the same ones.
-        margin: a difference of shares of right answers up to which a model and people are
-            equivalent.
+        margin: largest difference of shares of right answers that counts as equivalence of a model
+            and people.
         seed, resamples: of the events, for differences and equivalence; metrics have the 1000
             resamples of the paper.
 
@@ -286,8 +286,8 @@ def compare_models(
         InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations
             are about different events, the message says which.
         InvalidSettingError: a source is no evaluation; there are none; two would have the same
-            name, or one that of people; the events are of several worlds; or a number is out of
-            range.
+            name, or one the name of people; the events are of several worlds; or a number is out
+            of range.
         UnknownNameError: there is no model of that name to compare with, or stored.
     """
     found = evaluations(sources)
@@ -357,7 +357,7 @@ def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> di
     """Return name -> evaluation.
 
     A folder that holds no evaluation itself stands for those in it, under the names of their
-    folders. Others go by the name of the model or, where several are of the same, of the folder.
+    folders. Others are named by the model, or by the folder if several are of the same model.
     """
     if isinstance(sources, Mapping):
         check_names(list(sources))
@@ -385,7 +385,7 @@ def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> di
 
 
 def check_names(names: Sequence[object]) -> None:
-    """Raise InvalidSettingError unless all are names by which models can be told apart."""
+    """Raise InvalidSettingError unless names are different texts, other than people's name."""
     for place, name in enumerate(names):
         if not (isinstance(name, str) and name.strip()):
             raise InvalidSettingError(f"a model is called {shown(name)}, expected a name")
@@ -397,7 +397,7 @@ def check_names(names: Sequence[object]) -> None:
 
 
 def _inside(source: object) -> list[Path]:
-    """Return the folders of evaluations in a folder that is none itself."""
+    """Return the folders of evaluations in a folder that holds none itself."""
     if not isinstance(source, str | os.PathLike) or (Path(source) / SETTINGS).is_file():
         return []
     return sorted(file.parent for file in Path(source).glob(f"*/{SETTINGS}"))
@@ -408,8 +408,8 @@ def shared_events(
 ) -> tuple[list[Event], list[str]]:
     """Return the events that all evaluations are about, and notes about them.
 
-    Events are the same if they have the same id and all that is seen of them is the same. Truth
-    and judgments are those of the first evaluation.
+    Events are the same if id, scene and observation are. Truth and judgments are those of the first
+    evaluation.
     """
     given = {name: {event.id: event for event in one.events} for name, one in found.items()}
     digests = {name: {i: event_digest(e) for i, e in of.items()} for name, of in given.items()}
@@ -458,7 +458,7 @@ def _differences(first: str, mine: Mapping[str, str], name: str, theirs: Mapping
 def entries(
     found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
 ) -> list[Entry]:
-    """Return the models that are compared, with their answers about the events."""
+    """Return the compared models with their answers about the events."""
     ids = [event.id for event in events]
     made = [
         Entry(
@@ -478,7 +478,7 @@ def entries(
 
 
 def chosen_references(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
-    """Return the names of the reference models that are wanted."""
+    """Return the names of the chosen reference models."""
     known = list(references)
     if isinstance(stored, str):
         stored = known if stored == ALL else [stored]
@@ -491,7 +491,7 @@ def chosen_references(stored: str | Sequence[str], references: Iterable[str]) ->
 
 # --- printed --------------------------------------------------------------------------------------
 
-PAIRS: Final = 15  # pairs of models that are printed at most; of more, those with the first model
+PAIRS: Final = 15  # most pairs of models that are printed; beyond, only those with the first model
 
 _DIFFERENCES: Final = {
     "right answers": "accuracy",
@@ -517,7 +517,8 @@ def _text(c: ModelComparison) -> str:
 def difference_tables(c: ModelComparison, most: int | None = None) -> list[Table]:
     """Return the tables of paired differences: in right answers, in log probabilities.
 
-    Of more than ``most`` pairs those with the first model; the note below says how many are left.
+    With more than ``most`` pairs only those with the first model are shown; the note below says how
+    many are left out.
     """
     found = {(r["one"], r["other"], r["measure"]): r for r in c.differences if not r["scenario"]}
     tables, left_out = [], 0
@@ -581,14 +582,14 @@ def equivalence_tables(c: ModelComparison) -> list[Table]:
 
 
 # --- differences and equivalence, on resampled events ---------------------------------------------
-# Both are about other events like these, not about other people or other runs of the models.
+# Both generalise to other events like these, not to other people or other runs of the models.
 
 Row = dict[str, Any]
-LEAST_EVENTS: Final = 10  # events without which nothing is said of equivalence
-ALPHA: Final = 1 - LEVEL  # corrected p up to which a difference, or an equivalence, counts as shown
+LEAST_EVENTS: Final = 10  # fewest events for a test of equivalence
+ALPHA: Final = 1 - LEVEL  # significance level of the corrected p of differences and equivalences
 
 _ROUNDING: Final = 1e-12
-"""Difference of shares that is rounding: what is the margin but for it is the margin."""
+"""Rounding error of shares' differences: a value this close to the margin counts as the margin."""
 
 
 def differences_of(
@@ -599,7 +600,7 @@ def differences_of(
     seed: int = 0,
     resamples: int = 10_000,
 ) -> list[Row]:
-    """Return how much higher one model scores than another, for every pair and measure.
+    """Return paired differences between models' scores, for every pair and measure.
 
     With ``against`` the others are compared with that model alone. All pairs have the same
     resamples of the events.
@@ -608,8 +609,8 @@ def differences_of(
         Rows of ``one``, ``other``, ``measure`` (place in the metrics, such as "human.js"),
         ``scenario`` (None: all), ``value`` (one minus other), ``ci_low``, ``ci_high`` (95 %),
         ``p`` (two-sided, :func:`~phase_ppl.evaluation.bootstrap.difference`), ``p_holm`` and
-        ``n_events`` (that both predict). Holm's correction is over all pairs that are compared on
-        the measure; for the scenarios over all pairs and scenarios of the measure.
+        ``n_events`` (that both predict). Holm's correction is over all pairs compared on the
+        measure; by scenario it is over all pairs and scenarios of the measure.
     """
     if against is None:
         pairs = list(itertools.combinations(models, 2))
@@ -639,23 +640,24 @@ def equivalence_of(
     seed: int = 0,
     resamples: int = 10_000,
 ) -> list[Row]:
-    """Return how much more often a model is right than people, and whether that is next to nothing.
+    """Return models' accuracy minus people's, with a test of equivalence.
 
-    Tested is the mean, over the events that the model and people answered, of the model's being
-    right (1 or 0; for goals the mean of both agents) minus the share of people who are right. Two
-    one-sided tests, that it is not below ``-margin``, and not above ``margin``, by resampling. As
-    events that agree show no spread, their p is at least that of normal tests with the spread of a
-    model that errs where people do not, about a share ``margin`` of the events, or the events' own
-    where it is larger (with a correction for continuity, 1 / 2n).
+    The difference is a mean over the events that both answered: the model's score (1 or 0; for
+    goals the mean of both agents) minus the share of people who are right. Two one-sided tests by
+    resampling show that it is not below ``-margin`` and not above ``margin``.
+
+    Events that agree show no spread. So p is at least that of normal tests, corrected for
+    continuity (1 / 2n). Their spread is the larger of two: the events' own, and a model's that errs
+    where people do not, in about a share ``margin`` of the events.
 
     Returns:
         Rows of ``model``, ``measure`` ("goal_accuracy", "relation_accuracy"), ``scenario`` (None:
         all), ``value``, ``ci_low``, ``ci_high`` (95 %), ``low``, ``high`` (90 %), ``p`` (two-sided,
         of no difference), ``p_equivalent`` (of the two one-sided tests), both with ``_holm``,
-        as in :func:`differences_of`; ``n_events``, and ``verdict``: "equivalent" where the
-        corrected ``p_equivalent`` is at most 0.05; "higher" or "lower" where the corrected ``p``
-        is; both joined where both are; else "undecided". Fewer than :data:`LEAST_EVENTS` events
-        are not tested for equivalence.
+        as in :func:`differences_of`; ``n_events``, and ``verdict``: "equivalent" if the corrected
+        ``p_equivalent`` is at most 0.05; "higher" or "lower" if the corrected ``p`` is; both
+        joined if both are; else "undecided". Fewer than :data:`LEAST_EVENTS` events are not tested
+        for equivalence.
     """
     rows: list[Row] = []
     for model, predictions in models.items():
@@ -703,7 +705,7 @@ def _verdict(row: Row) -> str:
 
 
 def _corrected(rows: Sequence[Row], name: str) -> list[Row]:
-    """Return the rows with a corrected p beside each, by measure and whether of scenarios."""
+    """Return the rows with corrected p-values; families are by measure, and overall or scenario."""
     found: dict[int, float] = {}
     known = [place for place, row in enumerate(rows) if row[name] is not None]
     of_all = [rows[place]["scenario"] is None for place in known]
@@ -716,10 +718,10 @@ def _corrected(rows: Sequence[Row], name: str) -> list[Row]:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Return p-values of a family of tests, corrected by Holm's step-down procedure.
+    """Return p-values of a family of tests, corrected by Holm's step-down procedure (Holm 1979).
 
-    Rejecting where the corrected value is at most alpha errs anywhere in the family with a
-    probability of at most alpha (Holm 1979).
+    Rejecting corrected values up to alpha keeps the probability of any false rejection in the
+    family at most alpha.
     """
     values = np.asarray(p, np.float64)
     order = np.argsort(values, kind="stable")

@@ -1,31 +1,31 @@
-"""How well a model agrees with people, and whether it doubts where they do.
+"""Agreement of a model with people, and whether it is unsure where they are.
 
-The latter, what a referee asks of a fit to people's answers, is about the relation in worlds of two
-agents, of the events that people judged and for which the model has probabilities. A *measure* is
-as in :mod:`phase_ppl.evaluation.metrics`. ``doubt`` of metrics.json is None where there is no such
-event, else:
+The latter is about the relation in worlds of two agents, over the events that people judged and
+for which the model has probabilities. A *measure* is as in :mod:`phase_ppl.evaluation.metrics`.
+``doubt`` of metrics.json is None without such an event, else:
 
 ==========================  ======================================================================
-``relation_r``,             r of model and people, as under ``human``, with intervals over events;
-``relation_r_given_truth``  where it is known who answered what also over people (two-way bootstrap,
+``relation_r``,             r of model and people, as under ``human``, with intervals over events.
+``relation_r_given_truth``  If it is known who answered what, also over people (two-way bootstrap,
                             Owen 2007, Annals of Applied Statistics 1). Resampling people adds
-                            their noise a second time: intervals are moved back by what it does to
-                            the mean, and are too wide, up to twofold
-``log_score_gap``           people's own log score minus the model's [nats]. Theirs is in-sample: a
-                            model that knew how people answer would be some 1 / n behind n raters
+                            their noise a second time. Intervals are corrected for its effect on
+                            the mean, and are up to twice too wide
+``log_score_gap``           people's own log score minus the model's [nats]. People's is in-sample:
+                            a model that knew people's probabilities would be some 1 / n behind n
+                            raters
 ``brier``                   mean over events, and over the people of each, of the squared distance
                             of the model's probabilities from their answer, 0 to 2
 ``ece``                     expected calibration error: mean distance of the model's probabilities
                             from the share of people, over ten bins of probability
-``calibration``             of each bin that has any: ``probability``, ``share``, ``n``
+``calibration``             for each non-empty bin: ``probability``, ``share``, ``n``
 ``ceiling``                 ``split_half_r`` of random halves of the raters,
-                            ``split_half_r_given_truth``; both by Spearman and Brown's formula for
-                            all raters (``spearman_brown``, ``..._given_truth``); and the answer
-                            of one rater by the shares of the others: ``one_out_r``,
+                            ``split_half_r_given_truth``; both for all raters by Spearman and
+                            Brown's formula (``spearman_brown``, ``..._given_truth``); and one
+                            rater's answer predicted by the others' shares: ``one_out_r``,
                             ``one_out_r_given_truth``, ``one_out_log_score``
-``agreement``               probability that two raters of an event agree: ``people``, what is
-                            ``expected`` of independent raters with the model's probabilities,
-                            ``low`` and ``high`` of 95 % of such sets, and ``p``, two-sided
+``agreement``               probability that two raters of an event agree: ``people``;
+                            ``expected`` of independent raters with the model's probabilities;
+                            ``low`` and ``high``, 95 % of such sets; and ``p``, two-sided
 ``misfit``                  events by their ``log_score_gap``, largest first, with ``people`` and
                             ``model``
 ==========================  ======================================================================
@@ -58,7 +58,7 @@ _STREAM: Final = 0xD0B7
 
 
 def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, Any] | None:
-    """Return what the module describes; None where there is not one pair of agents."""
+    """Return ``doubt`` of the metrics, see the module; None unless there is one pair of agents."""
     if len(pairs_of(answers.world)) != 1:
         return None
     columns = ("probability", "people", "truth", "votes")
@@ -79,7 +79,7 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
 
     def r(groups: IntArray | None) -> Measure | None:
         n = len(p) if groups is None else int((groups[:, 0] >= 0).sum())
-        if drawn is None:  # an event's ratings are its own, and resampled with it
+        if drawn is None:  # each event's ratings are resampled with it
             return measure(correlation(weights, p, people, groups), n)
         value = correlation(weights[:1], p, people, groups)
         among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
@@ -103,15 +103,15 @@ def doubt(answers: Answers, seed: int = 0, resamples: int = 1000) -> dict[str, A
 
 
 def label_places(marked: FloatArray) -> IntArray:
-    """Return (...) the index of the label that is marked by 1 in (..., label), -1 where none is."""
+    """Return (...) the index of the label marked by 1 in (..., label); -1: none is."""
     return np.where(np.isnan(marked).any(axis=-1), -1, np.nan_to_num(marked).argmax(axis=-1))
 
 
 def same_truth(truth: IntArray, n_answers: int = len(RELATIONS)) -> IntArray:
-    """Return (..., answer) numbers of groups of the same true answer (...), -1 where it is unknown.
+    """Return (..., answer) numbers of groups with the same true answer (...); -1: it is unknown.
 
-    Deviations from the means of these groups are what is left of probabilities, and of the shares
-    of people, when it does not help to be right.
+    Deviations of probabilities, and of people's shares, from the means of these groups remain when
+    being right does not help.
     """
     groups = truth[..., None] * n_answers + np.arange(n_answers)
     return np.where(truth[..., None] < 0, -1, groups)
@@ -120,10 +120,10 @@ def same_truth(truth: IntArray, n_answers: int = len(RELATIONS)) -> IntArray:
 def people_drawn(
     given: pd.DataFrame, events: Sequence[str], counts: IntArray, rng: np.random.Generator, n: int
 ) -> FloatArray:
-    """Return (resample, event, answer) shares of resampled people, of their responses.
+    """Return (resample, event, answer) shares of the responses of resampled people.
 
-    They are resampled as wholes, so that whoever is generous is so everywhere; an event that loses
-    all of its raters keeps its shares.
+    Each person is resampled with all responses. An event that loses all of its raters keeps its
+    shares.
     """
     chosen = given[given["label"].isin(RELATIONS) & given["event"].isin(events)]
     who, everybody = pd.factorize(chosen["who"])
@@ -186,7 +186,7 @@ def _mean(values: FloatArray) -> float:
 def agreement(
     p: FloatArray, counts: IntArray, rng: np.random.Generator, n: int
 ) -> dict[str, float] | None:
-    """Return whether raters agree as often as the model would have them (``agreement``)."""
+    """Return whether raters agree as often as the model predicts (``agreement`` of the module)."""
     several = counts.sum(axis=1) > 1
     if not several.any():
         return None
@@ -198,7 +198,7 @@ def agreement(
 
     people = float(agreeing(counts[several]))
     size = (n, int(several.sum()))
-    # sums of weights may come to 1 and a last bit, which numpy refuses
+    # rounded sums may exceed 1, which NumPy refuses
     chances = p[several] / p[several].sum(axis=1, keepdims=True)
     drawn = agreeing(rng.multinomial(counts[several].sum(axis=1), chances, size=size))
     low, high = np.quantile(drawn, [0.025, 0.975])
@@ -212,15 +212,16 @@ def agreement(
     }
 
 
-# --- how well probabilities agree with people's answers, and people with each other ---------------
-# Arrays are (event, question, answer), NaN where nothing is known; people's are the shares of their
-# answers (paper, Appendix 5).
+# --- agreement of probabilities with people's answers, and of people with each other --------------
+
+# Arrays are (event, question, answer), NaN where nothing is known. People's arrays are the shares
+# of their answers (paper, Appendix 5).
 
 LAPSE: Final = 0.01
-"""Share of answers that the log score takes to be given at random, alike for all answers.
+"""Lapse of the log score: the share of answers taken to be uniformly random.
 
-Without it one vote for an answer of probability 0, of which samplers have many, would make a score
-of minus infinity.
+Without it one vote for an answer of probability 0 would make the score minus infinity; samplers
+often give probability 0.
 """
 
 SPLITS: Final = 1000
@@ -269,12 +270,12 @@ def split_half(
     Args:
         votes: (event, question, label) how many people gave an answer.
         weights: (row, event) of the events.
-        chosen: (who, event, question) index of somebody's answer, -1 where there is none: the
-            participants of all events are split together, as the paper does. Without, the ratings
-            of each question of each event are split on their own, which is all that counts allow.
+        chosen: (who, event, question) index of each person's answer, -1: none. Participants are
+            then split once for all events, as in the paper. Without it the ratings of each question
+            of each event are split separately; counts allow no more.
 
     Returns:
-        (row,) values, NaN where they cannot be computed, and the number of events that count.
+        (row,) values, NaN if they cannot be computed, and the number of events that count.
     """
     rng = np.random.default_rng([seed, 1])
     if chosen is not None:

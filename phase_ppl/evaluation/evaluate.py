@@ -1,4 +1,4 @@
-"""One call that asks a model about many events and scores what it answers."""
+"""``evaluate`` asks a model about many events and scores its answers."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ if TYPE_CHECKING:
     from phase_ppl.models.model import Model
 
 COMPILED_OF: Final = 8
-"""Events after which a worker lets go of what JAX has compiled.
+"""Events after which a worker drops JAX's compiled programs.
 
-Programs of events of other lengths would pile up, some 80 MB for each of SIMPLE's; those of events
-of the same length are worth keeping, as they take 10 s to compile.
+Programs for events of other lengths would pile up, some 80 MB for each of SIMPLE's. Those for
+events of the same length are worth keeping: they take 10 s to compile.
 """
 
 _asked = itertools.count(1)
 
 
 class EvaluationInterrupted(KeyboardInterrupt):
-    """The evaluation was interrupted; what was finished is kept.
+    """The evaluation was interrupted; finished events are kept.
 
     Attributes:
         evaluation: of the events that were finished.
@@ -95,57 +95,56 @@ def evaluate(
     """Ask a model of social perception about many events, and score its answers.
 
     The model gets each event's scene and observation and a seed, nothing else. Longest events
-    come first. An event at which the model fails is reported in ``failures`` and does not stop
-    the rest, unless it is a setting of a model given by name and nothing has succeeded before.
-    One whose worker process dies is tried again once.
+    come first. If the model fails at an event, ``failures`` reports it and the rest goes on. The
+    exception is a setting of a model given by name that fails before anything has succeeded. If a
+    worker process dies, its event is tried once more.
 
-    The seed of an event follows from ``seed`` and from what is seen of the event
-    (:func:`event_seed`): the result is the same for any number of workers, order and choice of
-    events.
+    The seed of an event follows from ``seed``, scene and observation (:func:`event_seed`). So
+    results do not depend on the number of workers, nor on order and choice of events.
 
     Args:
         events: an event file, a folder of event files or of a generated data set, the name of a
             bundled event, or events; all of one world.
         model: a name (:func:`phase_ppl.available_models`), by default the closed loop; a
-            :class:`phase_ppl.Model`, explained as by :func:`phase_ppl.infer`, by the closed loop or
-            with a ``kernel`` among the options; or a function ``(scene, observation, seed)``
-            that returns a :class:`phase_ppl.Prediction`, a posterior or a mapping such as
-            ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In another
-            world than PHASE the answers are to ``goal_<agent>`` and ``relation_<one>_<other>``,
-            and models by name are "stepwise", "predicate", "last_frame" and what ``infer`` does.
+            :class:`phase_ppl.Model`; or a function ``(scene, observation, seed)``. A ``Model`` is
+            run by :func:`phase_ppl.infer`, by the closed loop or with the option ``kernel``. A
+            function returns a :class:`phase_ppl.Prediction`, a posterior or a mapping such as
+            ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In other
+            worlds than PHASE the questions are ``goal_<agent>`` and ``relation_<one>_<other>``,
+            and the named models are "stepwise", "predicate", "last_frame" and those of ``infer``.
         out: folder to keep everything in (:mod:`phase_ppl.evaluation.evaluation`), event by event;
             by default nothing is kept.
-        workers: processes, at most; by default one per usable core. 1 runs the model in this
-            process, as do models that are not to run side by side. With an ``executor``, how many
+        workers: most processes; by default one per usable core. 1 runs the model in this
+            process, as do models that cannot run in parallel. With an ``executor``, how many
             events to give it at a time; by default up to 1000.
         executor: any PEP 3148 executor to ask the model in, such as that of a ``dask.distributed``
-            client; it is not shut down. Models that are not to run side by side stay here.
-        resume: go on with the evaluation in ``out``, if there is one. Finished events are not
-            predicted again, failed ones are. Settings and events must be the same, but there may
-            be more events after those; truth and judgments may have changed.
+            client; it is not shut down. Models that cannot run in parallel stay here.
+        resume: continue the evaluation in ``out``, if there is one. Finished events are not
+            predicted again, failed ones are. Settings and events must be the same. More events may
+            follow them; truth and judgments may have changed.
         split: only the events of that split of a generated data set, such as "test".
-        limit: only the first so many events.
+        limit: only the first ``limit`` events.
         seed: a whole number >= 0.
         judgments: people's judgments, a file (:func:`phase_ppl.load_judgments`) or a study, in
             place of those in the events.
-        progress: whether to show a bar on stderr; by default where that is a terminal.
-        observer: through whom the model is seen: "people", who come with the package, the file
-            of a fitted observer, what :func:`phase_ppl.fit_people` gives, or anything else that
-            is an :class:`phase_ppl.Onlooker`; by default nobody.
+        progress: show a bar on stderr; by default if stderr is a terminal.
+        observer: observer through whom the model is seen: "people", the package's own; the file
+            of a fitted observer; a result of :func:`phase_ppl.fit_people`; or any other
+            :class:`phase_ppl.Onlooker`. By default none.
         **options: of a model given by name.
 
     Raises:
         InvalidEventError: the events, their judgments or predictions cannot be read, two have
             the same id, or the results in ``out`` are damaged.
         InvalidSettingError, UnknownNameError: a setting that cannot be used; a model that knows
-            PHASE only, or events of several worlds; or ``out`` holds an
-            evaluation with others, the message says which.
+            PHASE only, or events of several worlds; or ``out`` holds an evaluation with other
+            settings, the message says which.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
         SimulationError: the executor takes no more work.
         AnswerError: the model failed at every event; the message names the first.
         EvaluationInterrupted: Ctrl-C.
 
-    The last three carry what was finished as ``evaluation``.
+    The last three carry the finished events as ``evaluation``.
     """
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
@@ -182,7 +181,7 @@ def evaluate(
         )
         outcomes = _outcomes(ready_model, left, settings, folder is not None, slots, executor)
         try:
-            # longer events take longer, so that the time left rests on frames
+            # longer events take longer: the remaining time is estimated by frames
             frames = {event.id: event.observation.n_frames for event in chosen}
             ready_before = sum(frames[event_id] for event_id in done)
             with (
@@ -218,7 +217,7 @@ def evaluate(
                     say(failure)
                     count(event_id)
         except KeyboardInterrupt as stop:
-            if folder is not None:  # one may have been kept just now
+            if folder is not None:  # a prediction may have been written just now
                 done.update(folder.predictions([]))
             raise EvaluationInterrupted(evaluation()) from stop
         except SimulationError as error:
@@ -240,7 +239,7 @@ def evaluate(
 
 
 def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[str, Any]:
-    """Return what determines the predictions of the events, in JSON's types."""
+    """Return all that determines the predictions of the events, in JSON's types."""
     return {
         **model.record,
         "seed": seed,
@@ -263,10 +262,10 @@ def _outcomes(
     workers: int | None,
     executor: Executor | None,
 ) -> Generator[tuple[str, _Outcome], None, None]:
-    """Ask about the events, which begin in this order; yield what becomes of each, by its id."""
+    """Ask about the events, begun in the given order; yield each id and outcome."""
     seed, digests = settings["seed"], settings["events"]
     jobs = [
-        # models and worker processes do not get to know the event
+        # the rest of the event is hidden from models and worker processes
         _Job(i, e.scene, e.observation, event_seed(seed, digests[e.id]), with_artefacts)
         for i, e in enumerate(events)
     ]
@@ -281,7 +280,7 @@ def _write(outcome: _Outcome, event_id: str, folder: Path) -> None:
     """Write the files that belong to an answer."""
     for name, content in outcome.artefacts.items():
         if name == POSTERIOR and content.startswith(SIGNATURE):
-            # the model did not know of which event it is
+            # the model did not know the event's id
             content = with_event_id(content, event_id)
         (folder / name).write_bytes(content)
 
@@ -290,7 +289,7 @@ def _write(outcome: _Outcome, event_id: str, folder: Path) -> None:
 
 
 class _Job(NamedTuple):
-    """An event to be predicted, by its place among those that are."""
+    """An event to predict; the index is its place among the chosen events."""
 
     place: int
     scene: Scene
@@ -300,10 +299,9 @@ class _Job(NamedTuple):
 
 
 class _Outcome(NamedTuple):
-    """What became of a job."""
+    """The result of a job."""
 
-    # the answer, its ``cost`` with the ``seconds`` that it took, and the ``cpu_seconds`` of its
-    # process; None: there is none
+    # the answer; its ``cost`` has ``seconds`` and the ``cpu_seconds`` of its process. None: none
     prediction: Prediction | None = None
     artefacts: Mapping[str, bytes] = {}  # file name -> content, of files that belong to the answer
     failure: str = ""  # what went wrong, where there is no prediction
@@ -311,7 +309,7 @@ class _Outcome(NamedTuple):
 
 
 def _ask(predict: Predict, job: _Job) -> _Outcome:
-    """Ask a model about one event; whatever it raises is an outcome."""
+    """Ask a model about one event; any exception becomes an outcome."""
     clock, used = time.perf_counter(), time.process_time()
     given: Any = None
     try:

@@ -1,4 +1,4 @@
-"""What a model made of many events, and the folder from which all of it is read again.
+"""A model's predictions of many events, and the folder that keeps them.
 
 ::
 
@@ -13,8 +13,8 @@
       metrics.json           written last
       figures/*.png
 
-A folder of an event is there only when its prediction is complete, so an interrupted evaluation
-goes on with the events that are missing.
+An event's folder exists only if its prediction is complete. So an interrupted evaluation continues
+with the missing events.
 """
 
 from __future__ import annotations
@@ -78,10 +78,10 @@ METRICS: Final = "metrics.json"
 FAILURES: Final = "failures.json"
 
 COMPARISON: Final = "comparison.json"
-"""The file by which the folder of a comparison of models is known."""
+"""The file that marks the folder of a comparison of models."""
 
 _DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
-"""The settings that must be the same for an evaluation to go on, beside events and versions."""
+"""The settings that must be the same to continue an evaluation, beside events and versions."""
 
 _FEW: Final = 3  # failures and notes that are printed
 
@@ -92,12 +92,12 @@ _COLUMNS: Final = {
     **dict.fromkeys(("truth", "sure", "decided"), "boolean"),
     **{"people": "float64", "n": "int64"},
 }
-"""Column of the tidy table -> what kind of numbers it has, None: text."""
+"""Column of the tidy table -> its type of numbers; None: text."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evaluation(Printed):
-    """What a model made of many events. ``print`` shows the table.
+    """A model's predictions of many events. ``print`` shows the table of metrics.
 
     Attributes:
         events: all of them, in the order of the file.
@@ -108,8 +108,8 @@ class Evaluation(Printed):
         cost: ``seconds`` (summed over events), ``simulations`` (None where the model counts
             none), ``workers`` and ``wall_seconds`` of the last call, and ``events``, the same
             for each.
-        folder: where it is kept; None: nowhere.
-        notes: what had to be done beside predicting.
+        folder: folder that keeps it; None: none.
+        notes: remarks, such as about damaged predictions.
     """
 
     events: Sequence[Event]
@@ -124,7 +124,7 @@ class Evaluation(Printed):
     def metrics(self) -> dict[str, Any]:
         """The metrics, in JSON's types.
 
-        Those of :mod:`phase_ppl.evaluation.metrics`; ``people``, what people got right
+        They are those of :mod:`phase_ppl.evaluation.metrics`; ``people``, people's accuracy
         (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
@@ -139,17 +139,17 @@ class Evaluation(Printed):
         return dict(plain(found))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return a tidy table: a row per event, question and label that could be the answer.
+        """Return a tidy table: a row per event, question and possible answer (label).
 
-        What the model did not answer has no rows.
+        Questions that the model did not answer have no rows.
 
         Returns:
             Columns ``event``, ``question``, ``label`` and ``model`` (text); ``probability`` and
-            its Monte-Carlo ``error`` (NaN: none is known); ``answer``, whether the label is the
-            model's answer; ``truth``, whether it is true (NA: unknown); ``sure``, whether the
-            posterior is sure that the answer leads, and ``decided``, whether it decides the event
-            (NA: there is no posterior); ``people``, the share of people who said so (NaN: nobody
-            was asked), and ``n``, how many answered the question.
+            its Monte-Carlo ``error`` (NaN: unknown); ``answer``, whether the label is the model's
+            answer; ``truth``, whether it is true (NA: unknown); ``sure``, whether the posterior is
+            sure of the answer, and ``decided``, whether the event is decided (NA: no posterior);
+            ``people``, the share of people who gave the label (NaN: nobody was asked), and ``n``,
+            how many answered the question.
         """
         events = [event for event in self.events if event.id in self.predictions]
         rows = Answers.of(events, self.predictions).rows
@@ -159,7 +159,7 @@ class Evaluation(Printed):
         return table[list(_COLUMNS)].reset_index(drop=True).astype(kinds)
 
     def posterior(self, event_id: str) -> Posterior | StepwisePosterior | None:
-        """Return the posterior of an event, read from the folder; None where none was kept.
+        """Return the posterior of an event, read from the folder; None if none was kept.
 
         Raises:
             UnknownNameError: there is no such event.
@@ -181,7 +181,7 @@ class Evaluation(Printed):
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
-        """The same with their metrics: before the end, all are about the predicted events."""
+        """All answers with their metrics; before the end, all are about the predicted events."""
         found, metrics = self, self.metrics
         if not self.finished:
             events = [event for event in self.events if event.id in self.predictions]
@@ -191,7 +191,7 @@ class Evaluation(Printed):
         return [dataclasses.replace(one, metrics=known[one.name]) for one in found.answers]
 
     def _of_references(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what is given of models whose answers the events carry by their names here."""
+        """Return ``given`` of reference models, keyed by their names in this evaluation."""
         return {reference_label(name, [self.name]): of_model for name, of_model in given.items()}
 
     @classmethod
@@ -210,18 +210,18 @@ class Evaluation(Printed):
         return cls(folder.events, predictions, folder.failures(), folder.settings, cost, folder)
 
     def against(self, other: Evaluation | str | os.PathLike[str]) -> dict[str, Any]:
-        """Return how much better this model is than another, on the events that both predict.
+        """Return paired differences between this model and another, on events that both predict.
 
         Args:
             other: an evaluation, the folder of one, or the name of a model whose predictions
                 the events carry.
 
         Returns:
-            ``one`` and ``other``, names of the models, and what
-            :func:`~phase_ppl.evaluation.metrics.paired_difference` gives, in JSON's types.
+            ``one`` and ``other``, names of the models, and the result of
+            :func:`~phase_ppl.evaluation.metrics.paired_difference`, in JSON's types.
 
         Raises:
-            InvalidEventError: there is no such folder; or an event is not the same in both.
+            InvalidEventError: there is no such folder; or an event differs between the two.
             InvalidSettingError: ``other`` is none of these; or there is no event that both
                 predict.
         """
@@ -260,7 +260,7 @@ class Evaluation(Printed):
 
 
 def evaluation_of(source: object, references: Collection[str] = ()) -> Evaluation:
-    """Return an evaluation, or that in a folder; ``references`` are names it could have been."""
+    """Return an evaluation, or read it from a folder; errors list the names ``references``."""
     if isinstance(source, Evaluation):
         return source
     if not isinstance(source, str | os.PathLike):
@@ -274,7 +274,7 @@ def evaluation_of(source: object, references: Collection[str] = ()) -> Evaluatio
 def opponent(
     events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
 ) -> tuple[str, Mapping[str, Prediction]]:
-    """Return name and predictions of what a model is compared with."""
+    """Return name and predictions of the other model of a comparison."""
     references = reference_predictions(events)
     if isinstance(other, str) and other in references:
         return other, references[other]
@@ -294,7 +294,7 @@ def opponent(
 def cost_of(
     predictions: Mapping[str, Prediction], workers: int | None, wall_seconds: float | None
 ) -> dict[str, Any]:
-    """Return what predictions cost, together and each."""
+    """Return the cost of predictions, in total and for each."""
     each = {name: dict(prediction.cost) for name, prediction in predictions.items()}
     counts, seconds = (
         [cost[name] for cost in each.values() if isinstance(cost.get(name), int | float)]
@@ -345,7 +345,7 @@ def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
 
 
 class ResultsFolder:
-    """A folder of results: what settings.json holds, and all events in order."""
+    """The folder of an evaluation: the content of settings.json, and all events in order."""
 
     def __init__(self, path: Path, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
         self.path = path
@@ -384,9 +384,9 @@ class ResultsFolder:
         events: Sequence[Event],
         resume: bool,
     ) -> tuple[ResultsFolder, dict[str, Prediction], list[str]]:
-        """Return the folder of an evaluation that begins or, with ``resume``, goes on.
+        """Begin an evaluation's folder or, with ``resume``, continue it.
 
-        And the predictions that are in it, and notes about those that are damaged.
+        Returned are the folder, its predictions, and notes about damaged ones.
         """
         if not resume or not holds_predictions(Path(path)):
             return cls.create(path, settings, events), {}, []
@@ -402,12 +402,12 @@ class ResultsFolder:
         return folder, done, notes
 
     def check_same(self, settings: Mapping[str, Any]) -> None:
-        """Raise what :meth:`begin` would for other settings or events; change nothing."""
+        """Raise the errors of :meth:`begin` for other settings or events; change nothing."""
         before, now = (
             {name: given.get(name) for name in _DETERMINE} for given in (self.settings, settings)
         )
         found = differences(before, now)
-        if before["model"] != now["model"]:  # of which the rest follows
+        if before["model"] != now["model"]:  # the other differences follow from this one
             found = found[:1]
         holds = f"{self.path} holds an evaluation"
         if found:
@@ -431,10 +431,9 @@ class ResultsFolder:
                 )
 
     def update(self, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
-        """Replace settings and events, of which more may come after those that are there.
+        """Replace settings and events; new events may follow the old ones.
 
-        The metrics, which belong to those before, are deleted, and so is what an evaluation
-        that was killed has left half done.
+        The old metrics are deleted, and so are unfinished files of a killed evaluation.
         """
         with refusing(f"into {self.path}"):
             for name in (METRICS, FAILURES):
@@ -448,11 +447,11 @@ class ResultsFolder:
         write_json(self.path / SETTINGS, self.settings)
 
     def folder_of(self, event_id: str) -> Path:
-        """Return the folder of an event, whether it is there or not."""
+        """Return the folder of an event; it need not exist."""
         return self.path / "events" / entry_name(self._place[event_id], event_id)
 
     def add(self, prediction: Prediction, artefacts: Callable[[Path], None] | None = None) -> None:
-        """Keep the prediction of an event; ``artefacts(folder)`` writes what else belongs to it."""
+        """Keep the prediction of an event; ``artefacts(folder)`` writes its other files."""
         target = self.folder_of(prediction.event_id)
         part = target.with_name(f".part-{secrets.token_hex(4)}")
         try:
@@ -470,7 +469,7 @@ class ResultsFolder:
     def predictions(self, damaged: list[str] | None = None) -> dict[str, Prediction]:
         """Return event id -> prediction of the finished events, in the order of the events.
 
-        What is wrong with those that are damaged goes into the list, where there is one.
+        Errors of damaged ones are appended to the list ``damaged``; without it they are raised.
         """
         done = {}
         for event in self.events:
@@ -486,7 +485,7 @@ class ResultsFolder:
         return done
 
     def prediction(self, event_id: str) -> Prediction | None:
-        """Return the prediction of an event; None where it is not finished."""
+        """Return the prediction of an event; None: it is not finished."""
         source = self.folder_of(event_id) / PREDICTION
         if not source.is_file():
             return None
@@ -522,7 +521,7 @@ class ResultsFolder:
 
 
 def entry_name(place: int, event_id: str) -> str:
-    """Return the name of what belongs to an event, by its place among the events."""
+    """Return the name of an event's folder, from its place among the events and its id."""
     return f"{place:04d}-{re.sub(r'[^A-Za-z0-9._-]+', '_', event_id)[:80]}"
 
 
@@ -535,7 +534,7 @@ def holds_predictions(folder: Path) -> bool:
 
 
 def difference_table(found: Mapping[str, Any]) -> str:
-    """Return the differences that ``Evaluation.against`` found."""
+    """Return the table of differences that ``Evaluation.against`` found."""
     head = wrapped(
         f"{found['one']} minus {found['other']}: on the {found['n_events']} events that both "
         "predict; intervals and p from resampled events"

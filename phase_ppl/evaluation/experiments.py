@@ -1,7 +1,6 @@
-"""The paper's other two experiments: what people see in videos, and how likely they find it.
+"""The paper's other two experiments: people's labels for videos, and ratings of their likeness.
 
-*Tags* are labels that viewers chose; the CSV file has a row per label that somebody chose for a
-video::
+*Tags* are labels that viewers chose; the CSV file has a row per chosen label::
 
     participant,video,label
     p01,collaborate,helping
@@ -10,8 +9,8 @@ video::
 
 A viewing without any label has one row with an empty cell. Labels may be others than the paper's.
 
-*Likeness*: how likely it is that people behave like this, in two groups of videos, from 1 to 5
-(paper, Appendix A.2); a row per participant and video::
+*Likeness*: rating from 1 to 5 of how likely people are to behave like this, for two groups of
+videos (paper, Appendix A.2); a row per participant and video::
 
     participant,video,group,rating
     p01,played-3,played,4
@@ -51,7 +50,7 @@ LABELS: Final = (
 )  # fmt: skip
 """The paper's 23 labels, in its order and words (Appendix A.1)."""
 
-MAJORITY: Final = 0.5  # share of the viewers of a video from which on it has a category (paper)
+MAJORITY: Final = 0.5  # least share of a video's viewers that gives it a category (paper)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,8 +58,8 @@ class Tags:
     """Labels that people chose for videos.
 
     Attributes:
-        table: a row per label chosen, with ``participant``, ``video`` and ``label``; of a viewing
-            without labels one row, whose label is None.
+        table: a row per chosen label, with ``participant``, ``video`` and ``label``; a viewing
+            without labels has one row with label None.
         LABELS: the paper's labels.
     """
 
@@ -70,7 +69,7 @@ class Tags:
 
     @functools.cached_property
     def labels(self) -> tuple[str, ...]:
-        """The paper's labels and whatever others there are."""
+        """The paper's labels, then any others."""
         found = self.table["label"].dropna().unique().tolist()
         return (*LABELS, *(label for label in found if label not in LABELS))
 
@@ -98,7 +97,7 @@ class Tags:
         return self.shares >= majority - 1e-12
 
     def summary(self, majority: float = MAJORITY) -> pd.DataFrame:
-        """Return label -> ``percent`` of the videos that have it as a category, and ``used`` in."""
+        """Return label -> ``percent`` of videos with it as a category, and ``used`` at all."""
         return pd.DataFrame(
             {"percent": 100 * self.categories(majority).mean(), "used": (self.shares > 0).sum()}
         )
@@ -111,7 +110,7 @@ class Tags:
 
 
 def load_tags(path: str | os.PathLike[str]) -> Tags:
-    """Read labels from a CSV file of the form that the module describes.
+    """Read labels from a CSV file, in the format that the module describes.
 
     Raises:
         InvalidEventError: there is no such file, columns or cells are missing, or somebody chose a
@@ -169,7 +168,7 @@ class Likeness:
     def summary(self) -> pd.DataFrame:
         """Return group -> mean rating, and its standard deviation over videos and participants.
 
-        The paper does not say of which of them its standard deviations are.
+        The paper does not say which of the two its standard deviations are.
         """
         found = pd.DataFrame(index=pd.Index(self.groups))
         of_group = self.table.groupby("group")["rating"]
@@ -183,18 +182,19 @@ class Likeness:
     def equivalence(self, margin: float = MARGIN, by: By = "participants") -> dict[str, Any]:
         """Test whether the mean ratings of the groups differ by less than a margin.
 
-        Two one-sided Welch tests (TOST); equivalence is shown where both reject, which is where the
-        90 % interval lies within the margin.
+        Two one-sided Welch tests (TOST). Equivalence is shown if both reject, that is, if the 90 %
+        interval lies within the margin.
 
         Args:
-            margin: steps of the rating.
-            by: whose means are compared. Participants were drawn at random for the groups.
+            margin: in steps of the rating.
+            by: unit of the means: videos or participants. Participants were assigned to groups at
+                random.
 
         Returns:
             ``difference``, first group minus second; ``ci_low`` and ``ci_high``, 90 %; ``p``, the
             larger of the two; ``equivalent``, whether it is below 0.05; and ``n``, of the groups.
-            Where no mean differs from another of its group, nothing says how much they vary:
-            ``ci_low``, ``ci_high`` and ``p`` are None, and equivalence is not shown.
+            If all means within each group are equal, their variance is unknown: ``ci_low``,
+            ``ci_high`` and ``p`` are None, and equivalence is not shown.
 
         Raises:
             InvalidSettingError: ``margin`` is no positive number.
@@ -209,7 +209,7 @@ class Likeness:
         difference = float(first.mean() - second.mean())
         p = low = high = None
         if not np.ptp(first) == 0 == np.ptp(second):
-            with warnings.catch_warnings(action="ignore"):  # one group may be all alike
+            with warnings.catch_warnings(action="ignore"):  # one group may have no variance
                 found = stats.ttest_ind(first, second, equal_var=False)
                 low, high = map(float, found.confidence_interval(0.9))
                 tests = [
@@ -233,7 +233,7 @@ class Likeness:
 
 
 def load_likeness(path: str | os.PathLike[str]) -> Likeness:
-    """Read ratings from a CSV file of the form that the module describes.
+    """Read ratings from a CSV file, in the format that the module describes.
 
     Raises:
         InvalidEventError: there is no such file, it is no such table, a rating is not 1 to 5,

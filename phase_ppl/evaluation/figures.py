@@ -1,9 +1,9 @@
 """Figures of an evaluation or of a comparison of models, for an article.
 
 They show who is right and who agrees with people. Every function takes an evaluation or a
-comparison, or the folder of one, draws on no global state and returns a matplotlib
-figure, written to ``path`` (.png, .pdf, .svg) as well where one is given. Where the results lack
-what a figure is about, it raises :class:`NothingToDrawError`.
+comparison, or the folder of one, and returns a matplotlib figure. With ``path`` (.png, .pdf, .svg)
+the figure is also written. Matplotlib's global state is left alone. If the results lack the data of
+a figure, it raises :class:`NothingToDrawError`.
 """
 
 from __future__ import annotations
@@ -83,13 +83,13 @@ KIND_TITLES: Final[dict[str, str]] = {
 SCENARIO_COLOURS: Final = dict(
     zip(SCENARIOS, ("#009e73", "#4d6fb3", "#c98a00", "#b8336a"), strict=True)
 )
-"""To be told apart without seeing red and green apart."""
+"""Colours that people with red-green blindness can tell apart."""
 
-FOLDER: Final = "figures"  # of the figures, in that of the results
+FOLDER: Final = "figures"  # subfolder of the results
 
 _WIDTH: Final = 7.2  # inches: both columns of a journal's page
 _CHARACTER: Final = 0.6  # mean width of a character, as a share of its size
-_WIDEST: Final = 2.2  # inches that names of rows take at most; longer ones are written smaller
+_WIDEST: Final = 2.2  # most inches for names of rows; longer names get a smaller font
 
 
 class NothingToDrawError(InvalidSettingError):
@@ -99,20 +99,20 @@ class NothingToDrawError(InvalidSettingError):
 class Drawing(NamedTuple):
     """A kind of figure."""
 
-    title: str  # what it shows, in a few words
-    alt: str  # what stands in its place for those who do not see it
+    title: str  # its content, in a few words
+    alt: str  # alternative text for people who cannot see it
     draw: Callable[..., Figure]  # draws results, and writes the figure to a path
-    compares: bool  # whether it is one of comparisons of models only
+    compares: bool  # whether it needs a comparison of models
 
 
 DRAWINGS: Final[dict[str, Drawing]] = {}
-"""Name of a figure, and of its file -> what it is."""
+"""Name of a figure, and of its file -> its drawing."""
 
 _Draw = TypeVar("_Draw", bound=Callable[..., Any])
 
 
 def drawing(title: str, alt: str, *, compares: bool = False) -> Callable[[_Draw], _Draw]:
-    """Have a function draw in the common style, and keep it in :data:`DRAWINGS`."""
+    """Return a decorator: draw in the common style, and register in :data:`DRAWINGS`."""
 
     def keep(draw: _Draw) -> _Draw:
         styled: Any = in_style(draw)
@@ -123,7 +123,7 @@ def drawing(title: str, alt: str, *, compares: bool = False) -> Callable[[_Draw]
 
 
 def opened(source: Source) -> Results:
-    """Open the folder of an evaluation or of a comparison, where it is none of them itself."""
+    """Return results, read from their folder if ``source`` is a path."""
     if not isinstance(source, str | os.PathLike):
         return source
     comparison = (Path(source) / COMPARISON).is_file()
@@ -152,7 +152,7 @@ def fitting(texts: Iterable[str], width: float = _WIDEST, most: float = NORMAL) 
 
 
 def width_of(shown: Iterable[AnswerSet]) -> float:
-    """Return about how many inches names take beside a figure, with what surrounds them."""
+    """Return the approximate inches for names beside a figure, margins included."""
     labels = [answers.label for answers in shown]
     return _CHARACTER * max(map(len, labels), default=0) * fitting(labels) / 72 + 0.2
 
@@ -167,7 +167,7 @@ def name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
 
 
 def in_words(counts: Iterable[int]) -> str:
-    """Return how many there are, such as of the events of several models: "n = 9 to 10"."""
+    """Return counts, such as models' numbers of events, as text: "n = 9 to 10"."""
     known = sorted(counts)
     least, most = known[0], known[-1]
     return f"n = {most}" if least == most else f"n = {least} to {most}"
@@ -176,7 +176,7 @@ def in_words(counts: Iterable[int]) -> str:
 def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list[Path]:
     """Write all figures that the results allow into ``figures/``, as PNG; return the files.
 
-    With ``progress`` standard error says which are left out, and why.
+    With ``progress`` the figures left out, and why, are printed on standard error.
 
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
@@ -190,7 +190,7 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
         try:
             drawing.draw(results, file)
         except NothingToDrawError as reason:
-            file.unlink(missing_ok=True)  # of an earlier state of the results
+            file.unlink(missing_ok=True)  # outdated figure of earlier results
             if progress:
                 print(f"no figure {name}: {reason}", file=sys.stderr)
         else:
@@ -199,14 +199,14 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
 
 
 def drawings_of(results: Results) -> dict[str, Drawing]:
-    """Return the figures that there are of such results."""
+    """Return the drawings for results of this kind."""
     compares = isinstance(results, ModelComparison)
     return {name: one for name, one in DRAWINGS.items() if compares or not one.compares}
 
 
 # --- rows of names: right answers, and agreement with people --------------------------------------
 
-_Row = dict[str, Any]  # value, ends of its interval, and what else is known of it
+_Row = dict[str, Any]  # value, ends of its interval, and further fields
 _Blocks = Mapping[str, Mapping[str, Mapping[AnswerSet, "_Row | None"]]]
 
 
@@ -219,7 +219,7 @@ _Blocks = Mapping[str, Mapping[str, Mapping[AnswerSet, "_Row | None"]]]
 def accuracy(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the accuracy of goals and relations, over all events and by true scenario.
 
-    In another world than PHASE that of goals by agent, of relations by pair.
+    In other worlds than PHASE accuracy is by agent for goals, by pair for relations.
 
     Raises:
         NothingToDrawError: no answer can be right or wrong.
@@ -238,7 +238,7 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
                 | {"n": counts[o].get((kind, path[-1] if path else "all"), 0)}
                 for o in shown
             }
-            for path in ((), *(parts if len(parts) > 1 else ()))  # one part is the whole
+            for path in ((), *(parts if len(parts) > 1 else ()))  # a single part equals the whole
         }
     figure = _panels(
         blocks, (1.2, 0.185), _bars, "no truth is known of an event that somebody judged",
@@ -249,7 +249,7 @@ def accuracy(source: Source, path: PathLike | None = None) -> Figure:
 
 
 def _answered(events: Sequence[Event], answers: AnswerSet) -> dict[tuple[str, str], int]:
-    """Return (kind, part) -> questions whose answer is given and can be right or wrong."""
+    """Return (kind, part) -> number of answered questions with known truth."""
     rows = Answers.of(events, answers.predictions).rows
     known = rows.groupby(["event", "question"], sort=False).first().reset_index()
     known = known[known["truth"].notna() & known["answer"].notna()]
@@ -264,7 +264,7 @@ def _answered(events: Sequence[Event], answers: AnswerSet) -> dict[tuple[str, st
     compares=True,
 )
 def equivalence(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw how much more often models are right than people, beside the margin of equivalence.
+    """Draw models' accuracy minus people's, with the margin of equivalence.
 
     Raises:
         NothingToDrawError: people judged no event with truth, or it is no comparison of models.
@@ -314,9 +314,9 @@ def _panels(
 ) -> Figure:
     """Draw kinds of questions below each other, a column for each part of the answers.
 
-    ``blocks`` are title -> part -> whose -> row, drawn by ``draw``, with ``n``, of how many events
-    or answers it is; kinds without rows are left out, and ``nothing`` says what is missing where
-    there are none. ``cell`` are the inches of a column and of a row.
+    ``blocks`` are title -> part -> whose -> row; ``draw`` draws the rows. ``n`` in a row counts its
+    events or answers. Kinds without rows are left out; without any, ``nothing`` is the error's
+    text. ``cell`` are the inches of a column and of a row.
     """
     blocks = {kind: parts for kind, parts in blocks.items() if any(parts.values())}
     if not blocks:
@@ -370,7 +370,7 @@ _CORRELATIONS: Final = {
     "relation_r": ("Relations", "split_half_r"),
     "relation_r_given_truth": ("Relations, given the truth", ""),
 }
-"""Correlation with people -> title, and that of people with each other."""
+"""Correlation with people -> title, and people's correlation with each other."""
 
 
 @drawing(
@@ -400,7 +400,7 @@ def correlation(source: Source, path: PathLike | None = None) -> Figure:
         title, halves = _CORRELATIONS[name]
         axes.set_title(title, pad=15, fontsize=NORMAL, fontweight="bold")
         among = next(filter(None, (at(o.metrics, ("human", halves)) for o in shown)), None)
-        if among is not None:  # how well halves of the people agree, a line with its interval
+        if among is not None:  # split-half correlation of people, a line with its interval
             if among["ci_low"] is not None:
                 axes.axvspan(among["ci_low"], among["ci_high"], color=INK, alpha=0.13, lw=0)
             axes.axvline(among["value"], color=INK, lw=1.1, ls=(0, (4, 2)))
@@ -416,12 +416,12 @@ def correlation(source: Source, path: PathLike | None = None) -> Figure:
 # --- axes per model or event ----------------------------------------------------------------------
 
 _PANELS: Final = 6
-_DARK: Final = 0.65  # share of a row from which on its number is white
+_DARK: Final = 0.65  # least share of a row at which its number is white
 
 _HIGHER, _LOWER = "#1b6ca8", "#b5482a"
 
 _POINT: Final = 0.02
-"""Points nearer than this, in each probability, are drawn as one, with the area of all."""
+"""Points closer than this, in each probability, are drawn as one with their total area."""
 
 _AREA: Final = 9.0
 
@@ -433,13 +433,13 @@ _Texts = dict[tuple[int, int], tuple[str, dict[str, Any]]]
     "Matrices of counts: true scenario against the scenario of the goals answered.",
 )
 def confusion(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw, for all who answered both goals, true scenario against scenario of their goals.
+    """Draw confusion matrices: true scenario against the scenario of the goals answered.
 
     Cells hold numbers of events, shades are shares of their row.
 
     Raises:
-        NothingToDrawError: nobody answered the goals of events whose scenario is known, as it is
-            in PHASE only.
+        NothingToDrawError: nobody answered both goals of an event with known scenario. Only PHASE
+            has scenarios.
     """
     from matplotlib import colormaps
 
@@ -552,7 +552,7 @@ def _scatter(source: Source, path: PathLike | None, kind: str, what: str) -> Fig
     for line, (answers, points) in zip(grid, clouds.items(), strict=True):
         for axes, name in zip(line, columns, strict=True):
             axes.plot([0, 1], [0, 1], color="#c4c4c4", lw=0.8, zorder=1)
-            # large ones first, so that none hides a smaller one
+            # large points first, so that none hides a smaller one
             for (of, x, y), n in points.sort_values(ascending=False).items():
                 if of == name:
                     axes.scatter(
@@ -590,7 +590,7 @@ def costs(source: Source, path: PathLike | None = None) -> Figure:
         NothingToDrawError: of no model both are known, or it is no comparison of models.
     """
     measured = compared(source).measured
-    # what has a place on an axis without 0
+    # a logarithmic axis has no 0
     timed = [o for o in measured if (at(o.metrics, "cpu_seconds.value") or 0) > 0]
     kinds = {
         kind: shown
@@ -646,7 +646,7 @@ def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
 def differences(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the differences in right answers between models: row minus column.
 
-    They are those of every two models, or of all from one where the comparison is against one.
+    They are between every two models, or from one model if the comparison is against it.
 
     Raises:
         NothingToDrawError: no two models answered the same question of an event with truth, or it
@@ -724,9 +724,9 @@ def _differences(
     "Film strips: an event of every scenario, from first to last frame.",
 )
 def film_strips(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw the first event of every true scenario as a film strip; where none is known, the first.
+    """Draw the first event of every true scenario as a film strip, up to four.
 
-    These are up to four.
+    If no scenario is known, the first event is drawn.
     """
     results = opened(source)
     scenarios = scenarios_of(results)
@@ -770,11 +770,12 @@ _PARTS: Final = ("relation_r", "relation_r_given_truth")
     "truth; bars: both correlations, beside what people reach among themselves.",
 )
 def people(source: Source, path: PathLike | None = None) -> Figure:
-    """Draw models' probabilities of relations against people's shares, and how near r can come.
+    """Draw models' probabilities of relations against people's shares, and the correlations.
 
-    For each model a row: probabilities against shares; the same less the mean over events of the
-    same true relation; and both correlations with their intervals, beside what halves of the people
-    reach, as they are (grey line) and for all raters (dashed).
+    Each model has a row of three panels. The first shows probabilities against shares, the second
+    the same minus the mean over events of the same true relation. The third shows both correlations
+    with their intervals. Lines are people's split-half correlations: for halves (grey) and for all
+    raters (dashed).
 
     Raises:
         NothingToDrawError: nobody judged relations to which a model gives probabilities.
@@ -855,7 +856,7 @@ def _correlation_bars(axes: Axes, doubt: dict[str, Any], colour: str) -> None:
     axes.set(xlim=(-0.6, 1.6), ylim=(min([0.0, *lows]), 1.0))
 
 
-# --- what people say of videos --------------------------------------------------------------------
+# --- people's labels and ratings of videos --------------------------------------------------------
 
 _Data = TypeVar("_Data")
 _FAINT: Final = "#e6e6e6"
@@ -873,10 +874,10 @@ def _read(source: Any, kind: type[_Data], load: Callable[[Any], _Data]) -> _Data
 def tags(
     source: Tags | PathLike, path: PathLike | None = None, *, majority: float = MAJORITY
 ) -> Figure:
-    """Draw in how many videos people see what, as the paper does of its 23 labels.
+    """Draw the share of videos in each category, as the paper does for its 23 labels.
 
-    The labels, or their CSV file (:mod:`phase_ppl.evaluation.experiments`), may be anybody's; a
-    video has a category from which on that share of its viewers, ``majority``, chose it.
+    Labels are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). A video
+    has a category if at least the share ``majority`` of its viewers chose the label.
 
     Raises:
         InvalidSettingError: ``source`` is neither labels nor a file, or ``majority`` no share.
@@ -907,10 +908,10 @@ def tags(
 def likeness(
     source: Likeness | PathLike, path: PathLike | None = None, *, margin: float = MARGIN
 ) -> Figure:
-    """Draw how likely people find it that people behave like this, in two groups of videos.
+    """Draw people's ratings of how likely the behaviour is, in two groups of videos.
 
-    The ratings, or their CSV file (:mod:`phase_ppl.evaluation.experiments`), may be anybody's;
-    groups are equivalent if their mean ratings differ by less than ``margin``.
+    Ratings are given directly or as a CSV file (:mod:`phase_ppl.evaluation.experiments`). Groups
+    are equivalent if their mean ratings differ by less than ``margin``.
 
     Raises:
         InvalidSettingError: ``source`` is neither ratings nor a file, or ``margin`` not positive.
@@ -953,7 +954,7 @@ def likeness(
 
 
 def _points(axes: Axes, place: int, values: np.ndarray, colour: str) -> None:
-    """Draw points side by side, those with the same value beside each other, and their mean."""
+    """Draw points and their mean; points of equal value are spread sideways."""
     rounded = np.round(values, 1)
     for value in np.unique(rounded):
         here = values[rounded == value]

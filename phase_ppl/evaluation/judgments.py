@@ -7,21 +7,21 @@
     p01,oppose,get to green agent,get away from red agent,adversarial,8.1
     p02,collaborate,Get pink item to red lm,,friendly,
 
-``participant`` and ``video`` (the id of the event) must be there, and at least one of the questions
+``participant`` and ``video`` (the id of the event) are required, and at least one of the questions
 ``goal_red``, ``goal_green`` (effective goals, the paper's strings) and ``relation`` (friendly,
-neutral, adversarial); ``response_time`` [s] may be. Columns come in any order, and there are no
-others. A cell may be empty except in the first two; nothing is assumed in its place. UTF-8, cells
-separated by commas; case and spaces around an answer do not matter. About events of another world
-than PHASE the questions are that world's (:func:`~phase_ppl.evaluation.prediction.questions_of`),
-as ``goal_purple`` and ``relation_red_purple``.
+neutral, adversarial). ``response_time`` [s] is optional. Columns come in any order; others are
+refused. Cells of all but the first two may be empty; nothing is assumed in their place. The file is
+UTF-8, with cells separated by commas. Case and spaces around an answer do not matter. Other worlds
+than PHASE have their own questions (:func:`~phase_ppl.evaluation.prediction.questions_of`), such as
+``goal_purple`` and ``relation_red_purple``.
 
-The raters of a public study of PHASE are read too, a folder with a text file of each. The
-repository Isik-lab/SocialGNN has them, those of the test videos in
+Raters' files of a public study of PHASE are read too: a folder with a text file per rater. The
+repository Isik-lab/SocialGNN has them; those of the test videos are in
 ``PHASE/Human_Experiment_Files/responses_genset``. The first line of a file is about the person and
-is not read. 23 lines follow, one a film, each a JSON list of pairs of key and value, of which those
-of ``video_name`` and ``likert_response``, the relation, are read. Three films, whose names end in
-``_mm.mp4``, are checks of attention: right is the relation that the name's goals make. As in that
-study, the files are kept that are complete and have all three right.
+is not read. 23 lines follow, one per film, each a JSON list of [key, value] pairs. Only
+``video_name`` and ``likert_response``, the relation, are read. Three films, whose names end in
+``_mm.mp4``, are attention checks: the right answer is the relation of the goals in the name. As in
+that study, only complete files with all three checks right are kept.
 """
 
 from __future__ import annotations
@@ -60,23 +60,23 @@ from phase_ppl.world.files import as_path, existing_file
 from phase_ppl.world.scene import PHASE, World, check_is_phase
 
 _NOT_AVAILABLE: Final = ("NA", "N/A", "NaN", "nan", "None", "null", "NULL")
-"""What R, pandas, spreadsheets and JSON write where there is nothing."""
+"""Texts that R, pandas, spreadsheets and JSON write for missing values."""
 
 
 def columns_of(world: World) -> tuple[str, ...]:
-    """Return the columns of a study about events of a world, all of which its table has."""
+    """Return all columns of the table of a study about events of a world."""
     return ("participant", "video", *questions_of(world), "response_time")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Study:
-    """What participants said about videos.
+    """Participants' judgments of videos.
 
     Attributes:
         table: a row per participant and video, with the columns :func:`columns_of`; answers as the
-            labels spell them, None where there is none; response times in seconds, NaN likewise.
-        world: of the events.
-        summary: which of the raters' files were kept, and why others were not; "" of a CSV file.
+            labels spell them, None if missing; response times in seconds, NaN if missing.
+        world: world of the events.
+        summary: which of the raters' files were kept, and why others were not; "" for a CSV file.
     """
 
     table: pd.DataFrame
@@ -85,7 +85,7 @@ class Study:
 
     @property
     def participants(self) -> tuple[str, ...]:
-        """The participants, in the order in which they come."""
+        """The participants, in order of appearance."""
         return tuple(self.table["participant"].unique().tolist())
 
     @functools.cached_property
@@ -102,10 +102,10 @@ class Study:
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
     def accuracy(self, events: Sequence[Event]) -> dict[str, Any]:
-        """Return the accuracy of people as the paper has it: of each participant, then averaged.
+        """Return people's accuracy as in the paper: per participant, then averaged.
 
         Args:
-            events: with their truth; those that the study has no answers to do not count.
+            events: with their truth; events without answers in the study do not count.
 
         Returns:
             As :func:`~phase_ppl.evaluation.metrics.participant_accuracy`.
@@ -126,13 +126,13 @@ def load_judgments(
     path: str | os.PathLike[str],
     events: str | os.PathLike[str] | Sequence[Event] | None = None,
 ) -> Study:
-    """Read a study from a CSV file of the form that the module describes, or from raters' files.
+    """Read a study from a CSV file or from raters' files, in the formats that the module describes.
 
     Args:
         path: of the file; or the folder of raters' files of the public study, or one of them.
-        events: those that may be judged, or their file or folder, of one world, whose questions
-            are asked; a row about another video is an error, a rater's answer about one is left
-            out. Default: any of PHASE.
+        events: events that may be judged, or their file or folder, of one world; it decides the
+            questions. A CSV row about another video is an error; a rater's answer about one is
+            left out. Default: any events of PHASE.
 
     Raises:
         InvalidEventError: there is no such file, or it is no such table: columns are missing, a
@@ -175,7 +175,7 @@ def _study(
 
 
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
-    """Return the events with the judgments of a study in place of those they had, if any.
+    """Return the events with their judgments replaced by those of a study.
 
     Raises:
         InvalidEventError: the study has answers to none of the events.
@@ -251,8 +251,8 @@ def _row(cells: Mapping[str, str], world: World) -> dict[str, Any]:
 
 # --- raters' files --------------------------------------------------------------------------------
 
-FILMS: Final = 23  # that a complete file has answers to
-CHECKS: Final = 3  # of these
+FILMS: Final = 23  # answers in a complete file
+CHECKS: Final = 3  # attention checks among them
 _CHECK: Final = "_mm.mp4"
 _MAX_BYTES: Final = 2**20
 
@@ -264,11 +264,11 @@ def _begins_a_list(path: Path) -> bool:
 
 
 def read_raters(path: Path, videos: Collection[str] | None) -> tuple[list[dict[str, str]], str]:
-    """Return what raters say of these videos, or of all: rows of a study, and which are kept.
+    """Return raters' answers about ``videos`` (None: all) as rows of a study, and a summary.
 
     Raises:
-        InvalidEventError: no rater's file is there, none is kept, or a complete one has a line that
-            is none; the message names file and line.
+        InvalidEventError: there is no rater's file, none is kept, or a complete one has an invalid
+            line; the message names file and line.
         UnknownNameError: a relation is unknown.
     """
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
@@ -299,7 +299,7 @@ def read_raters(path: Path, videos: Collection[str] | None) -> tuple[list[dict[s
 
 
 def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:
-    """Return video -> relation and check -> whether it is right; both are empty but of 24 lines."""
+    """Return video -> relation and check -> whether it is right; empty without 24 lines."""
     with in_front(f"{file}: "), reading_bytes("a rater's file"), open(file, "rb") as opened:
         content = opened.read(_MAX_BYTES + 1)
     if len(content) > _MAX_BYTES:
@@ -330,14 +330,14 @@ SETTINGS: Final = "settings.json"
 EVENTS: Final = "events.json"
 """Files of an evaluation (:mod:`phase_ppl.evaluation.evaluation`)."""
 
-GENERATED: Final = (MANIFEST, PLAN)  # files by which the folder of a generated data set is known
+GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
 EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events
 
 
 def all_events(
     events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
 ) -> list[Event]:
-    """Return the events of a file or folder, or those given, as whatever takes events does.
+    """Return the events of a file or folder, or the given events, checked.
 
     Args:
         events: a file, a folder of files or a generated data set; an event, or several.
@@ -392,7 +392,7 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
 def judged(
     events: list[Event], judgments: str | os.PathLike[str] | Study | None
 ) -> Sequence[Event]:
-    """Return the events with people's judgments; what cannot be scored is found out now."""
+    """Return the events with people's judgments; judgments that cannot be scored raise now."""
     if judgments is not None:
         study = judgments if isinstance(judgments, Study) else load_judgments(judgments, events)
         events = with_judgments(events, study)

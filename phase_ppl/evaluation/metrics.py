@@ -1,22 +1,22 @@
-"""The paper's metrics of predictions (Appendix 5), and what says more than being right.
+"""The paper's metrics of predictions (Appendix 5), and scores beyond accuracy.
 
-A *measure* is ``{"value", "ci_low", "ci_high"}`` with a 95 % interval, or None where it cannot be
-computed. Accuracies, overall and by scenario, have Clopper and Pearson's interval for as many
-independent answers as they are worth (:func:`~phase_ppl.evaluation.bootstrap.proportion`); all
-other intervals are percentiles over resampled events. Accuracy of goals is over both agents'
-goals. Answers are ranked by probability, ties in label order; ``ties`` counts the events with one,
-per question.
+A *measure* is ``{"value", "ci_low", "ci_high"}`` with a 95 % interval, or None if it cannot be
+computed. Accuracies, overall and by scenario, have Clopper and Pearson's interval for the effective
+number of independent answers (:func:`~phase_ppl.evaluation.bootstrap.proportion`). All other
+intervals are percentiles over resampled events. Accuracy of goals is over both agents' goals.
+Answers are ranked by probability, ties in label order; ``ties`` counts the events with one, per
+question.
 
 ``evaluate_predictions`` gives:
 
 =============================  ===================================================================
-``n_events``                   events with a prediction; what follows is about them
-``n``                          ``events`` handed in, and, of the predicted ones, ``truth``,
-                               ``goal_judgments``, ``relation_judgments``: how many have them
-``goal_accuracy``              share of goals whose answer is true
+``n_events``                   events with a prediction; all below is about them
+``n``                          numbers of events: ``events`` given; and predicted ones with
+                               ``truth``, ``goal_judgments``, ``relation_judgments``
+``goal_accuracy``              share of goals answered rightly
 ``goal_top3_accuracy``         share of goals that are among the three most probable answers, and
                                have a probability above 0
-``relation_accuracy``          share of relations whose answer is true
+``relation_accuracy``          share of relations answered rightly
 ``goal_log_score_truth``       mean log probability of the true answer [nats], with a lapse as
 ``relation_log_score_truth``   below
 ``by_scenario``                in PHASE: true scenario -> ``goal_accuracy``, ``relation_accuracy``,
@@ -25,44 +25,44 @@ per question.
                                ``goal_log_score_truth``
 ``by_pair``                    in other worlds: "red & green" -> ``relation_accuracy``,
                                ``relation_log_score_truth``
-``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> of the
-                               answers of at least that probability ``n``, ``probability``, its
-                               mean, and ``accuracy``, the share that is true
-``verdict``                    "goal" and "relation" -> of the answers of posteriors, ``n`` and
-                               ``accuracy`` of those about events that are "decided", about
-                               others ("undecided"), and of those that are "sure" themselves; see
+``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> ``n``,
+                               answers of at least that probability; ``probability``, their mean;
+                               ``accuracy``, the share that is true
+``verdict``                    "goal" and "relation" -> "decided", "undecided" and "sure" -> ``n``
+                               and ``accuracy`` of posteriors' answers: about decided events,
+                               about others, and sure answers; see
                                :class:`~phase_ppl.evaluation.prediction.Prediction`
 ``confusion``                  true scenario -> scenario of the two goals answered -> events; None
                                in other worlds than PHASE
 ``human``                      see below
-``doubt``                      whether the model doubts where people do:
-                               :mod:`phase_ppl.evaluation.doubt`; None in worlds with more or fewer
-                               pairs of agents than one
+``doubt``                      whether the model is unsure where people are:
+                               :mod:`phase_ppl.evaluation.doubt`; None unless the world has exactly
+                               one pair of agents
 ``ties``                       question -> events in which several answers are the most probable;
-                               None where there are no probabilities
+                               None without probabilities
 =============================  ===================================================================
 
-``human`` is about people's answers, of which each event has a distribution per question; names
-without "goal" are about the relation:
+``human`` is about people's answers: each event has a distribution per question. Names without
+"goal" are about the relation:
 
 =============================  ===================================================================
-``relation_r``, ``goal_r``     Pearson's r of model and people over all events, answers and
-                               agents (of goals) or pairs of agents (of relations), of which PHASE
-                               has one: there vectors of 3 n and 72 n
-``relation_r_given_truth``     the same after subtracting, from each answer's probability, its mean
-                               over the events that have the same true relation. What is left of r
-                               when it does not help to be right: whether the model is unsure where
-                               people are
-``log_score``,                 mean over events of sum_k h_k log m_k [nats], h people's share of
-``goal_log_score``             answer k, m = (1 - lapse) p + lapse / K the model's, lapse = 0.01
-``log_score_people``,          the same of people themselves, sum_k h_k log h_k, in-sample: no model
-``goal_log_score_people``      has more, nor as much if it knows how likely people are to answer k
-``js``, ``goal_js``            mean over events of the Jensen-Shannon divergence [bits], 0 to 1
+``relation_r``, ``goal_r``     Pearson's r of model and people over all events and answers, and
+                               over agents (goals) or pairs of agents (relations). PHASE has one
+                               pair: vectors have lengths 3 n and 72 n.
+``relation_r_given_truth``     The same after subtracting each answer's mean over events of the
+                               same true relation. Being right does not help then: it measures
+                               whether the model is unsure where people are.
+``log_score``,                 Mean over events of sum_k h_k log m_k [nats], with h people's share
+``goal_log_score``             of answer k, m = (1 - lapse) p + lapse / K, lapse = 0.01.
+``log_score_people``,          The same for people themselves, sum_k h_k log h_k. It is in-sample:
+``goal_log_score_people``      no model reaches more, and one that knows people's probabilities
+                               reaches less.
+``js``, ``goal_js``            Mean over events of the Jensen-Shannon divergence [bits], 0 to 1.
 ``split_half_r``,              r of the answers of two halves of the raters, mean over 1000 random
-``goal_split_half_r``          splits, without Spearman-Brown correction
-``split_half_by``              "participants": the halves are of all participants, as in the paper;
-                               "votes": it is not known who gave which answer, so that the ratings
-                               of each event are split on their own
+``goal_split_half_r``          splits, without Spearman-Brown correction.
+``split_half_by``              "participants": participants are split once for all events, as in
+                               the paper. "votes": it is unknown who gave which answer, so each
+                               event's ratings are split separately.
 =============================  ===================================================================
 """
 
@@ -113,7 +113,7 @@ from phase_ppl.world.hypothesis import SCENARIOS
 TOP: Final = 3
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
-"""Kind -> what the names of measures under ``human`` begin with."""
+"""Kind -> prefix of the names of measures under ``human``."""
 
 
 def evaluate_predictions(
@@ -162,15 +162,15 @@ def paired_difference(
     seed: int = 0,
     resamples: int = 1000,
 ) -> dict[str, Any]:
-    """Return how much higher ``one`` scores than ``other``, on the same resamples of events.
+    """Return the paired differences of scores, ``one`` minus ``other``.
 
-    Only the questions that both answer count, event by event.
+    Both have the same resamples of events. Only questions that both answer count, event by event.
 
     Returns:
         ``n_events``, the events that both predict, and every measure of
         :func:`evaluate_predictions` that is about the model, in the same place, as
         ``{"value", "ci_low", "ci_high", "p"}``: one minus other, and a two-sided bootstrap p.
-        Of ``js`` lower is better, of everything else higher.
+        Lower is better for ``js``, higher for everything else.
 
     Raises:
         As :func:`evaluate_predictions`.
@@ -181,7 +181,7 @@ def paired_difference(
 class Scores:
     """Metrics of several models and their differences, on the same resamples of events.
 
-    What a model says, and what is asked of it for several pairs, is kept for the next.
+    Models' answers and scores are cached for further pairs.
     """
 
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
@@ -191,7 +191,7 @@ class Scores:
         self._measures: dict[tuple[tuple[str, ...], bytes], dict[Place, Resampled]] = {}
 
     def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
-        """Return what :func:`evaluate_predictions` does."""
+        """Return the metrics, as :func:`evaluate_predictions`."""
         answers = self._answers(predictions)
         ids = tuple(event.id for event in answers.events)
         weights = resampled(len(ids), self._seed, self._resamples)
@@ -224,7 +224,7 @@ class Scores:
     def difference(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> dict[str, Any]:
-        """Return what :func:`paired_difference` does."""
+        """Return the differences, as :func:`paired_difference`."""
         answers, found = self.differences(one, other)
         result: dict[str, Any] = {"n_events": len(answers.events)}
         put(result, found)
@@ -234,7 +234,7 @@ class Scores:
     def differences(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> tuple[Answers, dict[Place, Measure | None]]:
-        """Return what ``one`` says of the events that both predict, and all differences."""
+        """Return the answers of ``one`` about the events that both predict, and all differences."""
         first, second = self._answers(one).about(other), self._answers(other).about(one)
         of_one, of_other = self._of(first.where_known(second)), self._of(second.where_known(first))
         places: dict[Place, int] = {}  # parts of the metrics stay together
@@ -278,13 +278,13 @@ def _among_people(answers: Answers, weights: FloatArray, seed: int) -> dict[Plac
 
 
 def scored(answers: Answers, kind: str) -> dict[str, FloatArray]:
-    """Return what each answer to a kind of questions scores, (event, question), NaN unknown.
+    """Return the scores of each answer to a kind of questions, (event, question); NaN: unknown.
 
-    ``right``, and ``in_top``, whether the true answer is among the three most probable ones, with a
-    probability above 0, are 1 or 0; ``sure`` is the probability of the answer given, which need not
-    be the most probable, ``truth`` the log probability of the true one; ``log_score`` and ``js``
-    are of model and people, ``people`` people's own log score; ``leads`` and ``decided`` are 1
-    where a posterior is sure of the answer, or of the event, 0 where not.
+    ``right`` is 1 or 0. ``in_top`` is 1 if the true answer is among the three most probable ones,
+    with a probability above 0, else 0. ``sure`` is the probability of the given answer, which need
+    not be the most probable. ``truth`` is the log probability of the true answer. ``log_score`` and
+    ``js`` are of model and people, ``people`` is people's own log score. ``leads`` is 1 if the
+    posterior is sure of the answer, ``decided`` if the event is decided, else 0.
     """
     p, people, true, given = (
         answers.array(kind, name) for name in ("probability", "people", "truth", "answer")
@@ -308,11 +308,11 @@ def scored(answers: Answers, kind: str) -> dict[str, FloatArray]:
 def _in_top(p: FloatArray, true: FloatArray) -> FloatArray:
     """Return ``in_top`` of :func:`scored`, from probabilities and truth (..., label)."""
     of_truth = (p * true).sum(axis=-1)
-    # of equals, the first in label order is the more probable
+    # ties in label order
     before = np.cumsum(true, axis=-1) == 0
     more = p > of_truth[..., None]
     equal = p == of_truth[..., None]
-    # of the answers that a sampler never met, the first in label order are no better than others
+    # answers that a sampler never drew do not count as top answers
     found = ((more | (equal & before)).sum(axis=-1) < TOP) & (of_truth > 0)
     return np.where(np.isnan(of_truth), np.nan, found)
 
@@ -325,18 +325,18 @@ class Resampled(NamedTuple):
 
     values: FloatArray  # (1 + resamples,) its value, then the resampled ones
     n: int  # number of events that count in it
-    # (event, answer) what it is the share of, from 0 to 1; None for what is no share
+    # (event, answer) scores from 0 to 1 whose mean it is; None: it is no share
     scores: FloatArray | None = None
 
     def measure(self) -> Measure | None:
-        """Return value and 95 % interval: of shares the binomial one, else from the resamples."""
+        """Return value and 95 % interval: binomial for shares, else from the resamples."""
         return measure(self.values, self.n) if self.scores is None else proportion(self.scores)
 
 
 def measures_of(
     answers: Answers, scores: Mapping[str, Mapping[str, FloatArray]], weights: FloatArray
 ) -> dict[Place, Resampled]:
-    """Return all measures that are about the model, from kind -> :func:`scored`."""
+    """Return all measures about the model; ``scores`` is kind -> :func:`scored`."""
     right = {kind: of_kind["right"] for kind, of_kind in scores.items()}
     measures = accuracy_measures(answers, right, weights)
     in_top = scores["goal"]["in_top"]
@@ -365,7 +365,7 @@ def _r(answers: Answers, kind: str, weights: FloatArray, *, given_truth: bool = 
 
 
 def mean_measure(weights: FloatArray, values: FloatArray, of_shares: bool = False) -> Resampled:
-    """Return the mean of (event, answer) values, which may be shares, from 0 to 1."""
+    """Return the mean of values (event, answer), possibly shares from 0 to 1."""
     scores = values if of_shares else None
     return Resampled(weighted_mean(weights, values), events_with(values), scores)
 
@@ -375,7 +375,7 @@ def accuracy_measures(
 ) -> dict[Place, Resampled]:
     """Return the accuracies, overall and of each part (:meth:`~Answers.parts`).
 
-    From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
+    ``right`` is kind -> (event, question) score of the answer, 0 to 1; NaN: unknown.
     """
     return {
         (*path, f"{kind}_accuracy"): mean_measure(
@@ -394,7 +394,7 @@ def events_with(values: FloatArray) -> int:
 def confusion(true: IntArray, other: IntArray) -> dict[str, dict[str, int]] | None:
     """Return true scenario -> other scenario -> number of pairs, from indices (pair,) of both.
 
-    Pairs with an unknown scenario (-1) do not count; None where all are unknown.
+    Pairs with an unknown scenario (-1) do not count; None if all are unknown.
     """
     known = (true >= 0) & (other >= 0)
     if not known.any():
@@ -408,11 +408,11 @@ def confusion(true: IntArray, other: IntArray) -> dict[str, dict[str, int]] | No
 
 
 SURE: Final = (0.0, 0.5, 0.8, 0.95)
-"""Probabilities of an answer from which on it is counted whether it is true."""
+"""Thresholds of probability for ``calibration``."""
 
 
 def calibration(scores: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Return how often answers are true that the model is sure of (``calibration``, above)."""
+    """Return the accuracy of answers above thresholds of probability (``calibration``, above)."""
     right, sure, found = scores["right"], scores["sure"], {}
     for least in SURE:
         chosen = (sure >= least) & ~np.isnan(right)
@@ -423,7 +423,7 @@ def calibration(scores: Mapping[str, FloatArray]) -> dict[str, Any]:
 
 
 def verdict(scores: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Return how often answers of posteriors are true, by what these say of them (``verdict``)."""
+    """Return the accuracy of posteriors' answers by their own verdict (``verdict``, above)."""
     decided = scores["decided"]
     parts = {"decided": decided == 1, "undecided": decided == 0, "sure": scores["leads"] == 1}
     told = {name: _right_among(scores["right"], chosen) for name, chosen in parts.items()}
@@ -431,13 +431,13 @@ def verdict(scores: Mapping[str, FloatArray]) -> dict[str, Any]:
 
 
 def _right_among(right: FloatArray, chosen: BoolArray) -> dict[str, Any]:
-    """Return how many of the chosen answers are known to be true or not, and the share of true."""
+    """Return how many chosen answers have known truth, and the share that is right."""
     known = np.where(chosen, right, np.nan)
     return {"n": int(np.isfinite(known).sum()), "accuracy": proportion(known)}
 
 
 def count_ties(answers: Answers, column: str) -> dict[str, int | None]:
-    """Return question -> events in which several answers lead; None where none is known."""
+    """Return question -> number of events in which several answers lead; None: nothing is known."""
     found: dict[str, int | None] = {}
     for kind, questions in kinds_of(answers.world).items():
         values = answers.array(kind, column)
@@ -465,34 +465,35 @@ def put(result: dict[str, Any], entries: Mapping[Place, Any]) -> None:
 
 
 def at(metrics: Mapping[str, Any], path: str | Place) -> Any:
-    """Return what is where a path, or its parts joined by dots, says; None: there is nothing."""
+    """Return the entry at a path, given as parts or joined by dots; None: there is none."""
     found: Any = metrics
     for name in path.split(".") if isinstance(path, str) else path:
         found = found.get(name) if isinstance(found, Mapping) else None
     return found
 
 
-# --- what people got right ------------------------------------------------------------------------
+# --- people's accuracy ----------------------------------------------------------------------------
 
 
 def human_accuracy(
     events: Sequence[Event], *, seed: int = 0, resamples: int = 1000
 ) -> dict[str, Any]:
-    """Return what the people got right whose judgments the events carry.
+    """Return the accuracy of people, from the judgments that the events carry.
 
     Args:
         events: those with both truth and judgments count.
-        seed: of the resamples; the same as of a model's metrics, where all events count.
+        seed: of the resamples. If all events count, a model's metrics with the same seed have the
+            same resamples.
         resamples: of the events.
 
     Returns:
         ``n_events``; ``goal_accuracy``, ``relation_accuracy`` and ``by_scenario`` as for models
-        (:mod:`phase_ppl.evaluation.metrics`), of an event the share of people who are right, with
-        intervals by how much events differ; in other worlds ``by_agent`` and ``by_pair``;
-        ``majority``, the same for the most frequent answers, ties in label order; ``ties``, the
-        events in which several are the most frequent, per question; ``by_participant``, see
-        :func:`participant_accuracy`, and ``confusion``, true scenario -> scenario of the goals of
-        a participant -> responses; both None where it is not known who gave which answer.
+        (:mod:`phase_ppl.evaluation.metrics`). An event's score is the share of people who are
+        right; intervals are over events. Other worlds have ``by_agent`` and ``by_pair``.
+        ``majority`` is the same for the most frequent answers, ties in label order; ``ties`` counts
+        the events with one, per question. ``by_participant``, see :func:`participant_accuracy`, and
+        ``confusion``, true scenario -> scenario of a participant's goals -> responses, are None if
+        it is unknown who gave which answer.
 
     Raises:
         InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
@@ -506,7 +507,7 @@ def human_accuracy(
     for kind in PREFIX:
         people, true = answers.array(kind, "people"), answers.array(kind, "truth")
         share[kind] = (people * true).sum(axis=-1)
-        # argmax takes NaN for the largest, and what nobody answered is left out here
+        # argmax would take NaN for the largest; questions without answers are dropped here
         most = np.nan_to_num(people).argmax(axis=-1)
         leads = most == label_places(true)
         majority[kind] = np.where(np.isnan(share[kind]), np.nan, leads)
@@ -536,17 +537,17 @@ def human_accuracy(
 
 
 def participant_accuracy(events: Sequence[Event]) -> dict[str, Any]:
-    """Return the share that each participant got right, averaged over participants.
+    """Return each participant's accuracy, averaged over participants.
 
     This is the accuracy of people in the paper (Appendix 5).
 
     Args:
-        events: those with truth and with judgments that say who gave which answer count.
+        events: those count that have truth, and judgments with their participants.
 
     Returns:
         ``n_participants``; ``goal_accuracy`` and ``relation_accuracy``; ``by_scenario``, true
-        scenario -> both, of what participants said about its events, and ``n``, the participants
-        who said anything. In other worlds than PHASE ``by_agent`` and ``by_pair``.
+        scenario -> both accuracies on its events and ``n``, the participants who answered. In other
+        worlds than PHASE ``by_agent`` and ``by_pair``.
     """
     judged = [(event, Judgments.of(event)) for event in events if event.truth is not None]
     known = [event for event, one in judged if one is not None and one.responses]

@@ -1,4 +1,4 @@
-"""What somebody who watched an event says about it: a model, a file of predictions, or people."""
+"""Answers to the questions about an event, by a model, a file of predictions, or people."""
 
 from __future__ import annotations
 
@@ -92,9 +92,10 @@ class Prediction(Printed):
             the most probable one, of equals the first in label order.
         cost: seconds, simulations and whatever else the model counts.
         world: of the event; it has the questions and their answers (:func:`questions_of`).
-        sure: question -> whether it is sure that the answer leads, as the posterior's
-            ``leaders()`` say; empty where the model has none.
-        decided: whether the event is, as the posterior's ``diagnostics()`` say; None likewise.
+        sure: question -> whether the answer is sure, by the posterior's ``leaders()``; empty: the
+            model has no posterior.
+        decided: whether the event is decided, by the posterior's ``diagnostics()``; None: the model
+            has no posterior.
 
     Raises:
         UnknownNameError: there is no such question or answer; the message names close matches.

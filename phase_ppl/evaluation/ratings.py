@@ -1,4 +1,4 @@
-"""People's ratings of one event, and who gave them where that is known."""
+"""People's ratings of one event and, if known, who gave them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models of social perception by name: ours, a file each in ``evaluation/models``, and others.
+"""Registry of models of social perception: ours, in ``evaluation/models``, and other packages'.
 
 Another package registers its model under the entry point group ``phase_ppl.models``::
 
@@ -7,8 +7,8 @@ Another package registers its model under the entry point group ``phase_ppl.mode
 
 where ``my_model`` is a function decorated with :func:`register_model`. It is called once, with
 the options that a user gives, and returns the model itself: ``predict(scene, observation, seed)``
-(:data:`Predict`). What was returned is pickled and sent to worker
-processes, so what is large is best loaded at the first prediction.
+(:data:`Predict`). The model is pickled and sent to worker processes. So large data are best loaded
+at the first prediction.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from phase_ppl.models.model import Model
 
 Given: TypeAlias = Prediction | EventPosterior | Mapping[str, Any]
-"""An answer: a prediction, whose event id does not matter; a posterior; or a mapping from questions
-("goal_red", "goal_green", "relation"; in other worlds than PHASE those of
-:func:`~phase_ppl.evaluation.prediction.questions_of`) to a label, to label -> probability, or to
-probabilities in label order. What the model does not answer is absent, or None."""
+"""An answer: a prediction (its event id is ignored), a posterior, or a mapping from questions. A
+question is mapped to a label, to label -> probability, or to probabilities in label order; a
+question without an answer is absent, or None. PHASE's questions are "goal_red", "goal_green" and
+"relation"; other worlds have those of :func:`~phase_ppl.evaluation.prediction.questions_of`."""
 
 
 class Answer(NamedTuple):
@@ -67,12 +67,12 @@ class Answer(NamedTuple):
 
 
 Predict: TypeAlias = Callable[[Scene, Observation, int], Given | Answer]
-"""A model, ready to be asked: ``predict(scene, observation, seed)``. That is all that it gets to
-know of an event. The same three give the same answer.
+"""A model, ready to be asked: ``predict(scene, observation, seed)``. It gets nothing else of an
+event. The same three arguments give the same answer.
 
-It may have a method ``warm_up()``, called once before the first event, for what all processes can
-share, such as compiled code on disk; and a method ``settings()``, which returns as plain data what
-else determines its answers."""
+It may have two methods. ``warm_up()`` is called once before the first event, to prepare data that
+all processes share, such as compiled code on disk. ``settings()`` returns, as plain data, all else
+that determines its answers."""
 
 Factory = Callable[..., Predict]  # ``factory(**options)`` checks the options and returns the model
 MoreOptions = Callable[[Mapping[str, Any]], Collection[str] | None]
@@ -86,8 +86,8 @@ class ModelInfo:
         name: as users call it.
         factory: makes the model from options.
         summary: first line of the factory's documentation.
-        parallel: whether several processes may run it side by side; a model that has the
-            accelerator to itself, or is done before a process has started, is better not.
+        parallel: whether several processes may run it in parallel. False is better for a model
+            that needs the whole accelerator, or is faster than starting a process.
         needs: modules that must be installed beside what the package itself needs.
         extra: the extra of this package that brings them, if one does.
         more_options: of a factory that takes ``**options``: their names, given the options;
@@ -250,11 +250,11 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
 
 
 class Onlooker(Protocol):
-    """Through whom a model is seen: who makes other answers of its answers.
+    """An observer: it turns a model's answers into the answers of a person who watches.
 
     Attributes:
-        record: what determines what is made of an answer, as plain data, under names that
-            settings of models do not have.
+        record: all that determines this change, as plain data, under names that settings of models
+            do not have.
     """
 
     @property

@@ -10,7 +10,7 @@ The folder that it writes::
       reproduction.json    every cell: the paper's value, ours, the verdict
       reproduction.html    the same as one page, with all figures
 
-What is finished is not done again: the same call with ``resume`` goes on with what is there.
+Finished parts are not repeated: the same call with ``resume`` continues.
 """
 
 from __future__ import annotations
@@ -230,10 +230,10 @@ class Reproduction(NamedTuple):
 
 
 def verdict(printed: Printed, ours: Measure) -> str:
-    """Return "inside" if what is printed and what was found can be the same, else "outside".
+    """Return "inside" if the paper's value and ours are compatible, else "outside".
 
-    They can if either value lies within the other's interval, or both are the same to the digits
-    that are printed; a bound holds if our interval does not lie above it.
+    They are if either value lies within the other's interval, or both agree to the printed digits.
+    A bound holds unless our interval lies above it.
     """
     value, low, high = ours["value"], ours["ci_low"], ours["ci_high"]
     assert value is not None, "a measure has a value"
@@ -339,12 +339,12 @@ def reproduce(
     progress: bool | None = None,
     say: Callable[[str], object] = print,
 ) -> Reproduction:
-    """Do what the paper did, and hold it against what the paper prints.
+    """Repeat the paper's experiments, and compare the results with the paper's numbers.
 
     Args:
         out: folder to keep everything in, see the module.
-        videos: file of real videos, as phase-test JSON or the authors' release; without, or with
-            the folder of a generated set, it is a try on a test split, which says so everywhere.
+        videos: file of real videos, as phase-test JSON or the authors' release. Without it, or with
+            the folder of a generated set, the run is a trial on a test split, and says so.
         profile: "quick", "paper" or "full" (:func:`models_of`).
         judgments: people's judgments, in place of those in the events.
         vlm_store: folder with the stored answers of a vision-language model.
@@ -660,7 +660,7 @@ def _drawings(
 
 
 def _with_discovery(events: Sequence[Event]) -> Event:
-    """Return the first event in which the red agent sees what it did not know where to look for."""
+    """Return the first event in which the red agent sees an entity whose place it did not know."""
     from phase_ppl.analysis.figures.beliefs import PAPERS_PARTICLES, beliefs_of, discovery
 
     seen = (discovery(list(beliefs_of(event, 0, PAPERS_PARTICLES))) for event in events)

@@ -1,7 +1,7 @@
-"""All that is said of events as one tidy table: by a model, by people, and what is true.
+"""Answers about events as one tidy table: a model's, people's, and the truth.
 
-It has a row per event, question and label that could be the answer; whatever is scored, compared
-or drawn is read off it.
+It has a row per event, question and possible answer (label). All scores, comparisons and figures
+are computed from it.
 """
 
 from __future__ import annotations
@@ -108,11 +108,11 @@ class Answers:
     Attributes:
         events: which it is about, of one world, in order.
         world: of the events.
-        rows: the tidy table, events and questions in order, labels in theirs: ``event``, ``kind``
-            of question, ``question``, ``part`` of the metrics, ``label``, ``votes`` of people for
-            it, their share ``people``, ``truth``, the model's ``answer``, its ``probability`` and
-            ``error``, whether it is ``sure`` of the question and the event ``decided``. All but
-            names are numbers, truth and verdicts 1 or 0, NaN where nothing is known.
+        rows: the tidy table; events, questions and labels are in order. Columns are ``event``,
+            ``kind`` of question, ``question``, ``part`` of the metrics, ``label``; people's
+            ``votes`` for it and their share ``people``; ``truth``; the model's ``answer``, its
+            ``probability`` and ``error``; and whether the question is ``sure`` and the event
+            ``decided``. All but names are numbers: truth and verdicts 1 or 0, NaN: unknown.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) ->
 def responses_of(events: Iterable[Event]) -> pd.DataFrame | None:
     """Return who said what: a row of ``event``, ``who``, ``question``, ``label`` per response.
 
-    None where that is not known of all events that people judged, or nobody judged any.
+    None if it is unknown for some judged event, or no event was judged.
     """
     judged = [(event.id, one) for event in events if (one := Judgments.of(event)) is not None]
     if not judged or not all(one.responses for _, one in judged):

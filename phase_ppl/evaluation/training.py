@@ -9,8 +9,8 @@ The folder that it writes::
       extended.json           the report
       extended.png            the curves
 
-A network is written whole or not at all, so interrupted training goes on with those that are
-missing, and more can be added; each follows from its seed, whatever the others.
+A network is written whole or not at all. So interrupted training continues with the missing ones,
+and more can be added. Each network depends on its own seed only.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A run on file: all that is needed to go on with it, bit for bit.
+"""Checkpoints: files from which a run continues, bit for bit.
 
-Nothing in the file can run: it is a document in JSON and arrays of plain numbers. A prior, a
-simulator or a kernel of a user's own is therefore not in it, but what tells it from others.
+A checkpoint holds a JSON document and arrays of plain numbers, no code. It therefore does not hold
+a user's own prior, simulator or kernel, only a record that tells it from others.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def write_archive(
     by_row: dict[str, Any] = {name: np.asarray(a, order="C") for name, a in arrays.items()}
     np.savez(memory, allow_pickle=False, **by_row)
     with zipfile.ZipFile(memory, "a") as archive:
-        # the list tells a file that lost some of them without a trace
+        # with the list of names a file that lost arrays is recognised
         archive.writestr(_DOCUMENT, json.dumps({**document, _LIST: list(arrays)}))
     write_bytes(path, SUFFIXES, memory.getvalue())
 
@@ -59,7 +59,7 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Columns]
     try:
         # from memory: NumPy leaves a damaged file open
         with np.load(io.BytesIO(source.read_bytes()), allow_pickle=False) as kept:
-            # compressed ones could be far larger than the file
+            # compressed arrays could be far larger than the file
             if any(one.file_size != one.compress_size for one in kept.zip.infolist()):
                 raise ValueError("it is compressed")
             arrays = {name: kept[name] for name in kept.files}
@@ -71,13 +71,13 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Columns]
         for name, values in arrays.items():
             if values.dtype.kind not in _KINDS:
                 raise ValueError(f"{name} is an array of {values.dtype}, expected numbers")
-    except Exception as error:  # whatever a damaged file makes the readers stumble over
+    except Exception as error:  # a damaged file can make the readers raise anything
         raise damaged(source, error) from None
     return document, arrays
 
 
 def damaged(path: str | os.PathLike[str], error: Exception) -> InvalidEventError:
-    """Return the error for a file that cannot be a checkpoint, or not a whole one."""
+    """Return the error for a file that is no checkpoint or an incomplete one."""
     reason = " ".join(str(error).split())[:200]
     if isinstance(error, KeyError):
         reason = f"it lacks {reason}"
@@ -104,7 +104,7 @@ def _unpacked_particles(arrays: Columns, n: int) -> list[Columns]:
 
 
 def _packed_records(records: Sequence[Record]) -> Columns:
-    """Return arrays (record, ...); errors and trajectories of the simulated frames, in a row."""
+    """Return arrays (record, ...); errors and trajectories are those of all frames, end to end."""
     results = [record.result for record in records]
     columns = numbers_of(records)
     columns["error"] = np.concatenate([r.errors[: r.frames_simulated] for r in results])
@@ -116,9 +116,9 @@ def _packed_records(records: Sequence[Record]) -> Columns:
 
 
 def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event) -> list[Record]:
-    """Return the records of an event that :func:`_packed_records` was given.
+    """Return the records from which :func:`_packed_records` made ``columns``.
 
-    ``failed`` has, by the number of the record, what went wrong.
+    ``failed`` is number of the record -> what went wrong.
     """
     space, (n_frames, *shape) = space_of(event.scene.world), event.observation.trajectory.shape
     errors, trajectory = columns.pop("error"), columns.pop("trajectory")
@@ -172,27 +172,27 @@ _BUDGETS: Final = {"simulations": simulations, "frames": frames, "seconds": seco
 
 
 class Checkpoint:
-    """The file of a run, opened.
+    """An opened checkpoint.
 
     Args:
         path: of the file.
 
     Attributes:
         path: of the file.
-        identity: what the run is (:meth:`phase_ppl.inference.run.Run.identity`).
-        event: that it explains.
-        asked: arguments of ``infer`` by name: ``iterations`` and ``budget``, one of which is None,
-            ``weights`` and ``burn_in``, None where they were left open, ``on_failure``,
-            ``retries`` and ``simulation_seconds``.
+        identity: what determines the run (:meth:`phase_ppl.inference.run.Run.identity`).
+        event: the event that the run explains.
+        asked: arguments of ``infer`` by name: ``iterations`` and ``budget`` (one is None),
+            ``weights`` and ``burn_in`` (None: the default), ``on_failure``, ``retries`` and
+            ``simulation_seconds``.
         again: ``model``, ``kernel``, ``options`` and ``settings`` to make the run again; each is
-            None where it is not plain data, such as parts of a user's own.
-        particles: the initial ones, and those after every iteration.
+            None where it is not plain data, such as a user's own parts.
+        particles: the initial particles, and those after every iteration.
         records: all simulations.
         statistics: of the simulations.
-        seconds: of wall time that the run took, in all calls.
+        seconds: wall time of the run, over all calls.
         recent: seconds that the last iterations took.
-        calls: of ``infer`` and ``resume``.
-        versions: of this package and what it builds on, with which it was made, oldest first.
+        calls: number of calls of ``infer`` and ``resume``.
+        versions: versions of this package and its dependencies that made the run, oldest first.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
@@ -238,18 +238,18 @@ class Checkpoint:
 
     @property
     def done(self) -> int:
-        """Finished iterations."""
+        """Number of finished iterations."""
         return len(self.particles) - 1
 
     def made(self, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
-        """Return what is made of a part of the file; raise InvalidEventError if nothing can be."""
+        """Return ``make`` of a part of the file; InvalidEventError: the part is damaged."""
         try:
             return make(**given)
         except Exception as error:  # it may hold anything
             raise damaged(self.path, error) from None
 
     def state(self, blank: Any) -> Any:
-        """Return the state of the kernel, which fits the shapes and types of a blank one."""
+        """Return the kernel's state, with the shapes and types of ``blank``."""
         expected, treedef = jax.tree_util.tree_flatten_with_path(blank)
         if [(name, leaf.shape, leaf.dtype) for name, leaf in self._leaves] != [
             (jax.tree_util.keystr(path), leaf.shape, leaf.dtype) for path, leaf in expected
@@ -261,7 +261,7 @@ class Checkpoint:
 
 
 def _leaf(values: NDArray[Any], kind: str | None) -> jax.Array:
-    """Return the leaf of a state that has these numbers; a key where it is of that kind."""
+    """Return a leaf of a state from its numbers; with a ``kind`` it is a random key."""
     if values.dtype.kind == "f" and np.isnan(values).any():
         raise ValueError("a value of its state is NaN")
     leaf = jnp.asarray(values)

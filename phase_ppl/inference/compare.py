@@ -1,4 +1,4 @@
-"""Kernels against each other: the same event, the same budget, several seeds, and a reference."""
+"""Comparison of kernels: same event, same budget, several seeds, and a reference."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class ComparisonInterrupted(KeyboardInterrupt):
     """The comparison was interrupted; the runs that were finished are kept.
 
     Attributes:
-        comparison: of the finished runs; None where there are none.
+        comparison: comparison of the finished runs; None where there are none.
     """
 
     def __init__(self, comparison: Comparison | None) -> None:
@@ -86,49 +86,47 @@ def compare(
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
 ) -> Comparison:
-    """Return how kernels do on one event under the same budget.
+    """Return a comparison of kernels on one event under the same budget.
 
-    Repeat r of every kernel runs with the same seed, so that the first repeats of two
-    comparisons of equal settings are equal. Everything is refused before the first simulation
-    if one of the kernels cannot run.
+    Repeat r of every kernel runs with the same seed, so two comparisons of equal settings share
+    their first repeats. If one kernel cannot run, the call fails before the first simulation.
 
     Args:
-        event: what to explain. Its truth, where it has one, is used to judge the results. Or what
-            the closed loop has read of one, ``compare(infer(event), kernels=[...])``: kernels then
-            sample its table, of which the exact posterior is known, and ten thousand draws take
-            seconds. The same holds where the model's likelihood is a ``StepwiseLikelihood``: the
-            video is read once, for all kernels and repeats.
+        event: event to explain. Its truth, if known, is used to judge the results. Also a result
+            of the closed loop, ``compare(infer(event), kernels=[...])``: kernels then sample its
+            table. The table's exact posterior is known, and ten thousand draws take seconds. A
+            model with a ``StepwiseLikelihood`` does the same: the video is read once, for all
+            kernels and repeats.
         model: prior, simulator and likelihood; by default the paper's.
-        kernels: names, or label -> name; instead of a name also ``(name, options)``, a kernel
-            class, or a function that makes a kernel; or a preset of SIMPLE such as "as_printed",
-            which is kept whole, its planner and length included. Options are the kernel's own, and
-            ``chains`` and ``settings``, as in
-            ``{"as printed": ("local_mh", {"rule": "paper"})}``. Kernels that take bottom-up
-            proposals get the same ones, unless such options say otherwise; the table shows which.
+        kernels: names, or label -> name. A name may also be ``(name, options)``, a kernel class,
+            a function that makes a kernel, or a preset of SIMPLE such as "as_printed". A preset
+            keeps its planner and length. Options are the kernel's own, ``chains`` and
+            ``settings``, as in ``{"as printed": ("local_mh", {"rule": "paper"})}``. Kernels with
+            bottom-up proposals share the same ones, unless their options differ; the table shows
+            which.
         budget: of every single run; ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``,
             the initial ones included, or ``phase_ppl.seconds(t)``, compiling included. A run ends
-            with the iteration that spends it, whatever its kernel declares that one may cost.
+            with the iteration that spends it; costs that kernels declare do not count.
         repeats: runs of every kernel.
         chains: particles M.
         seed: a whole number >= 0.
-        reference: what the results are compared with: a posterior of the same event and model,
-            "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), with more than 4
-            simulations of each pair of goals as ``("enumeration", {"per_pair": 16})``, "none", or a
-            kernel as in ``kernels`` that is not compared, whose options may have a ``budget`` or
-            ``iterations``; without, it has ten times the budget. By default enumeration, if ten
-            times the budget suffices for it, else four populations of ``smc`` that share that
-            budget, and none where ``smc`` is compared. A reference has an error of its own, which
-            is measured and printed; kernels are not ranked within it.
+        reference: posterior that the results are compared with. A posterior of the same event and
+            model; "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), or with more
+            than 4 simulations per pair of goals ``("enumeration", {"per_pair": 16})``; "none"; or
+            another kernel, as in ``kernels``. That kernel's options may have a ``budget`` or
+            ``iterations``; by default it has ten times the budget. The default is enumeration if
+            ten times the budget suffices, else four populations of ``smc`` that share that budget.
+            If ``smc`` is compared, there is then none. The reference's own error is measured and
+            printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
         settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
-            Where these take a reading of the video, its time counts, also if it was read before.
+            If proposals need a reading of the video, its time counts, also if it was read before.
         workers: processes; by default one per usable core. With an ``executor``, how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
-        progress: whether to show a bar on stderr; by default where that is a terminal.
-        checkpoint: a .json file that is rewritten after every run. If it exists, the runs in it
-            are not repeated; more kernels and more repeats may be asked for. It is a comparison
-            in itself.
+        progress: show a bar on stderr; by default if stderr is a terminal.
+        checkpoint: a .json file that is rewritten after every run. If it exists, its runs are not
+            repeated, and kernels and repeats may be added. The file is itself a comparison.
 
     Raises:
         InvalidSettingError, UnknownNameError: a setting or kernel that cannot be used, or a
@@ -136,7 +134,7 @@ def compare(
         InvalidEventError: ``event`` is no event, or the checkpoint is damaged.
         SimulationError: all initial simulations of a run failed, or the executor takes no more
             work.
-        ComparisonInterrupted: Ctrl-C; it carries what was finished.
+        ComparisonInterrupted: Ctrl-C; it carries the finished runs.
     """
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
@@ -219,7 +217,7 @@ def compare(
 
 
 class _Record:
-    """What is finished, and the file that keeps it, if there is one."""
+    """The finished runs, and the file that keeps them, if there is one."""
 
     def __init__(self, settings: Mapping[str, Any], path: str | os.PathLike[str] | None) -> None:
         self.settings: dict[str, Any] = _stable(settings)
@@ -229,7 +227,7 @@ class _Record:
         if self._path is not None and self._path.exists():
             self._take_up(Comparison.load(self._path))
         elif self._path is not None:
-            self.comparison().save(self._path)  # where it cannot be written is said now
+            self.comparison().save(self._path)  # fails now if it cannot be written
 
     @property
     def reference(self) -> Any:
@@ -257,7 +255,7 @@ class _Record:
             self.comparison().save(self._path)
 
     def _take_up(self, stored: Comparison) -> None:
-        """Go on from a checkpoint."""
+        """Continue from a checkpoint."""
         old, new = dict(stored.settings), self.settings
         pairs = [(name, old.get(name), new[name]) for name in new
                  if name not in _MAY_DIFFER]  # fmt: skip

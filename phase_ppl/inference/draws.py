@@ -1,4 +1,4 @@
-"""The particles of a run, and the tree of draws made of them and of what was simulated."""
+"""The particles of a run, and the tree of draws made from them and the simulations."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from phase_ppl.world.space import HypothesisSpace
 Columns = dict[str, NDArray[Any]]  # name -> an array with one row per particle, or per simulation
 
 LONG: Final = 20
-"""Iterations from which on the draws of a chain are counted, the first quarter left out.
+"""Fewest iterations at which a chain's draws are counted, without the first quarter.
 
-Shorter chains, such as the paper's, have hardly left where they began: all their simulations are
-weighed where the kernel's proposals have a density (``benchmarks/estimates.py``)."""
+Shorter chains, such as the paper's, have hardly left their start. If the kernel's proposals have a
+density, all their simulations are weighed instead (``benchmarks/estimates.py``)."""
 
-SITE: Final = "z/"  # begins the names of those columns of particles that are sites
+SITE: Final = "z/"  # prefix of those columns of particles that are sites
 
 
 PARTICLE: Final = {
@@ -44,7 +44,7 @@ PARTICLE_COLUMNS: Final = ("sim_seed", *PARTICLE)
 
 
 class Particles(NamedTuple):
-    """What is kept of a kernel's state; None where it has no such field."""
+    """The fields of a kernel's state that are kept; None: it has no such field."""
 
     z: dict[str, Any]
     sim_seed: Any
@@ -55,7 +55,7 @@ class Particles(NamedTuple):
 
     @classmethod
     def of(cls, state: Any) -> Particles:
-        """Return it of a state."""
+        """Return the kept fields of a state."""
         found: list[Any] = [getattr(state, name, None) for name in cls._fields]
         return cls(*found)
 
@@ -63,10 +63,10 @@ class Particles(NamedTuple):
 def particles_of(state: Any) -> Columns:
     """Return the particles of a kernel's state, on the host.
 
-    The hypotheses, site by site, the seeds of their simulations, and, all (chain,), whether the
-    iteration's proposal was accepted, the first frame of the window it came from (-1: none), the
-    log weight of the draw up to a constant (0 where the kernel gives none) and the log evidence of
-    the observation (NaN where the kernel does not estimate it).
+    Columns are (chain, ...): the hypotheses, site by site; the seeds of their simulations; whether
+    the iteration's proposal was accepted; and the first frame of its window (-1: none). Also the
+    log weight of the draw up to a constant (0: the kernel gives none), and the log evidence of the
+    observation (NaN: the kernel does not estimate it).
     """
     seed = np.asarray(state.sim_seed).astype(np.int64)
     columns = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
@@ -84,16 +84,16 @@ def sites_of(particles: Columns) -> Columns:
 
 
 def kept_iterations(done: int, kernel: KernelInfo) -> range:
-    """Return after which iterations the particles are draws of the posterior; 0: the initial ones.
+    """Return the iterations after which the particles are draws of the posterior.
 
-    The initial ones are if there are no others.
+    0 is the initial particles; they count if there are no others.
     """
     first = {"last": done, "all": min(done, 1), "start": 0}[kernel.keeps]
     return range(first, done + 1)
 
 
 def burn_in(n_draws: int) -> int:
-    """Return how many of the first draws of a chain do not count by default."""
+    """Return the default burn-in: how many first draws of a chain do not count."""
     return n_draws // 4 if n_draws >= LONG else 0
 
 
@@ -131,9 +131,9 @@ def tree_of(
     records: Sequence[Record],
     iterations: range | None = None,
 ) -> xr.DataTree:
-    """Return the tree of draws of those particles, without attributes.
+    """Return the tree of draws of the particles ``steps``, without attributes.
 
-    The iterations are those after which they were the particles; None where nobody knows.
+    ``iterations`` are those after which the particles were taken; None: unknown.
     """
     space = space_of_prior(model.prior)
     own = [name for name in records[0].sites if name not in space.sites]
@@ -142,7 +142,7 @@ def tree_of(
     sites = list(table)
     errors = np.array([record.result.errors for record in records])
     simulated = np.isfinite(errors)
-    # what was not simulated counts as without error: a bound for simulations stopped early
+    # frames that were not simulated count as without error: a bound where a simulation was stopped
     by_frame = model.error_likelihood.log_prob(np.where(simulated, errors, 0.0))
     table |= _results(records, table, by_frame.sum(axis=1), model, space)
     index = _records_of_draws(steps, records)
@@ -164,7 +164,7 @@ def grouped(
 ) -> xr.DataTree:
     """Return the tree of draws (chain, draw) at rows ``index`` of a table of simulations.
 
-    Of the table's columns ``sites`` are hypotheses; ``stats`` are of draws.
+    The columns ``sites`` of the table are hypotheses; ``stats`` are of draws.
     """
     space = space_of_prior(model.prior)
     draws = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
@@ -190,7 +190,7 @@ def grouped(
 
 
 def _tempering(model: Model) -> dict[str, float]:
-    """Return as attributes what tempers a likelihood of this package."""
+    """Return the tempering of a likelihood of this package, as attributes."""
     likelihood = model.likelihood
     if is_stepwise(likelihood):
         return {"frame_weight": likelihood.frame_weight(model.simulator is not None)}
@@ -198,7 +198,7 @@ def _tempering(model: Model) -> dict[str, float]:
 
 
 def numbers_of(records: Sequence[Record]) -> Columns:
-    """Return the numbers that are known of each simulation, a row each."""
+    """Return the numbers known of each simulation, one row each."""
     results = [record.result for record in records]
     return {
         "seed": np.array([result.seed for result in results], np.int64),
@@ -221,7 +221,7 @@ def _results(
     model: Model,
     space: HypothesisSpace,
 ) -> Columns:
-    """Return what came out of each simulation, and its prior."""
+    """Return the results of each simulation, and its prior."""
     results = [record.result for record in records]
     goals = np.stack([sites[name] for name in space.goal_sites], axis=1).astype(np.int64)
     strengths = {name: sites[name] for name in space.strength_sites}
@@ -248,7 +248,7 @@ def hypothesis_columns(raw: Mapping[str, NDArray[Any]], space: HypothesisSpace) 
 
 
 def _records_of_draws(steps: Sequence[Columns], records: Sequence[Record]) -> NDArray[np.int64]:
-    """Return (chain, draw) the simulation that each draw rests on."""
+    """Return (chain, draw) the index of each draw's simulation."""
     rows = {
         request_key(record.sites, record.result.seed): row
         for row, record in enumerate(records)
@@ -267,7 +267,7 @@ def _records_of_draws(steps: Sequence[Columns], records: Sequence[Record]) -> ND
 def _nearest(sites: Mapping[str, Any], seed: int, records: Sequence[Record]) -> int:
     """Return the completed simulation of that seed whose hypothesis is nearest.
 
-    XLA may work out a number twice, for the request and for the state, and round it in two ways.
+    XLA may compute a number twice, for the request and for the state, and round it differently.
     """
 
     def apart(row: int) -> float:

@@ -1,4 +1,4 @@
-"""The kernels of a comparison: what they are called, how they run, whether they can."""
+"""The kernels of a comparison: their labels, their options, and whether they can run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TAKEN: Final = (
     *("event", "model", "kernel", "seed", "workers", "executor", "progress", "planner"),
     *("budget", "iterations", "checkpoint", "weights"),
 )
-"""Arguments of ``infer`` that are the comparison's to give."""
+"""Arguments of ``infer`` that the comparison itself gives."""
 
 _LENGTHS: Final = ("budget", "iterations")
 _OF_PRESETS: Final = ("planner", "weights")
@@ -52,12 +52,12 @@ class Entry:
         return {name: self.own[name] for name in _LENGTHS if name in self.own}
 
     def proposals(self, world: World) -> str | None:
-        """Return by what the kernel proposes goals; None of one that asks for no proposals."""
+        """Return how the kernel proposes goals; None: it asks for no proposals."""
         settings = self.settings.settled(world)
         return str(settings.proposal) if "guide" in self.info.needs else None
 
     def record(self) -> dict[str, Any]:
-        """Return name and options as a file keeps them."""
+        """Return name and options as they are stored."""
         return {
             "name": self.info.name,
             "options": dict(self.options),
@@ -68,7 +68,7 @@ class Entry:
         }
 
     def check(self, event: Event, model: Model, budget: Any) -> None:
-        """Make the kernel and trace a step of it, with nothing simulated."""
+        """Make the kernel and trace one step; nothing is simulated."""
         try:
             length = self.length or {"budget": budget}
             if "planner" in self.own:
@@ -77,7 +77,7 @@ class Entry:
             run.check(length.get("iterations"), length.get("budget"))
         except PhasePPLError as error:
             raise type(error)(f"{self.label}: {error}") from None
-        except Exception as error:  # whatever a kernel of somebody's stumbles over
+        except Exception as error:  # a user's kernel can raise anything
             reason = " ".join(str(error).split())
             raise InvalidSettingError(
                 f"{self.label}: the kernel cannot run with {self.chains} chains and these "
@@ -93,7 +93,7 @@ class Entry:
         workers: int | None,
         executor: Executor | None = None,
     ) -> Posterior:
-        """Return the posterior of one run, of an event or of what the closed loop has read."""
+        """Return the posterior of one run on an event or on a result of the closed loop."""
         simulates = isinstance(event, Event)
         return infer(
             event,
@@ -114,10 +114,10 @@ class Entry:
 def entry_of(
     label: str | None, spec: Spec, chains: int, settings: SimpleSettings, own_length: bool = False
 ) -> Entry:
-    """Return the kernel that a user names, called ``label`` or by its name.
+    """Return the entry of a kernel that a user names; its label is ``label`` or its name.
 
-    Its options may have ``chains`` and ``settings`` of their own and, with ``own_length``, a budget
-    or iterations.
+    The options may include ``chains`` and ``settings`` and, with ``own_length``, a budget or
+    iterations.
     """
     kernel, given = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, {})
     if isinstance(kernel, tuple) or not isinstance(given, Mapping):

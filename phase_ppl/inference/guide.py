@@ -1,10 +1,11 @@
 """The bottom-up proposal Q(h | window) as a NumPyro program (paper, Appendix 4B).
 
-The guide is the prior program with some of its distributions replaced by what the window shows:
-those of the goals, of alpha where the tables speak of it (a program that samples it after a goal
-has it drawn before everything else), and of the strengths where there is an estimate. Any
-further sites of the user's keep the prior's, given the sites before them. With a small weight
-the whole hypothesis comes from the prior itself, so that Q > 0 wherever the prior is and
+The guide is the prior program with some distributions replaced by those of the window: goals,
+strengths with an estimate, and alpha if the tables have it. Alpha is then drawn first, even if the
+program samples it after a goal. A user's further sites keep the prior's distributions, given the
+sites before them.
+
+With a small weight the whole hypothesis comes from the prior. So Q > 0 wherever the prior is, and
 Hastings' correction is always defined. The paper prints no such share; without it Q is Q_local.
 """
 
@@ -42,7 +43,7 @@ distribution gives a probability of 0 a log of -87."""
 _NEVER_WAY: Final = 1e-30
 _PRIORS_KEPT: Final = 16
 _PRIOR_DRAWS: Final = 32
-"""Over which a prior of ways that depends on a user's own sites is averaged."""
+"""Draws that average a prior of ways over a user's own sites."""
 
 
 def bottom_up_guide(
@@ -54,8 +55,8 @@ def bottom_up_guide(
 ) -> Mixture:
     """Return the program ``guide(window)``: (1 - share) Q_local + share prior, one joint mixture.
 
-    The prior's latent sites come with their shapes, in the order in which it samples them; the
-    index after the last window stands for the whole observation; ``prior_share`` is in [0, 1).
+    ``sites`` are the prior's latent sites with their shapes, in the order of sampling. The index
+    after the last window stands for the whole observation. ``prior_share`` is in [0, 1).
     """
     local, whole = _local_program(prior, sites, tables), len(tables.goal_logits) - 1
     if prior_share == 0:
@@ -106,7 +107,7 @@ def _local_program(
 
 @remembered(_PRIORS_KEPT)
 def _prior_of_way(prior: Program) -> FloatArray:
-    """Return (way,) the log prior, with whatever it depends on averaged out."""
+    """Return (way,) the log prior, averaged over the sites that it depends on."""
     space = space_of_prior(prior)
 
     def probabilities(key: jax.Array) -> jax.Array:
@@ -133,8 +134,7 @@ def _goal_distribution(
 ) -> dist.Distribution:
     """Return the window's distribution of a goal, on goals that have prior mass.
 
-    Logits are (goal,), or (way, goal) where it depends on the way, which is at ``way_site`` of the
-    ``values`` of the sites before.
+    Logits are (goal,), or (way, goal) if the goal depends on the way: ``values[way_site]``.
     """
     if logits.ndim == 2:
         logits = logits[values[way_site]]
@@ -144,7 +144,7 @@ def _goal_distribution(
 
 
 def estimated(mean: jax.Array, sd: jax.Array) -> tuple[jax.Array, dist.Distribution]:
-    """Return whether there is an estimate of a strength, newtons, NaN where not, and its law."""
+    """Return whether a strength [N] has an estimate (NaN: none), and its distribution."""
     known, (low, high) = ~jnp.isnan(mean), STRENGTH_RANGE
     mean = jnp.where(known, mean, (low + high) / 2)
     return known, dist.TruncatedNormal(mean, jnp.where(known, sd, 1.0), low=low, high=high)
@@ -156,9 +156,9 @@ def strength_distribution(
     prior: dist.Distribution,
     values: Mapping[str, jax.Array],
 ) -> dist.Distribution:
-    """Return the window's distribution of a strength where there is an estimate, else the prior.
+    """Return the window's distribution of a strength if there is an estimate, else the prior.
 
-    Where the prior allows some values only, the estimate's density says which of them.
+    If the prior is discrete, its values are weighed by the estimate's density.
     """
     if prior.support.is_discrete:
         levels = prior.enumerate_support(expand=False)
@@ -171,8 +171,8 @@ def strength_distribution(
 class Replaced(Messenger):
     """Effect handler that replaces the distributions of sites as they are sampled.
 
-    By functions of the distribution and of the values of the sites before, some of which are
-    ``given`` beforehand.
+    Each replacement is a function of the distribution and of the values of earlier sites. Some
+    values are ``given`` beforehand.
     """
 
     def __init__(self, replace: Mapping[str, Replace], given: Mapping[str, jax.Array]) -> None:
@@ -193,7 +193,7 @@ class Either(dist.Distribution):
     """The first of two scalar distributions if ``condition`` holds, else the second.
 
     The condition may be known only inside compiled code. The log density is -inf outside the
-    support of whichever applies.
+    support of the one that applies.
     """
 
     support = constraints.real
@@ -216,13 +216,13 @@ class Either(dist.Distribution):
 
 
 class Mixture:
-    """NumPyro program that is a mixture of programs over the same latent sites, with weights.
+    """NumPyro program: a weighted mixture of programs over the same latent sites.
 
-    Its density is the exact one of the mixture: all components can have made a given value.
+    Its density is the exact density of the mixture, over all components.
 
     Attributes:
-        programs: of which it is a mixture.
-        whole: argument of the bottom-up proposal with which it looks at the whole observation.
+        programs: the components.
+        whole: argument of the bottom-up proposal that stands for the whole observation.
     """
 
     def __init__(
@@ -251,7 +251,7 @@ class Mixture:
         numpyro.factor("mixture", logsumexp(self._log_weights + jnp.stack(parts)))
 
     def draw(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
-        """Return a hypothesis, with any further sites; of a window, its number is the argument."""
+        """Return a hypothesis, with any further sites; the argument is the window's number."""
         # what ``models.density.draw`` does, without the density
         return self._drawn(random.split(key)[1], *args)
 

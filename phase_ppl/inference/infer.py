@@ -1,4 +1,4 @@
-"""From an event to a posterior, and on from where a run was left."""
+"""``infer`` returns the posterior of an event; ``resume`` continues a run from its checkpoint."""
 
 from __future__ import annotations
 
@@ -69,68 +69,67 @@ def infer(
     weights: str | None = None,
     **kernel_options: Any,
 ) -> Posterior | StepwisePosterior:
-    """Return the posterior over goals, relation and strengths, given what was seen.
+    """Return the posterior over goals, relation and strengths, given the video.
 
-    Without a kernel the closed loop reads the video once under all hypotheses: every frame is
-    explained given those before it. The result is a :class:`phase_ppl.StepwisePosterior`, which
-    knows every moment of the video.
+    Without a kernel, the closed loop reads the video once under all hypotheses. It explains every
+    frame given the frames before it. The result is a :class:`phase_ppl.StepwisePosterior`, with
+    the posterior at every moment of the video.
 
-    With a kernel hypotheses are sampled. ``kernel="local_mh"`` is SIMPLE, the paper's inference:
-    each hypothesis is simulated, and the simulation is compared with the whole video. The result
-    is a :class:`phase_ppl.Posterior`. A kernel can also sample from what the closed loop has read,
-    ``infer(infer(event), kernel="smc")``: nothing is simulated or read again, and the exact answer
-    is known, so that this tells how good the kernel is.
+    With a kernel, hypotheses are sampled, and the result is a :class:`phase_ppl.Posterior`.
+    ``kernel="local_mh"`` is SIMPLE, the paper's inference: it simulates each hypothesis and
+    compares the simulation with the whole video. A kernel can also sample from a result of the
+    closed loop, ``infer(infer(event), kernel="smc")``. Nothing is then simulated or read again, and
+    the exact answer is known, so this tests the kernel.
 
-    In a run of simulations that is too short for draws to be counted all are weighed. Before it
-    answers, the rivals of the leading goals that none has tried are simulated, those with which one
-    agent wants the same thing at another landmark: one simulation or a few more for each particle,
-    unless there is a ``budget``, or all were tried. The draws stay as they are.
+    If a run of simulations is too short for counting draws, all simulations are weighed. Untried
+    rivals of the leading goals are simulated first: those in which one agent wants the same thing
+    at another landmark. This takes one simulation or a few more per particle. It is left out if
+    there is a ``budget`` or all rivals were tried. The draws stay as they are.
 
-    Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. The same
-    seed gives the same result with any number of workers.
+    Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. Results
+    depend on ``seed``, not on the number of workers.
 
-    What becomes of a simulation that fails (``on_failure``) is part of the model:
+    The treatment of failed simulations (``on_failure``) is part of the model:
 
-    * "reject": its likelihood is zero. Hypotheses under which the simulator often fails lose
+    * "reject": the likelihood is zero. Hypotheses under which the simulator often fails lose
       that share of their probability.
-    * "retry": it is run again with a fresh seed, which follows from its own, up to ``retries``
-      times, and only then rejected. The likelihood is that of the runs that succeed, so failing
-      costs a hypothesis next to nothing.
-    * "raise": the run ends with the error, and keeps what was done. Until then there was none,
+    * "retry": the simulation is repeated with a fresh seed derived from its own, up to ``retries``
+      times, then rejected. The likelihood is that of successful runs, so failing costs a
+      hypothesis next to nothing.
+    * "raise": the run ends with the error and keeps what was done. No simulation failed before,
       so this changes no probability.
 
     Args:
-        event: what to explain; with a kernel also what the closed loop has read of it.
+        event: event to explain; with a kernel, also a result of the closed loop.
         model: prior, simulator and likelihood; by default the paper's prior and simulator.
-        kernel: None to read by the closed loop. To sample: a name
-            (:func:`phase_ppl.available_kernels`), a kernel class or a function that makes a NumPyro
-            kernel from the program of the event, or an instance of one of ours.
-        chains: how many particles, M in the paper; each is a chain.
-        iterations: L, the draws per particle; by default 6, or 1000 on what the closed loop has
-            read.
+        kernel: None: the closed loop. To sample: a name (:func:`phase_ppl.available_kernels`), a
+            kernel class, an instance of one of ours, or a function from the program of the event
+            to a NumPyro kernel.
+        chains: number of particles, M in the paper; each is a chain.
+        iterations: L, the draws per particle; by default 6, or 1000 on a result of the closed
+            loop.
         seed: a whole number >= 0.
         planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.
-        workers: processes (threads, where a video is read step by step); by default one per
-            usable core. With an ``executor``, how many simulations to give it at a time; by
-            default all.
+        workers: processes, or threads of the closed loop; by default one per usable core. With an
+            ``executor``, how many simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
             client; it is not shut down.
         budget: instead of ``iterations``. ``phase_ppl.simulations(n)``: iterations begin until n
-            simulations were really run, the initial ones included, so that the last iteration
-            may exceed n; ``phase_ppl.frames(n)``: likewise with simulated frames, of which a
-            simulation that is stopped early takes fewer. Either ends too after 100 iterations
-            in a row that needed no simulation. ``phase_ppl.seconds(n)``: as many iterations as
-            can be expected to end in time, which may be none after the initial particles.
+            simulations were run, the initial ones included; the last iteration may exceed n.
+            ``phase_ppl.frames(n)``: the same for simulated frames; simulations stopped early take
+            fewer. Both also end after 100 iterations in a row without a simulation.
+            ``phase_ppl.seconds(n)``: as many iterations as are expected to end in time, possibly
+            none after the initial particles.
         on_failure: "reject", "raise" or "retry", see above.
         retries: of "retry"; by default 3.
-        simulation_seconds: a simulation that takes longer has failed; by default none has. With a
-            budget of seconds none of the initial ones may take longer than all of them.
-        checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
-            and after every iteration, for :func:`resume`. There must be none of that name yet.
-        progress: whether to show a bar on stderr; by default where that is a terminal.
+        simulation_seconds: longest time of a simulation before it fails; by default unlimited. With
+            a budget of seconds no initial simulation may take longer than the budget.
+        checkpoint: new file, ending in .ckpt, for :func:`resume`. It is written after the initial
+            particles and after every iteration. It must not exist yet.
+        progress: show a bar on stderr; by default if stderr is a terminal.
         settings: of SIMPLE; by default the paper's numbers, with bottom-up proposals of goals.
-        burn_in: draws at the beginning of each chain that do not count; by default a quarter of
-            twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
+        burn_in: first draws of each chain that do not count; by default a quarter of twenty
+            iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.
         weights: of the posterior, see ``phase_ppl.analysis.weights``; by default those that are
             valid for the kernel and the length.
@@ -143,8 +142,8 @@ def infer(
         SimulationError: all initial simulations failed; or one failed, with "raise".
         Interrupted, StepwiseInterrupted: Ctrl-C.
 
-    The last two carry what was done until then as ``posterior``, as any error does that ends a
-    run; None where the initial particles were not complete.
+    The last two, and any other error that ends a run, carry the results so far as ``posterior``.
+    It is None if the initial particles were not complete.
     """
     of_sampling: dict[str, Any] = {
         "iterations": iterations,
@@ -237,34 +236,33 @@ def resume(
     other_versions: bool = False,
     **kernel_options: Any,
 ) -> Posterior:
-    """Go on with a run of which ``infer(..., checkpoint=path)`` left a file.
+    """Continue a run from the checkpoint of ``infer(..., checkpoint=path)``; return its posterior.
 
-    The result is, draw for draw, that of a run that was never interrupted, with any number of
-    workers. With another version of this package, or of what it builds on, it could be another:
-    that is refused, unless ``other_versions`` says otherwise. The file is kept up to date. Of a
-    run that is complete the posterior is returned at once, or it is extended by a larger number
-    of iterations.
+    The result equals an uninterrupted run, draw for draw, with any number of workers. Other
+    versions of this package or its dependencies could change it, so they are refused unless
+    ``other_versions`` is true. The file is kept up to date. A complete run returns its posterior at
+    once; a larger number of iterations extends it.
 
     Args:
         path: of the file.
-        event: may be given to be sure that the run is of it; the file has it.
-        model: where its prior, simulator or likelihood is your own: a file holds no code.
-        kernel: likewise, where it was not given by name.
+        event: optional check that the run is of this event; the file holds the event.
+        model: needed if its prior, simulator or likelihood is your own: a file holds no code.
+        kernel: needed if it was not given by name.
         iterations, budget: of the whole run, what was done included; by default as before.
-        planner: as in :func:`infer`, where ``model`` is given.
+        planner: as in :func:`infer`, if ``model`` is given.
         workers, executor, progress: as in :func:`infer`.
-        on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
-            others as long as no simulation has failed.
+        on_failure, retries: as in :func:`infer`; by default as before. They can change as long as
+            no simulation has failed.
         burn_in, weights: as in :func:`infer`; by default as before.
         simulation_seconds: as in :func:`infer`; by default as before.
-        other_versions: whether to go on although the versions are others; the attributes
-            ``versions`` and ``earlier_versions`` of the posterior's tree keep both.
-        settings, **kernel_options: may be given; must be where they are no plain data.
+        other_versions: continue with other versions. The attributes ``versions`` and
+            ``earlier_versions`` of the posterior's tree keep both.
+        settings, **kernel_options: optional if they are plain data, else needed.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: event, model, kernel or version is another than the run's, the
-            message says in what; or must be given; or a setting cannot be used.
+        InvalidSettingError: event, model, kernel or version differs from the run's, the message
+            says how; or must be given; or a setting cannot be used.
         OutputError, SimulationError, Interrupted: as in :func:`infer`.
     """
     from phase_ppl.inference.checkpoint import SUFFIXES, Checkpoint
@@ -333,7 +331,7 @@ def resume(
 
 
 def _check_rate(event: Event, model: Model, level: int = 4) -> None:
-    """Warn of tracks that agents of the joint simulator leave at another frame rate only."""
+    """Warn of tracks that the joint simulator's agents can make at another frame rate only."""
     scene, track = event.scene, event.observation.trajectory
     if model.simulator is None and is_slow(track, scene.radius, len(scene.world.agents)):
         warnings.warn(
@@ -362,7 +360,7 @@ def _complete_model(
 
 
 def _stored(saved: Checkpoint, name: str, reason: str) -> Any:
-    """Return a part of a run from its file."""
+    """Return a stored part of a run; InvalidSettingError: it must be given again."""
     if saved.again[name] is None:
         argument = "**options" if name == "options" else f"{name}=..."
         raise InvalidSettingError(

@@ -1,7 +1,7 @@
 """NumPyro's own route: the model of an event as a NumPyro program, for NumPyro's ``MCMC``.
 
-:func:`program` opens one with workers that simulate; ``Posterior.from_numpyro`` makes our posterior
-of the run. ``infer`` is the route with budgets, checkpoints, and what was done kept at Ctrl-C.
+:func:`program` opens one with workers that simulate. ``Posterior.from_numpyro`` turns the run into
+our posterior. ``infer`` adds budgets, checkpoints, and results that survive Ctrl-C.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ class OpenProgram(EventProgram):
     ) -> None:
         self.close()
         failure = self._bridge.failure
-        # what leaves the simulator has become one of JAX's, which has its name in its text
+        # JAX wraps the simulator's error in one of its own, with the original's name in its text
         if failure is not None and error is not failure and type(failure).__name__ in str(error):
             raise failure from error
 
     def close(self) -> None:
-        """End the workers. What was simulated stays."""
+        """End the workers; the simulations are kept."""
         self._open = False
         self._runner.close()
 
@@ -113,7 +113,7 @@ class OpenProgram(EventProgram):
             )
             for draw in range(n)
         ]
-        # when, and for which chain, something was simulated, nobody can tell: draws are counted
+        # iteration and chain of a simulation are unknown here: so draws are counted
         records = [
             dataclasses.replace(one, log_proposal=np.nan, log_again=-np.inf, n_again=0)
             for one in self.records
@@ -123,7 +123,7 @@ class OpenProgram(EventProgram):
         return tree
 
     def _columns(self, mcmc: Any) -> dict[str, NDArray[Any]]:
-        """Return sites, seeds and what the tree keeps of a state, (chain, draw, ...)."""
+        """Return sites, seeds and the kept fields of a state, (chain, draw, ...)."""
         if mcmc.last_state is None or not self.records:
             raise InvalidSettingError("there are no draws yet: call mcmc.run(key) first")
         found = {
@@ -143,7 +143,7 @@ class OpenProgram(EventProgram):
             )
         kept = (SEED_SITE, "accepted", "window", "log_weight", "log_evidence")
         columns |= {name: np.asarray(found[name]) for name in kept if name in found}
-        if "accepted" not in columns:  # of NumPyro's kernels: that the draw is another
+        if "accepted" not in columns:  # NumPyro's kernels: accepted if the draw changed
             seed = columns[SEED_SITE]
             columns["accepted"] = np.diff(seed, axis=1, prepend=seed[:, :1]) != 0
         return columns
@@ -201,11 +201,10 @@ def program(
     >>> post = ppl.Posterior.from_numpyro(mcmc)
 
     ``program()`` samples the simulator's seed and the prior's sites, simulates by
-    ``jax.pure_callback``, and has a ``numpyro.factor`` of how well that fits. Vectorised chains
-    simulate together. The seed is a site of the chain's state, so that the same point always has
-    the same likelihood (pseudo-marginal); with ``Model(noise="fixed")`` it follows from the
-    hypothesis. An error or Ctrl-C within a simulation leaves NumPyro as one of JAX's; the ``with``
-    block raises what it was.
+    ``jax.pure_callback``, and adds the log likelihood as a ``numpyro.factor``. Vectorised chains
+    simulate together. The seed is a site of the chain's state, so the same point always has the
+    same likelihood (pseudo-marginal). With ``Model(noise="fixed")`` it follows from the hypothesis.
+    JAX wraps an error or Ctrl-C within a simulation; the ``with`` block raises the original.
 
     Args:
         event, model, workers, executor, on_failure, retries, simulation_seconds: as in

@@ -1,14 +1,13 @@
-"""What kernels are compared with: a posterior by enumeration, a long run, or a table's own sum.
+"""References that kernels are compared with: enumeration, a long run, or the exact sum of a table.
 
-By enumeration every pair g of effective goals is simulated. Its mass is the mean over strengths
+Enumeration simulates every pair g of effective goals. Its mass is the mean over strengths
 s ~ P(s) and simulator seeds w of
 
     P(g | s) L(g, s, w)
 
-which needs a few simulations of each of the pairs that have prior mass, some 1150 under the
-paper's prior, and no Markov chain. Where the log likelihood of a pair varies by several nats from
-seed to seed, the mean of a few of them is a poor estimate of what it stands for: the tables of
-halves of the simulations say how poor.
+This takes a few simulations of each pair with prior mass, some 1150 pairs under the paper's prior,
+and no Markov chain. If a pair's log likelihood varies by several nats from seed to seed, a mean of
+a few is a poor estimate. Tables from halves of the simulations measure this error.
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ class Enumeration(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What an enumeration is going to simulate."""
+    """The simulations that an enumeration will make."""
 
     pairs: NDArray[np.int64]  # (pair, 2) effective goals of red and green that have prior mass
     strengths: FloatArray  # (draw, 2) newtons, from the prior
@@ -107,8 +106,8 @@ def enumerate_goals(
 ) -> Enumeration:
     """Return the posterior of the effective goals by simulating all pairs of a plan.
 
-    ``per_pair`` times each, with strengths and a simulator seed of their own; an even number, at
-    most 32.
+    Each pair is simulated ``per_pair`` times (even, at most 32), every time with other strengths
+    and another simulator seed.
     """
     rng = np.random.default_rng(seed)
     which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.pairs])
@@ -133,9 +132,9 @@ def enumerate_goals(
 
 
 def of_masses(pairs: NDArray[np.int64], log_mass: FloatArray) -> Enumeration:
-    """Return the posterior, whole and from halves, of what was simulated.
+    """Return the posterior of simulations, from all of them and from halves.
 
-    ``log_mass`` is (pair, repeat), -inf where a simulation failed.
+    ``log_mass`` is (pair, repeat), -inf for failed simulations.
     """
     weight = np.exp(log_mass - log_mass.max())
     rng = np.random.default_rng(0)
@@ -147,15 +146,15 @@ def of_masses(pairs: NDArray[np.int64], log_mass: FloatArray) -> Enumeration:
 
 
 def _table(pairs: NDArray[np.int64], weight: FloatArray) -> FloatArray:
-    """Return (goal_red, goal_green) the mean weights of simulations, failed ones 0, of sum 1."""
+    """Return (goal_red, goal_green) mean weights of simulations, failed ones 0, normalised."""
     table = np.zeros((N_GOALS, N_GOALS))
     table[tuple(pairs.T)] = weight.mean(axis=1)
     total = table.sum()
-    return table / total if total > 0 else table  # of a half in which nothing was completed
+    return table / total if total > 0 else table  # total 0: nothing was completed in this half
 
 
 def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) -> list[int]:
-    """Return the simulator seeds; with fixed noise, those that a kernel would take."""
+    """Return the simulator seeds; with fixed noise, those that a kernel would use."""
     if model.noise == "fresh":
         drawn = np.random.default_rng([seed, 1]).integers(0, MAX_SEED, len(hypotheses))
         return [int(value) for value in drawn]
@@ -182,7 +181,7 @@ _FEW: Final = 3  # iterations that a population goes on for at least
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """The reference that was asked for: one of these, or none."""
+    """The requested reference: a posterior, enumeration, a kernel, or none."""
 
     budget: Budget  # what it may take
     weights: str  # of the draws of a run
@@ -203,9 +202,9 @@ class Reference:
         weights: str,
         compared: Sequence[Entry],
     ) -> Reference:
-        """Return what the argument ``reference`` of a comparison means.
+        """Return the meaning of a comparison's argument ``reference``.
 
-        It is none of the kernels that are compared, which it would favour.
+        A compared kernel is refused as reference, since that would favour it.
         """
         if isinstance(reference, Posterior):
             if not np.array_equal(reference.observed(), event.observation.trajectory):
@@ -232,7 +231,7 @@ class Reference:
         ]
         if same and reference is not None:
             raise InvalidSettingError(
-                f"the reference is {same[0]!r}, which is compared, and which it would favour: "
+                f"the reference {same[0]!r} is also compared, and would favour itself: "
                 f"expected {ENUMERATION!r}, {NONE!r}, a posterior or a kernel that is not compared"
             )
         if not run.length:
@@ -241,7 +240,7 @@ class Reference:
         return cls(long, weights, enumeration=enumerated, kernel=None if same else run)
 
     def record(self) -> Any:
-        """Return what was asked for, as a file keeps it."""
+        """Return the request as it is stored."""
         if self.given is not None:
             digest = hashlib.sha256()
             for probabilities in marginals(self.given).values():
@@ -257,7 +256,7 @@ class Reference:
 def _particles(budget: Budget, chains: int, n_frames: int) -> int:
     """Return how many particles each population of the default reference has.
 
-    Where the budget is small no more than can go on for a few iterations.
+    A small budget gets fewer, so that each population can make a few iterations.
     """
     each = budget.amount / POPULATIONS / (n_frames if budget.unit == "frames" else 1)
     most = math.inf if budget.unit == "seconds" else each // (1 + _FEW)
@@ -265,7 +264,7 @@ def _particles(budget: Budget, chains: int, n_frames: int) -> int:
 
 
 def _per_pair(reference: tuple[Any, ...]) -> int:
-    """Return what ``("enumeration", {"per_pair": n})`` asks for."""
+    """Return n of ``("enumeration", {"per_pair": n})``, checked."""
     options = reference[1] if len(reference) == 2 else None
     if not isinstance(options, Mapping) or set(options) != {"per_pair"}:
         raise InvalidSettingError(
@@ -274,7 +273,7 @@ def _per_pair(reference: tuple[Any, ...]) -> int:
     number = whole_number("per_pair", options["per_pair"])
     if number % 2 or number > _POOL:
         raise InvalidSettingError(
-            f"per_pair={number}, expected an even number of at most {_POOL}, for there to be halves"
+            f"per_pair={number}, expected an even number of at most {_POOL}: halves are compared"
         )
     return number
 
@@ -290,13 +289,12 @@ def reference_of(
 ) -> dict[str, Any]:
     """Return the reference: ``description``, ``marginals``, ``simulations``, ``error``.
 
-    The last says how far the marginals can be trusted: the total variation between what two halves
-    of the simulations, of the populations or of the chains say; ``tv_goals`` (mean of both agents)
-    and ``tv_relation``. The whole is nearer than this to what it estimates: at half of it
-    where errors are small, and at three quarters where single simulations decide. It knows nothing
-    of what all of them have in common, such as what none has found. None where there are no
-    halves; marginals are None where there is no reference. ``read`` is what the closed loop has
-    read, where its table is what kernels sample: then the reference is exact.
+    ``error`` is the total variation between the marginals of two halves of the simulations, of the
+    populations or of the chains: ``tv_goals`` (mean of both agents) and ``tv_relation``. The error
+    of the whole is smaller: half of this where errors are small, three quarters where single
+    simulations decide. It omits errors that all simulations share, such as a mode that none found.
+    ``error`` is None without halves; marginals are None without a reference. ``read`` is a result
+    of the closed loop, if kernels sample its table: then the reference is exact.
     """
 
     def said(
@@ -369,7 +367,7 @@ def reference_of(
 
 
 def _log_evidence(post: Posterior) -> float:
-    """Return the log evidence that a population has estimated; 0 of a kernel without one."""
+    """Return the log evidence that a population estimated; 0: the kernel estimates none."""
     stats = post.tree["sample_stats"].dataset
     return float(stats["log_evidence"].values[0, -1]) if "log_evidence" in stats else 0.0
 
@@ -408,7 +406,7 @@ def _halves_of(post: Posterior) -> list[Halves]:
 
 
 def error_of(halves: Sequence[Halves]) -> dict[str, float] | None:
-    """Return the mean distances between halves, as :func:`reference_of` says."""
+    """Return the mean distances between halves, see :func:`reference_of`; None without halves."""
     if not halves:
         return None
     apart = [distances(one, other) for one, other in halves]

@@ -1,4 +1,4 @@
-"""Kernels by name: ours, in ``phase_ppl.inference.kernels``, and other people's.
+"""Registry of kernels by name: ours, in ``phase_ppl.inference.kernels``, and other packages'.
 
 Another package registers its kernel under the entry point group ``phase_ppl.kernels``::
 
@@ -7,14 +7,13 @@ Another package registers its kernel under the entry point group ``phase_ppl.ker
 
 where ``my_kernel`` is a function decorated with :func:`register_kernel`.
 
-A kernel is an ``MCMCKernel`` of NumPyro. Its state has the fields ``z`` (site -> value) and
-``sim_seed`` (the seed with which that hypothesis was simulated) and ``rng_key``, and may have
-``accepted``, ``window``, ``log_weight`` (of the draw, where draws are not equal) and
-``log_evidence``.
+A kernel is an ``MCMCKernel`` of NumPyro. Its state has the fields ``z`` (site -> value),
+``sim_seed`` (the simulator's seed of that hypothesis) and ``rng_key``. It may have ``accepted``,
+``window``, ``log_weight`` (for weighted draws) and ``log_evidence``.
 
-What a kernel knows only once it is made for a model is asked of the kernel itself, where it says
-so: ``validity``, ``sims_per_step``, ``sims_at_start`` (simulations per initial particle, 1 by
-default) and ``n_iterations(chains)``, of a kernel that decides its own length.
+Some facts depend on the model. A kernel may define them as attributes: ``validity``,
+``sims_per_step``, ``sims_at_start`` (simulations per initial particle, 1 by default) and
+``n_iterations(chains)``, of a kernel that decides its own length.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ VALIDITIES: Final = get_args(Validity)
 KEEPS: Final = get_args(Keeps)
 
 NEEDS: Final = ("guide", "settings")
-"""What a factory can ask for beside the program: the bottom-up proposal program
+"""Arguments that a factory can ask for beside the program: the bottom-up proposal program
 ``guide(window)`` and the :class:`~phase_ppl.inference.settings.SimpleSettings`."""
 
 Factory = Callable[..., MCMCKernel]
@@ -47,33 +46,33 @@ Factory = Callable[..., MCMCKernel]
 
 @dataclasses.dataclass(frozen=True)
 class KernelInfo:
-    """What is known of a kernel without running it."""
+    """Registered facts about a kernel, known without running it."""
 
     name: str  # as users call it
     factory: Factory  # makes the kernel from an ``EventProgram``
     # "exact": its stationary law is the posterior; "consistent": it approaches the posterior as
     # particles grow; "approximate": neither; "unknown" where nobody says
     validity: str
-    # the most simulations that a step takes per particle; what a bar and a budget of seconds expect
-    # at first. Budgets are spent by what was really simulated
+    # the most simulations per particle and step; bars and budgets of seconds start from it. Budgets
+    # count simulations that were run
     sims_per_step: int
     needs: tuple[str, ...]  # keyword arguments that the factory asks for, of ``NEEDS``
     summary: str  # first line of the factory's documentation
     even_chains: bool = False  # whether it needs an even number of chains
-    # which particles are draws of the posterior: "all", those after every iteration; "last", those
-    # after the last one; "start", all and the initial ones
+    # particles that are draws of the posterior: "all", after every iteration; "last", after the
+    # last one; "start", all and the initial ones
     keeps: Keeps = "all"
     weighted: bool = False  # whether draws carry a weight, the state's ``log_weight``
-    # whether arrays of frames may be longer than the observation, so that one compiled program
-    # serves events of all lengths: how many frames count is then ``program.observed`` instead of
-    # ``program.n_frames``, and known only when it runs
+    # whether arrays of frames may be longer than the observation. One compiled program then serves
+    # events of all lengths. The number of frames is ``program.observed``, known only at run time,
+    # instead of ``program.n_frames``
     any_length: bool = False
     # whether its proposal is fitted to the draws so far (``kernels/amis.py``)
     adapts: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
-        """Return the kernel for an event, from what it needs and its own options."""
-        registered = self.validity in VALIDITIES  # and so has said what it needs
+        """Return the kernel for an event; ``options`` are its needs and its own options."""
+        registered = self.validity in VALIDITIES  # then its needs are known
         for need in NEEDS:
             if registered and (need in options) != (need in self.needs):
                 how = "missing" if need in self.needs else "got an unexpected"
@@ -106,15 +105,15 @@ class KernelInfo:
 
 
 _OURS: Final = {"SA": "sa", "AIES": "aies", "Gibbs": "gibbs", "DiscreteGibbs": "gibbs"}
-"""NumPyro's kernel -> the name under which it runs here."""
+"""NumPyro's kernel -> its name here."""
 
 
 def refuse_numpyros(kind: type, kernel: str) -> None:
-    """Refuse what is one of NumPyro's kernels as it stands, and say what to write instead."""
+    """Refuse a kernel class of NumPyro itself; the error says what to write instead."""
     if issubclass(kind, HMC):
         raise InvalidSettingError(
-            f"kernel {kernel} needs a gradient, which a simulator has not; available_kernels() "
-            "lists those that need none"
+            f"kernel {kernel} needs a gradient, which a simulator does not have; "
+            "available_kernels() lists kernels without one"
         )
     if issubclass(kind, MCMCKernel) and kind.__module__.startswith("numpyro."):
         ours = _OURS.get(kind.__name__)
@@ -144,9 +143,9 @@ def register_kernel(
     any_length: bool = False,
     adapts: bool = False,
 ) -> Callable[[AnyFactory], AnyFactory]:
-    """Return a decorator that makes a kernel class, or a factory, known under ``name``.
+    """Return a decorator that registers a kernel class, or a factory, as ``name``.
 
-    Arguments as the attributes of :class:`KernelInfo`.
+    Arguments are the attributes of :class:`KernelInfo`.
 
     Raises:
         InvalidSettingError: the name is taken by another factory, or a value is not allowed.
@@ -173,7 +172,7 @@ def available_kernels() -> list[str]:
 
 
 def kernel_info(name: str) -> KernelInfo:
-    """Return what is known of a kernel.
+    """Return the facts about a kernel.
 
     Raises:
         UnknownNameError: there is no such kernel; the message names close matches.
@@ -182,9 +181,9 @@ def kernel_info(name: str) -> KernelInfo:
 
 
 def info_of(kernel: str | Factory | MCMCKernel) -> KernelInfo:
-    """Return what is known of a kernel given by name, as a factory or class, or as an instance.
+    """Return the facts about a kernel given by name, factory, class or instance.
 
-    An instance of ours is taken with its options and bound to the event at hand.
+    An instance of ours keeps its options and is bound to the event at hand.
     """
     if isinstance(kernel, str):
         return kernel_info(kernel)

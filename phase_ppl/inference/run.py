@@ -1,8 +1,8 @@
-"""What a run is: the particles of a kernel on an event, and how long; ``sampler.py`` runs it.
+"""Definition of a run: a kernel's particles on an event, and its length; ``sampler.py`` runs it.
 
-Whether another iteration begins follows from what those before really cost, not from what a kernel
-declares that a step may cost. With a budget of simulations or frames it follows from the run alone,
-so that it is the same for any number of workers and after every resumption.
+Another iteration begins if the actual cost so far leaves room in the budget; costs that a kernel
+declares do not count. With a budget of simulations or frames this depends on the run alone: it is
+the same for any number of workers and after every resumption.
 """
 
 from __future__ import annotations
@@ -58,27 +58,27 @@ from phase_ppl.world.identity import event_digest, source_hash, stable
 _KEPT_PROGRAMS: Final = 16
 _OURS: Final = "phase_ppl."
 _BY_FRAME: Final = (RadialLikelihood, InNats)
-"""Likelihoods for which it does not matter where in the video a frame is."""
+"""Likelihoods that treat all frames alike."""
 
 _SHORT, _USUAL = 16, 128
 """Lengths to which arrays of frames are padded; longer videos take the next power of 2."""
 
 Kernel: TypeAlias = str | Factory | MCMCKernel
-"""A kernel as users give it: by name, as what makes one for an event, or as an instance."""
+"""A kernel as users give it: a name, a factory or class, or an instance."""
 
 
 class Data(NamedTuple):
-    """All that compiled code is told of an event."""
+    """All that compiled code gets of an event."""
 
-    proposal: BottomUpTables | Proposal  # what its windows say, or what a kernel has learned
-    salt: jax.Array | int  # a number that stands for it
+    proposal: BottomUpTables | Proposal  # tables of its windows, or a kernel's learned proposal
+    salt: jax.Array | int  # a number that identifies it
     bridge: jax.Array | int  # handle of the bridge that simulates
     observed: jax.Array | int | None  # number of frames, where arrays are longer
     table: Lookup | None = None  # what is looked up in place of a simulation
 
 
 class Recipe(NamedTuple):
-    """What compiled programs depend on. Events with the same share them."""
+    """All that compiled programs depend on; events with equal recipes share programs."""
 
     info: KernelInfo
     options: tuple[tuple[str, Any], ...]  # of the kernel
@@ -89,7 +89,7 @@ class Recipe(NamedTuple):
 
 @dataclasses.dataclass(eq=False)
 class Run:
-    """All that determines the draws of a run, but for how many there are.
+    """All that determines the draws of a run, except their number.
 
     Raises:
         InvalidEventError: ``event`` is no event.
@@ -128,11 +128,11 @@ class Run:
                 f"{self.chains + 1}"
             )
         self.n_frames = self.event.observation.n_frames
-        # a likelihood of one's own may depend on where a frame is
+        # a user's own likelihood may treat frames differently
         self._is_padded = self.info.any_length and type(model.error_likelihood) in _BY_FRAME
 
     def identity(self) -> dict[str, Any]:
-        """Return as plain data what a run must have in common with another to be the same."""
+        """Return the identity of the run as plain data: runs with equal identities are the same."""
         own_values = vars(self.kernel) if isinstance(self.kernel, MCMCKernel) else {}
         plain = bool | int | float | str
         factory = self.info.factory if isinstance(self.kernel, str) else self.kernel
@@ -151,7 +151,7 @@ class Run:
         }
 
     def record(self, iterations: int) -> dict[str, Any]:
-        """Return as plain data what determines the result of so many iterations."""
+        """Return all that determines the result of ``iterations`` iterations, as plain data."""
         assert self.settings.strength is not None, "it is settled"
         simple = vars(self.settings) | {"strength": estimator_name(self.settings.strength)}
         del simple["beta"]  # the model's likelihood has it
@@ -167,7 +167,7 @@ class Run:
         }
 
     def again(self) -> dict[str, Any]:
-        """Return what makes the run again from a file; None for what is no plain data."""
+        """Return the parts from which a file makes the run again; None: no plain data."""
         model = self.model
         prior, stored = priors.name_of(as_given(model.prior)), None
         if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
@@ -186,7 +186,7 @@ class Run:
 
     @functools.cached_property
     def recipe(self) -> Recipe:
-        """What the compiled programs depend on: not on the simulator, which runs beside them."""
+        """All that compiled programs depend on; the simulator is not part of it."""
         options, n_frames = tuple(self.kernel_options.items()), self.n_frames
         model = dataclasses.replace(self.model, simulator=None, planner=None)
         if self._is_padded:
@@ -196,7 +196,7 @@ class Run:
 
     @property
     def reading(self) -> Reading:
-        """What it cost to read the video before the first simulation, if proposals need that."""
+        """Cost of reading the video before the first simulation, if proposals need that."""
         if self.settings.proposal != "closed_loop":
             return Reading()
         return reading_of(self.event.scene, self.event.observation)
@@ -209,10 +209,10 @@ class Run:
         *,
         unread: bool = False,
     ) -> Data:
-        """Return what compiled code is told of the event and the bridge with that handle.
+        """Return the data of the event for compiled code; ``bridge`` is the bridge's handle.
 
-        Where the closed loop proposes, it reads the video in so many ``threads``; not if it is to
-        be ``unread``: other tables then stand for its own, which is enough to check a kernel.
+        If the closed loop proposes, it reads the video in ``threads`` threads. With ``unread`` it
+        does not: placeholder tables are enough to check a kernel.
         """
         scene, observation, settings = self.event.scene, self.event.observation, self.settings
         if unread and settings.proposal == "closed_loop":
@@ -227,7 +227,7 @@ class Run:
         return Data(proposal, event_salt(scene, observation), bridge, observed)
 
     def adaptation(self, data: Data) -> Adaptation | None:
-        """Return what fits the proposal of a kernel that adapts; None of others."""
+        """Return the adaptation of a kernel that adapts; None for others."""
         if not self.info.adapts:
             return None
         observed, share = self.event.observation.positions, self.settings.prior_share
@@ -235,7 +235,7 @@ class Run:
         return Adaptation(self.model, observed, data.proposal, share)
 
     def check(self, iterations: int | None, budget: Budget | None) -> None:
-        """Make the kernel and trace a step of it, with nothing simulated."""
+        """Make the kernel and trace one step; nothing is simulated."""
         data = self.data(0, unread=True)
         kernel = make_kernel(self.recipe, data)
         Length.of(kernel, self.info, self.chains, iterations, budget, self.n_frames)
@@ -245,14 +245,14 @@ class Run:
 
 
 def check_event(given: object) -> Event:
-    """Return what is an event; raise InvalidEventError if something is none."""
+    """Return ``given`` if it is an event; raise InvalidEventError otherwise."""
     if not isinstance(given, Event):
         raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
     return given
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:
-    """Return the model that :meth:`Run.again` wrote down."""
+    """Return the model that :meth:`Run.again` recorded."""
     from phase_ppl.agents.config import PlannerConfig
 
     return Model(
@@ -264,7 +264,7 @@ def model_again(stored: Mapping[str, Any]) -> Model:
 
 
 def _plain(options: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return options or settings if JSON gives them back as they are; else None."""
+    """Return options or settings if JSON restores them exactly; else None."""
     try:
         again: dict[str, Any] = json.loads(json.dumps(dict(options), allow_nan=False))
     except (TypeError, ValueError):
@@ -304,16 +304,16 @@ def _stages(recipe: Recipe, of: Stages, data: Data) -> list[Stage]:
 
     def moved(state: Any) -> Any:
         if getattr(kernel, "_sample_fn", True) is None:
-            # NumPyro's own kernels are made ready by init
+            # NumPyro's own kernels need a call of init
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
-    # one of somebody's, which simulates from within compiled code
+    # another package's kernel: it simulates from within compiled code
     return [moved] if of == "moves" else [lambda keys, _: kernel.init(keys, 0, None, (), {})]
 
 
 class Steps:
-    """How the particles of a recipe start and move, compiled; :func:`compiled` makes one."""
+    """The compiled starts and moves of a recipe's particles; made by :func:`compiled`."""
 
     def __init__(self, recipe: Recipe) -> None:
         self._recipe = recipe
@@ -351,9 +351,9 @@ compiled = remembered(_KEPT_PROGRAMS)(Steps)
 
 @remembered(_KEPT_PROGRAMS)
 def compiled_chains(recipe: Recipe, length: int) -> tuple[Compiled, Compiled]:
-    """Return compiled (data, keys) -> state, and (data, state) -> the last one and all after it.
+    """Return compiled (data, keys) -> state, and (data, state) -> last state and all new ones.
 
-    Where simulations are looked up, so that whole chains can be compiled.
+    For simulations that are looked up in a table, so whole chains can be compiled.
     """
 
     def start(data: Data, keys: jax.Array) -> Any:
@@ -378,8 +378,8 @@ def compiled_chains(recipe: Recipe, length: int) -> tuple[Compiled, Compiled]:
 def compiled_given(recipe: Recipe) -> Compiled:
     """Return compiled (data, keys, given sites, log drawn, log floors) -> requests (chain,).
 
-    Each particle simulates a hypothesis of which some sites are given, the others proposed by
-    SIMPLE, whatever the kernel: see ``LocalMH.request_given``.
+    Each particle simulates a hypothesis with some sites given. SIMPLE proposes the others, for any
+    kernel: see ``LocalMH.request_given``.
     """
     simple = recipe._replace(info=KERNELS["local_mh"], options=())
 
@@ -392,7 +392,7 @@ def compiled_given(recipe: Recipe) -> Compiled:
 
 
 def _identity(recipe: Recipe, what: str) -> str | None:
-    """Return what tells ``what`` is compiled of a recipe from others.
+    """Return a text that identifies program ``what`` of a recipe.
 
     None unless all of its code is this package's.
     """
@@ -415,8 +415,8 @@ ITERATIONS: Final = 6  # L, the paper's number of iterations
 RECENT: Final = 3  # iterations whose mean is what the next one is expected to take
 
 IDLE: Final = 100
-"""Iterations in a row without a simulation, after which a budget will never be spent: so it is
-where all hypotheses have been simulated and their noise is fixed."""
+"""Iterations in a row without a simulation, after which a run ends: its budget will never be spent.
+This happens with fixed noise, once all hypotheses have been simulated."""
 
 clock: Callable[[], float] = time.perf_counter  # seconds of wall time
 
@@ -441,7 +441,7 @@ class Length(NamedTuple):
         budget: Budget | None,
         n_frames: int,
     ) -> Length:
-        """Return the length of a run, as the user gave it, with a kernel made for the event."""
+        """Return the length that the user asked for; the kernel is made for the event."""
         if budget is not None and iterations is not None:
             raise InvalidSettingError("give either iterations or a budget, not both")
         if budget is not None:
@@ -456,7 +456,7 @@ class Length(NamedTuple):
             return length._replace(iterations=wanted)
         at_start = length.at_most(0)
         small = f"a budget of {budget} is too small: {chains} initial particles"
-        # what an iteration takes is not known before, but a simulation for each particle is little
+        # the cost of an iteration is unknown beforehand: assume one simulation for each particle
         if length.limit("simulations") < at_start + chains:
             raise InvalidSettingError(f"{small} and one iteration need {at_start + chains}")
         if length.limit("frames") <= at_start * n_frames:
@@ -466,12 +466,11 @@ class Length(NamedTuple):
         return length
 
     def _check_own(self, name: str, needed: int, n_frames: int) -> None:
-        """Raise InvalidSettingError if it contradicts a kernel that decides its own length."""
+        """Raise InvalidSettingError if the length contradicts a kernel that decides its own."""
         takes = f"with {self.chains} chains it takes {needed}"
         if self.limit("seconds") < math.inf:
             raise InvalidSettingError(
-                f"a budget of seconds is of no use to kernel {name!r}: {takes} iterations, "
-                "whatever their time"
+                f"a budget of seconds is of no use to kernel {name!r}: {takes} iterations"
             )
         if self.iterations not in (None, needed):
             raise InvalidSettingError(
@@ -486,30 +485,30 @@ class Length(NamedTuple):
                 )
 
     def at_most(self, iterations: int) -> int:
-        """Return the most simulations that so many iterations take."""
+        """Return the most simulations that ``iterations`` iterations take."""
         return self.chains * (self.sims_at_start + iterations * self.sims_per_step)
 
     def limit(self, unit: str) -> float:
-        """Return the budget, where it is in that unit; else inf."""
+        """Return the budget if it is in ``unit``; else inf."""
         return self.budget.amount if self.budget and self.budget.unit == unit else math.inf
 
     @property
     def is_counted(self) -> bool:
-        """Whether the run ends when so many simulations or frames were made."""
+        """Whether the budget is in simulations or frames."""
         return self.budget is not None and self.budget.unit != "seconds"
 
 
 class Pace:
-    """What a run has cost so far, and whether another iteration is to begin.
+    """The cost of a run so far, and whether another iteration begins.
 
-    ``began`` is the :func:`clock` when the call began; in earlier calls the run took ``seconds``,
-    and its last iterations ``recent``.
+    ``began`` is the :func:`clock` at the start of the call. Earlier calls took ``seconds``, and
+    their last iterations ``recent``.
 
     Attributes:
         done: finished iterations; -1: not even the initial particles are there.
-        simulations: made by the initial particles and the finished iterations; those run again
-            because they failed do not count.
-        frames: simulated by them.
+        simulations: made by the initial particles and the finished iterations; retries of failed
+            simulations do not count.
+        frames: simulated in them.
         recent: seconds that the last iterations took.
     """
 
@@ -523,7 +522,7 @@ class Pace:
         self._last = 0  # the last iteration that took a simulation
 
     def count(self, records: Sequence[Record], done: int) -> None:
-        """Take in what so many iterations have cost, at least as many as before."""
+        """Count the cost of the first ``done`` iterations, at least as many as before."""
         new = [record for record in records[self.simulations :] if record.iteration <= done]
         self.done = done
         self.simulations += len(new)
@@ -548,8 +547,8 @@ class Pace:
     def end(self, *, initial: bool = False) -> None:
         """Note that they ended.
 
-        Until there is an iteration, the initial particles say what one takes: they compile and
-        simulate too, and are never stopped early.
+        Before the first iteration, its time is estimated by the initial particles' time: these
+        compile and simulate too, and are never stopped early.
         """
         taken = clock() - self._mark
         if initial:
@@ -561,14 +560,14 @@ class Pace:
 
     @property
     def goes_on(self) -> bool:
-        """Whether another iteration is to begin."""
+        """Whether another iteration begins."""
         if self._length.is_counted:
             return not self.is_spent and self.done - self._last < IDLE
         return self.done < self.expected
 
     @property
     def expected(self) -> int:
-        """How many iterations there will be in all, as far as the clock can tell."""
+        """Expected number of iterations in all, by the clock so far."""
         if self._length.iterations is not None:
             return self._length.iterations
         done, left = max(self.done, 0), self._length.limit("seconds") - self.seconds

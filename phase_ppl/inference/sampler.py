@@ -1,7 +1,7 @@
-"""Doing a run: one iteration at a time, so that nothing that was done is ever lost.
+"""Execution of a run, one iteration at a time, so that finished work is never lost.
 
-:func:`sample` takes a :class:`~phase_ppl.inference.run.Run` and how the call goes about it
-(:class:`RunOptions`), begins it or goes on with it, and returns its posterior.
+:func:`sample` begins or continues a :class:`~phase_ppl.inference.run.Run` under
+:class:`RunOptions`, and returns its posterior.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ if TYPE_CHECKING:
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES, _FRAME_BYTES = 3000, 104  # of memory that a simulation takes, and each of its frames
 _STARTS: Final = 3  # times that all particles start anew, where no simulation succeeds
-_ROUNDS: Final = 3  # times that rivals are tried, if every time others lead
+_ROUNDS: Final = 3  # rounds of rivals, if each round changes the leading goals
 _APART: Final = 0.5  # units by which a first frame may be off the start
 
 _NEGLIGIBLE: Final = 16.0
-"""Nats below the best simulation from which on one makes no difference to any mean likelihood."""
+"""Nats below the best simulation at which a simulation no longer affects any mean likelihood."""
 
 _OVERTIME: Final = 1.1
-"""An iteration is given up that goes on for so much of the seconds, and one second."""
+"""Overtime, as a share of the budget of seconds plus one second, after which an iteration stops."""
 
 _OF_SIMULATIONS: Final = ("executor", "on_failure", "retries", "simulation_seconds")
 """Options of a run that are the runner's."""
@@ -84,13 +84,13 @@ Result = TypeVar("Result")
 
 
 class Interrupted(KeyboardInterrupt):
-    """The run was interrupted; what was done until then is kept.
+    """The run was interrupted; finished iterations are kept.
 
     A ``KeyboardInterrupt``, so that no ``except Exception`` in a loop over events swallows it.
 
     Attributes:
-        posterior: of the iterations that were finished, of the initial particles where none
-            was; None where not even those were.
+        posterior: of the finished iterations, else of the initial particles; None if these were
+            not complete.
     """
 
     def __init__(self, posterior: Posterior | None) -> None:
@@ -101,7 +101,7 @@ class Interrupted(KeyboardInterrupt):
 
 @dataclasses.dataclass(frozen=True)
 class RunOptions:
-    """How a call goes about a run; what is not explained is as in :func:`~phase_ppl.infer`."""
+    """Options of one call of a run; those without a comment are as in :func:`~phase_ppl.infer`."""
 
     iterations: int | None = None
     budget: Budget | None = None
@@ -114,7 +114,7 @@ class RunOptions:
     checkpoint: str | os.PathLike[str] | None = None
     burn_in: int | None = None
     weights: str | None = None
-    # with which the run was made so far, oldest first
+    # versions that made the run so far, oldest first
     versions: Sequence[Mapping[str, Any]] = dataclasses.field(default_factory=lambda: [versions()])
     # when the call began, by ``clock``
     began: float = dataclasses.field(default_factory=lambda: runs.clock())
@@ -127,8 +127,8 @@ class RunOptions:
             self.check_burn_in(self.iterations)
 
     def check_burn_in(self, iterations: int | None) -> None:
-        """Raise InvalidSettingError if the burn-in leaves none of so many iterations."""
-        # what is no number is refused where the length of the run is made
+        """Raise InvalidSettingError if the burn-in leaves none of the iterations."""
+        # iterations of another type are refused later, by the run's length
         if isinstance(iterations, int) and (self.burn_in or 0) >= iterations > 0:
             raise InvalidSettingError(
                 f"burn_in={self.burn_in}, but there are {iterations} iterations: expected fewer"
@@ -141,9 +141,9 @@ def sample(
     saved: Checkpoint | None = None,
     checked: Callable[[], None] = lambda: None,
 ) -> Posterior:
-    """Do a run, or what is left of it, and return its posterior.
+    """Do a run, or the rest of a saved one, and return its posterior.
 
-    ``checked`` is called when nothing can be refused any more, and before it begins.
+    ``checked`` is called after all checks, before the run begins.
     """
     given = {name: getattr(options, name) for name in _OF_SIMULATIONS}
     place = run.model.build_simulator(), run.event.scene, run.event.observation
@@ -153,13 +153,13 @@ def sample(
         try:
             sampler.advance()
         except (KeyboardInterrupt, Cancelled):
-            # in case that it came while the file was being written; the posterior comes first
+            # Ctrl-C may have come while the file was being written; the posterior comes first
             with contextlib.suppress(OutputError):
                 sampler.keep()
             raise Interrupted(sampler.posterior(interrupted=True)) from None
         except Exception as error:
             posterior = sampler.posterior(interrupted=True)
-            with contextlib.suppress(AttributeError):  # of a class without room for it
+            with contextlib.suppress(AttributeError):  # the class may allow no new attribute
                 error.posterior = posterior  # type: ignore[attr-defined]
                 if posterior is not None:
                     error.add_note(
@@ -174,14 +174,14 @@ def sample(
 _split: Final = Compiled(
     lambda number, chains: random.split(random.key(number), len(chains)), "keys of chains"
 )
-"""The keys of chains, whose number is the length of an array: code is compiled for shapes."""
+"""Random keys of chains; the argument is an array, since code is compiled for shapes."""
 
 
 class Sampler:
-    """The particles of a run in the hands of one call; arguments as of :func:`sample`.
+    """One call's work on the particles of a run; arguments as of :func:`sample`.
 
-    The compiled step runs in a thread of its own, so that the main thread notices Ctrl-C at
-    once: it then cancels the simulations, waits for the thread, and ends.
+    The compiled step runs in its own thread, so the main thread notices Ctrl-C at once. It then
+    cancels the simulations, waits for the thread, and ends.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class Sampler:
         self._run, self._options, self._runner = run, options, runner
         self._n_frames = run.n_frames
         self._bridge = SimulatorBridge(runner, self._n_frames, space_of(run.event.scene.world))
-        # before a video is read, all that can be refused is
+        # all checks come before the video is read
         self._data = run.data(self._bridge.handle, unread=True)
         self._kernel = make_kernel(run.recipe, self._data)
         self._length = Length.of(
@@ -203,8 +203,8 @@ class Sampler:
         self._state: Any = None
         self._particles: list[Columns] = []  # the initial ones, and those after every iteration
         self._written = -1
-        self._rivals_from: int | None = None  # the iteration that they count as
-        self._n_rivals = 0  # simulations of them
+        self._rivals_from: int | None = None  # the iteration that rivals count as
+        self._n_rivals = 0  # simulations of rivals
         self._calls = 1
         self._pace = Pace(self._length, options.began)
         if saved is not None:
@@ -213,7 +213,7 @@ class Sampler:
             threads = options.workers if options.executor is None else None
             began = runs.clock()
             self._data = run.data(self._bridge.handle, options.progress, threads)
-            # what was kept of an earlier reading is paid for like any other
+            # an earlier reading of the video counts like a new one
             self._kept_seconds = max(0.0, run.reading.seconds - (runs.clock() - began))
             self._adaptation = run.adaptation(self._data)
             for iteration, particles in enumerate(self._particles):
@@ -236,7 +236,7 @@ class Sampler:
         )
 
     def _keys(self, *place: int) -> jax.Array:
-        """Return a key for each particle; of the beginning, or of another place of the run."""
+        """Return a key for each particle; ``place`` tells parts of the run apart."""
         number = int(np.random.SeedSequence(self._run.seed, spawn_key=place).generate_state(1)[0])
         return _split(np.uint32(number), np.zeros(self._run.chains, np.bool_))
 
@@ -261,7 +261,7 @@ class Sampler:
         pace.count(saved.records, saved.done)
         self._runner.statistics = dataclasses.replace(saved.statistics)
         self._calls = saved.calls + 1
-        # rivals are those of the answer, which will be another
+        # rivals follow from the answer, which will change
         last = saved.done + (not pace.goes_on)
         for record in saved.records:
             if record.iteration <= last:
@@ -271,12 +271,12 @@ class Sampler:
         self._bridge.iteration = self._written = saved.done
 
     def advance(self) -> None:
-        """Do what is left of the run."""
+        """Do the rest of the run."""
         before = 0 if self._done < 0 else self._simulations()
         seconds, runner = self._length.limit("seconds"), self._runner
         with Progress(self._expected(), self._options.progress, done=before) as bar:
             runner.on_result = bar.one_more
-            # the iteration that is under way when time is over does not count
+            # an iteration that time cuts off does not count
             with contextlib.suppress(OutOfTime):
                 if self._done < 0:
                     self._start(seconds)
@@ -292,7 +292,7 @@ class Sampler:
                 bar.reach(self._simulations())
 
     def _start(self, seconds: float) -> None:
-        """Make the initial particles, none of which may take longer than all the seconds."""
+        """Make the initial particles; no simulation may take longer than ``seconds``."""
         runner, limit = self._runner, self._runner.limit
         runner.limit = min(limit, seconds)
         runner.patience = time.perf_counter() + seconds - self._pace.seconds
@@ -317,7 +317,7 @@ class Sampler:
         state = self._in_thread(compute)
         if initial:
             for again in range(_STARTS):
-                # one that weighs its start would be taken for better than it is
+                # a kernel that weighs its start would look better than it is
                 if self._completed(state).any() or hasattr(state, "log_weight"):
                     break
                 keys = self._keys(again)
@@ -331,7 +331,7 @@ class Sampler:
         self.keep()
 
     def _adapt(self, iteration: int, particles: Columns) -> None:
-        """Have the proposal of a kernel that adapts learn from a batch of draws."""
+        """Fit the proposal of a kernel that adapts to a batch of draws."""
         if self._adaptation is not None:
             records = [one for one in self._bridge.records if one.iteration == iteration]
             with on_cpu():
@@ -339,12 +339,12 @@ class Sampler:
             self._data = self._data._replace(proposal=self._adaptation.proposal)
 
     def _weighed(self) -> list[Columns]:
-        """Return the particles with the weights that they have in the end."""
+        """Return the particles with their final weights."""
         if self._adaptation is None:
             return self._particles
         with on_cpu():
             weights = self._adaptation.log_weights()
-        # they are relative to a likelihood without any error
+        # weights are relative to a likelihood without any error
         perfect = self._run.model.error_likelihood.log_prob(np.zeros(self._n_frames)).sum()
         evidence = log_sum_exp(weights) - math.log(weights.size) + float(perfect)
         given = {"log_evidence": np.full(self._run.chains, evidence)}
@@ -352,15 +352,15 @@ class Sampler:
         return [{**particles, **given, "log_weight": one} for particles, one in pairs]
 
     def _try_rivals(self, bar: Progress) -> None:
-        """Simulate the rivals of the leading goals that no simulation has tried.
+        """Simulate untried rivals of the leading goals, if the run weighs all simulations.
 
-        Of runs so short that all their simulations are weighed. The particles share the rivals, a
-        simulation each; should others lead then, theirs follow.
+        The particles share the rivals, one simulation each. If other goals lead afterwards, their
+        rivals follow.
         """
         chains = self._run.chains
         if self._length.budget is not None or self._rivals_from is not None:  # by an earlier call
             return
-        if self._run.info.weighted:  # whose draws are weighed, not the simulations
+        if self._run.info.weighted:  # draws are weighed, not simulations
             return
         tried: set[tuple[int, ...]] = set()
         for round_ in range(_ROUNDS):
@@ -370,7 +370,7 @@ class Sampler:
                 return
             self._rivals_from = self._bridge.iteration = self._done + 1
             found = untried_rivals(post.tree, post.leaders())
-            # what failed is not tried again
+            # failed ones are not tried again
             rivals = [pair for pair in map(tuple, found.tolist()) if pair not in tried]
             tried |= set(rivals)
             simulations = post.tree["simulations"].dataset
@@ -390,7 +390,7 @@ class Sampler:
     def _simulate_goals(
         self, goals: NDArray[np.int64], log_floor: NDArray[np.float32], *place: int
     ) -> None:
-        """Have each particle simulate effective goals (chain, agent)."""
+        """Simulate effective goals (chain, agent), one pair per particle."""
         run, space = self._run, space_of(self._run.event.scene.world)
         usual = np.full(goals.shape, np.mean(STRENGTH_RANGE))
         seed = (run.seed, self._done, *place)
@@ -421,9 +421,9 @@ class Sampler:
         ) | np.isin(chain, [record.chain for record in done])
 
     def _all_started(self, state: Any) -> Any:
-        """Return the initial state with particles whose simulation failed where the next one is.
+        """Return the initial state; failed particles start where the next completed one does.
 
-        Any start leaves the stationary law as it is.
+        The stationary law does not depend on the start.
         """
         records, completed = self._bridge.records, self._completed(state)
         if not records:
@@ -437,7 +437,7 @@ class Sampler:
         return started_again(state, completed)
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
-        stepped = is_stepped()  # which JAX knows by thread
+        stepped = is_stepped()  # a setting that JAX keeps by thread
 
         def worked() -> Result:
             with on_cpu(), jax.disable_jit() if stepped else contextlib.nullcontext():
@@ -459,13 +459,13 @@ class Sampler:
         return result
 
     def _simulations(self) -> int:
-        """Return the simulations until now: the most there can be, where those do not decide."""
+        """Return the simulations so far; without a budget of them, the most there can be."""
         if self._length.is_counted:
             return self._pace.simulations
         return self._length.at_most(self._done) + self._n_rivals
 
     def _expected(self) -> int:
-        """Return how many simulations there will be in the end, as far as one can tell."""
+        """Return the expected number of simulations at the end."""
         spent, limit = self._pace, self._length.limit
         if not self._length.is_counted:
             return self._length.at_most(spent.expected)
@@ -474,16 +474,16 @@ class Sampler:
         return max(math.ceil(total), spent.simulations)
 
     def keep(self, records: Sequence[Record] | None = None) -> None:
-        """Write the file, if there is to be one that is not up to date.
+        """Write the checkpoint, if there is one and it is not up to date.
 
-        With all ``records``, or those of what is complete.
+        It gets ``records``, by default those of complete iterations.
         """
         options, ends = self._options, self._length
         if options.checkpoint is None or self._written == self._done:
             return
         from phase_ppl.inference.checkpoint import write_checkpoint
 
-        if records is None:  # those of an iteration that was interrupted will be run again
+        if records is None:  # an interrupted iteration will be run again
             records = [one for one in self._bridge.records if one.iteration <= self._done]
         about = {
             "identity": self._run.identity(),
@@ -512,7 +512,7 @@ class Sampler:
         self._written = self._done
 
     def posterior(self, *, interrupted: bool) -> Posterior | None:
-        """Return that of what was done; None without initial particles."""
+        """Return the posterior of the finished work; None without initial particles."""
         run, kernel = self._run, self._run.info
         if self._done < 0:
             return None
@@ -533,7 +533,7 @@ class Sampler:
         records = self._bridge.records
         tree = build_tree(run.event, run.model, kernel, self._weighed(), records, attrs)
         if self._options.burn_in is not None:
-            # of an interrupted run at least the last draw counts
+            # at least the last draw of an interrupted run counts
             most = tree["posterior"].sizes["draw"] - 1
             tree.attrs["burn_in"] = min(self._options.burn_in, most)
         return Posterior(tree)
@@ -547,7 +547,7 @@ class Sampler:
         }
 
     def _cost(self, interrupted: bool) -> dict[str, Any]:
-        """Return what the run cost; seconds are of wall time unless they say otherwise."""
+        """Return the cost of the run; seconds are wall time unless named otherwise."""
         statistics, reading = self._runner.statistics, self._run.reading
         seconds = self._pace.seconds + self._kept_seconds
         wanted = statistics.frames + statistics.frames_saved
@@ -567,7 +567,7 @@ class Sampler:
 
 
 def started_again(state: Any, completed: NDArray[np.bool_]) -> Any:
-    """Return a state in which chains that have not ``completed`` start where the next one does."""
+    """Return a state in which failed chains start where the next completed chain does."""
     if completed.all():
         return state
     chain = np.arange(len(completed))
@@ -581,9 +581,9 @@ def started_again(state: Any, completed: NDArray[np.bool_]) -> Any:
 
 
 def _check_once(runner: Runner, simulator: Any, results: Sequence[SimulationResult]) -> None:
-    """Warn of a simulator that does not start where it is told to, or draws not from its seed."""
+    """Warn of a simulator that ignores the start of the scene or its seed."""
     first = next((result for result in results if result.completed), None)
-    with contextlib.suppress(TypeError):  # of one that cannot be told from others
+    with contextlib.suppress(TypeError):  # a simulator may not be hashable
         if simulator in _known_simulators:
             return
         _known_simulators.add(simulator)

@@ -1,4 +1,4 @@
-"""Settings of SIMPLE, what a run may cost, and presets: SIMPLE in one word."""
+"""Settings of SIMPLE, budgets, and presets."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ class SimpleSettings:
 
     Attributes:
         eta: weight of the errors in the choice of a window, 1 / units.
-        proposal: of goals: "learned", features of what the agents did, with weights learned in
-            PHASE; "paper", distances alone, to which ``gamma``, ``unit`` and ``sign`` apply; or
-            "closed_loop", what the closed loop makes of a window, for which it reads the video once
-            before the first simulation. None: "learned" in PHASE, "paper" in other worlds.
+        proposal: proposal of goals. "learned": features of what the agents did, with weights
+            learned in PHASE. "paper": distances alone, with ``gamma``, ``unit`` and ``sign``.
+            "closed_loop": the closed loop's reading of a window; it reads the video once before
+            the first simulation. None: "learned" in PHASE, "paper" in other worlds.
         gamma: weight of the distances in the paper's proposal of goals.
-        window: Delta T, steps; shorter where the observation is.
-        beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,
-            by default the paper's 0.05.
-        unit: by what distances are divided in the paper's proposal: "arena", its diagonal;
-            "printed": by nothing, so that all but the nearest goal are hardly ever proposed.
+        window: Delta T, steps; shorter if the observation is shorter.
+        beta: replaces the beta of the model's radial likelihood, 1 / units; None: keep the
+            model's, by default the paper's 0.05.
+        unit: divisor of distances in the paper's proposal. "arena": the arena's diagonal.
+            "printed": none, so that goals other than the nearest are hardly ever proposed.
         prior_share: weight of the prior in the proposal. 0, as printed, is for ``rule="paper"``
             only: what a window excludes, such as strengths beyond 150 to 600 N, is never tried.
-        sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
-        strength: what estimates the strengths of the proposal: a name of
+        sign: "intended": goals that are close are proposed; "printed": the paper's formula.
+        strength: estimator of the proposal's strengths: a name of
             :data:`~phase_ppl.inference.strength.ESTIMATORS`, or an estimator. None: the
-            network, which has learned in PHASE; in other worlds the analytic rule.
+            network, trained in PHASE; in other worlds the analytic rule.
 
     Raises:
         InvalidSettingError: a value is out of range.
@@ -80,17 +80,16 @@ class SimpleSettings:
         changed = [f"{k}={v!r}" for k, v in own.items() if v != getattr(SimpleSettings, k)]
         if changed and self.proposal != "paper":
             raise InvalidSettingError(
-                f"{', '.join(changed)}: settings of proposal='paper', which is to be given with "
-                "them"
+                f"{', '.join(changed)}: settings of proposal='paper'; give that with them"
             )
         if self.strength is not None:
             strength_estimator(self.strength)
 
     def settled(self, world: World) -> SimpleSettings:
-        """Return them with what is None decided for events of a world.
+        """Return the settings with each None replaced by its value for a world.
 
         Raises:
-            InvalidSettingError: what was learned in PHASE is asked for in another world.
+            InvalidSettingError: a part learned in PHASE is asked for in another world.
         """
         learned = {"proposal": "learned", "strength": DEFAULT_ESTIMATOR}
         usual = learned if world == PHASE else {"proposal": "paper", "strength": "analytic"}
@@ -109,7 +108,7 @@ BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.sec
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """What a run may cost, in "simulations", "frames" or "seconds"."""
+    """Limit on the cost of a run, in "simulations", "frames" or "seconds"."""
 
     amount: float
     unit: Literal["simulations", "frames", "seconds"]
@@ -121,10 +120,10 @@ class Budget:
 def simulations(n: int) -> Budget:
     """Return a budget of ``n`` simulations, the initial ones included.
 
-    Those count that were really run: a proposal without prior mass, or one whose simulation is
-    known, costs nothing; one that is stopped early counts as one. An iteration that has begun is
-    finished, so that a run makes up to one iteration's simulations of all particles more. What
-    fails and is run again (``on_failure="retry"``) comes on top.
+    Only simulations that were run count. A proposal without prior mass, or with a known simulation,
+    costs nothing. A simulation stopped early counts as one. An iteration that has begun is
+    finished, so a run may exceed the budget by one iteration of all particles. Retries of failed
+    simulations (``on_failure="retry"``) come on top.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.
@@ -135,9 +134,9 @@ def simulations(n: int) -> Budget:
 def frames(n: int) -> Budget:
     """Return a budget of ``n`` simulated frames, those of the initial particles included.
 
-    As :func:`simulations`, but a simulation that is stopped early counts for the frames that it
-    took, so that a kernel that stops simulations early gets more of them. How long such a run is
-    thus depends a little on what its chains meet.
+    As :func:`simulations`, but a simulation stopped early counts only its simulated frames. So a
+    kernel that stops simulations early gets more of them. The length of such a run depends a little
+    on the states of its chains.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.
@@ -146,12 +145,12 @@ def frames(n: int) -> Budget:
 
 
 def seconds(n: float) -> Budget:
-    """Return a budget of ``n`` seconds of wall time, from the call on.
+    """Return a budget of ``n`` seconds of wall time, from the start of the call.
 
-    The closed loop reads the video, where it proposes, and the initial particles are simulated in
-    any case, unless one takes longer than all the seconds.
-    No iteration begins of which those before let expect that it ends too late, so a run rarely
-    takes longer, and often somewhat less; one that goes on for a tenth longer is given up.
+    The initial particles are always simulated, unless one takes longer than the whole budget. If
+    the closed loop proposes, it reads the video first. An iteration begins only if, judging by the
+    earlier ones, it will end in time. So a run often takes less and rarely more; an iteration is
+    stopped at a tenth over the budget.
 
     Raises:
         InvalidSettingError: ``n`` is no positive number.
@@ -173,8 +172,8 @@ _OF_THE_PAPER: Final = {
 }
 
 PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
-    # Appendices 3 and 4 to the letter. Sign and ratio are held to be misprints: goals that are far
-    # are proposed, and the stationary law is not the posterior
+    # Appendices 3 and 4 to the letter. Sign and ratio seem to be misprints: far goals are proposed,
+    # and the stationary law is not the posterior
     "as_printed": {
         **_OF_THE_PAPER,
         "settings": SimpleSettings(
@@ -182,13 +181,13 @@ PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
         ),
         "rule": "paper",
     },
-    # the same with the sign that its text describes, and Hastings' exact ratio, which needs Q > 0
+    # with the sign that the paper's text describes, and Hastings' exact ratio, which needs Q > 0
     "as_intended": {
         **_OF_THE_PAPER,
         "settings": SimpleSettings(proposal="paper", unit="printed"),
         "rule": "exact",
     },
-    # SIMPLE as it is here: the exact rule, bottom-up proposals of its own, the fast planner
+    # this package's SIMPLE: exact rule, its own bottom-up proposals, fast planner
     "simple": {"kernel": KERNEL},
     # the same, but the closed loop reads the video first and proposes goals
     "guided": {"kernel": KERNEL, "settings": SimpleSettings(proposal="closed_loop")},
@@ -202,14 +201,14 @@ _OF_ITS_KERNEL: Final = ("kernel", "rule", "weights", "iterations", "chains")
 
 
 def preset(name: str) -> dict[str, Any]:
-    """Return arguments of :func:`phase_ppl.infer`, and of the model "simple", by one word.
+    """Return a preset: arguments of :func:`phase_ppl.infer` and of the model "simple".
 
     >>> ppl.infer(event, **ppl.preset("as_printed"))
     >>> ppl.evaluate(events, "simple", preset="as_intended")
 
     Args:
-        name: "simple", "guided", "as_printed" or "as_intended"; the page of deviations of the
-            documentation says what differs.
+        name: "simple", "guided", "as_printed" or "as_intended"; the documentation's page of
+            deviations lists the differences.
 
     Raises:
         UnknownNameError: there is no such preset.
@@ -220,10 +219,10 @@ def preset(name: str) -> dict[str, Any]:
 
 
 def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is given and not None, and of a preset the rest.
+    """Return the given arguments that are not None, completed from a preset.
 
-    Another kernel takes the place of the preset's with all that is of it, another length that of
-    its iterations; single settings of SIMPLE, such as ``beta=0.1``, change those of the preset.
+    A given kernel replaces the preset's kernel and its options. A given length replaces its
+    iterations. Single settings of SIMPLE, such as ``beta=0.1``, change those of the preset.
     """
     usual = preset(name)
     told = {argument: value for argument, value in given.items() if value is not None}

@@ -1,4 +1,4 @@
-"""How strong agents are, by what was seen: the paper's network, an analytic rule, or one's own."""
+"""Estimators of agents' strengths: the paper's network, an analytic rule, or a user's own."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, PINK_ITEM
 from phase_ppl.world.scene import Scene
 
-# --- what the network sees of a window: forces, speeds and grips, pooled over time ----------------
-# An agent that moves freely shows its strength as the force m a + friction along its heading; one
-# that carries an item shows it as the force that moves both. Second differences of jittered
-# positions are useless long before the motion itself is, so forces and speeds are also taken from
-# parabolas fitted to five and seven frames, and the amount of jitter, read off whatever rests, is a
-# feature too. Nothing depends on where the event takes place or which way it faces.
+# --- features of a window for the network: forces, speeds and grips, pooled over time -------------
+
+# A freely moving agent shows its strength as the force m a + friction along its heading. An agent
+# that carries an item shows it as the force that moves both. Jitter spoils second differences of
+# positions long before the motion itself. So forces and speeds are also taken from parabolas fitted
+# to five and seven frames. The amount of jitter, measured on resting bodies, is a feature too. All
+# features are invariant to place and direction.
 
 REACHES: Final = (1, 2, 3)  # frames to either side that a parabola is fitted to
 BINS: Final = np.linspace(100.0, 650.0, 12)  # centres of the histogram of forces, newtons; 50 apart
@@ -36,8 +37,8 @@ FORCE_UNIT: Final = 300.0
 SPEED_UNIT: Final = 10.0
 
 N_FEATURES: Final = 8 + len(REACHES) * (1 + 6 * 3) + 2 + len(BINS)
-"""Eight of the whole window; for each reach the noise and three statistics of six channels; the
-largest steady force; the histogram of steady forces."""
+"""Number of features: eight of the whole window; for each reach the noise and three statistics of
+six channels; the largest steady force; the histogram of steady forces."""
 
 _STILL: Final = 0.3  # below this the direction of the friction is uncertain, units per second
 _NEAR: Final = 0.3  # gap between two bodies' circles below which they may touch, units
@@ -55,11 +56,11 @@ class Jitter(NamedTuple):
 
 
 def observed_jitter(trajectory: FloatArray) -> Jitter:
-    """Return the jitter of a trajectory (time, entity, coord), read off what rests.
+    """Return the jitter of a trajectory (time, entity, coord), measured on resting bodies.
 
-    Mostly at least a quarter of all coordinates are those of something at rest, which makes their
-    lower quartile that of the jitter. Agents that push each other turn all the time, by a little;
-    hence the decile of the angles.
+    Usually at least a quarter of all coordinates belong to bodies at rest, so the lower quartile of
+    changes is the jitter's. Agents that push each other always turn a little; hence the decile of
+    the angles.
     """
     steps = np.abs(np.diff(trajectory, axis=0))
     positions, angles = steps[..., :2], steps[:, : len(AGENTS), 2]
@@ -69,13 +70,13 @@ def observed_jitter(trajectory: FloatArray) -> Jitter:
 
 
 class Motion(NamedTuple):
-    """Motion of all entities by parabolas of one reach; the first entry is of frame ``reach``."""
+    """Motion of all entities, from parabolas of one reach; the first entry is frame ``reach``."""
 
     reach: int  # frames to either side
     velocity: FloatArray  # (time - 2 reach, entity, 2) units and seconds
     acceleration: FloatArray
     friction: FloatArray  # (time - 2 reach, entity, 2) force that the floor friction takes, newtons
-    noise: float  # standard deviation of the acceleration's components by the jitter
+    noise: float  # standard deviation of the acceleration's components due to jitter
 
 
 def fitted_motion(positions: FloatArray, reach: int, jitter: float) -> Motion:
@@ -104,7 +105,7 @@ def fitted_motion(positions: FloatArray, reach: int, jitter: float) -> Motion:
 def window_features(
     trajectory: FloatArray, radius: FloatArray, windows: IntArray
 ) -> NDArray[np.float32]:
-    """Return (window, agent, feature); always finite.
+    """Return features (window, agent, feature); always finite.
 
     Trajectories are (time, entity, coord) x, y [units], angle [rad], of at least two frames;
     windows (window, 2) the first and last frame of each.
@@ -170,7 +171,7 @@ def _channels(
     grips: FloatArray,
     jitter: Jitter,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is pooled (time, channel), and forward forces with their steadiness (time, 2)."""
+    """Return channels (time, channel) to pool, and forward forces with steadiness (time, 2)."""
     n, reach = len(motion.velocity), motion.reach
     if n == 0:
         return np.empty((0, 6)), np.empty((0, 2))
@@ -184,7 +185,7 @@ def _channels(
     straight = _closeness(across, 10.0 + noise) * _closeness(
         np.ptp(angles, axis=0), 0.02 + 3.0 * jitter.angle
     )
-    # the same force in the next frame or the one before: driven all the time
+    # a steady force equals that of the next or the previous frame
     change = np.linalg.norm(np.diff(force, axis=0), axis=-1)
     same = _closeness(change, 3.0 + 2.0 * noise)
     steady = straight * np.maximum(np.append(same, 0.0), np.append(0.0, same))
@@ -219,7 +220,7 @@ def _pooled(channels: FloatArray) -> FloatArray:
 
 
 def _largest(driven: FloatArray) -> FloatArray:
-    """Return the largest force among the steady ones, 0 without any, and how often it was seen."""
+    """Return the largest steady force, 0 without any, and how often it was seen."""
     moves = (driven[:, 0] > FLOOR_FRICTION) & (driven[:, 1] > 0.5)
     force, weight = driven[moves].T
     if len(force) == 0:
@@ -266,24 +267,24 @@ MAX_OFF_HEADING: Final = 0.05
 MIN_SPEED: Final = 0.3  # below this the direction of the friction is uncertain, units per second
 
 VALIDATION_SD: Final = 40.0
-"""Root mean square error of the rule on the 50 development videos, newtons: 39 on whole videos
-(59 of 100 agents give one; 58 are right, one is two levels off), 35 on windows of 10 steps."""
+"""Root mean square error of the rule on the 50 development videos, newtons: 39 on whole videos,
+35 on windows of 10 steps. Whole videos give a level for 59 of 100 agents: 58 are right, one is two
+levels off."""
 
 
 def analytic_strengths(
     scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return the level that each window gives away by the analytic rule; none without free driving.
+    """Return strengths by the analytic rule; a window without free driving has no estimate.
 
-    A free agent that drives forward accelerates by (F - 100 N) / m against the floor friction, so
-    m a + 100 is its strength F, and in the original world that is one of four levels. Three frames
-    in a row that hit a level nearly exactly give the strength away; an agent that is slowed by
-    something only seems weaker, so the largest hit counts. Frames are means over five substeps:
-    second differences of such means are those of the motion itself as long as the acceleration is
-    constant over all three frames.
+    A free agent that drives forward accelerates by (F - 100 N) / m against the floor friction. So
+    m a + 100 is its strength F, one of four levels in the original world. Three frames in a row
+    that hit a level nearly exactly reveal the strength. An agent that is slowed down only seems
+    weaker, so the largest hit counts. Frames are means over five substeps. Their second differences
+    equal those of the motion if the acceleration is constant over the three frames.
 
-    Where agents stand still after each step, two frames in a row tell: driving from rest moves an
-    agent by (F - 100 N) / m times the sum over the substeps of the time that is left.
+    If agents stand still after each step, two frames in a row suffice. Driving from rest moves an
+    agent by (F - 100 N) / m times the sum over the substeps of the remaining time.
 
     Arguments as for :class:`~phase_ppl.inference.strength.Estimator`.
     """
@@ -296,11 +297,11 @@ def analytic_strengths(
 
 
 _FROM_REST: Final = SUBSTEP**2 * SUBSTEPS * (SUBSTEPS + 1) / 2
-"""Way in a step from rest per acceleration, s^2."""
+"""Distance covered in a step from rest, per acceleration, s^2."""
 
 
 def _driving_hits(trajectory: FloatArray, radius: FloatArray, resets: bool) -> FloatArray:
-    """Return (time - 2, agent) the level that frames k, k + 1, k + 2 give away; 0 where none.
+    """Return (time - 2, agent) the level that frames k, k + 1, k + 2 hit; 0: none.
 
     Radii are (agent,), units.
     """
@@ -332,13 +333,13 @@ def _driving_force(track: FloatArray, agent_mass: float) -> FloatArray:
 
 
 def _force_from_rest(track: FloatArray, agent_mass: float) -> FloatArray:
-    """As :func:`_driving_force`, for agents that stand still after each step."""
+    """Return the same as :func:`_driving_force` for agents that stand still after each step."""
     way = np.diff(track[:, :2], axis=0)
     length = np.linalg.norm(way, axis=-1, keepdims=True)
     moves = length > 0
     direction = np.where(moves, way / np.where(moves, length, 1.0), 0.0)
     force = direction * (FLOOR_FRICTION + agent_mass * length / _FROM_REST)
-    # a frame lies within its step: only evenly driven steps show what a step does
+    # a frame lies within its step: only evenly driven steps show the motion of a whole step
     even = np.linalg.norm(np.diff(way, axis=0), axis=-1, keepdims=True) < TOLERANCE * length[1:]
     return np.where(even, force[1:], 0.0)
 
@@ -355,10 +356,10 @@ SHAPES: Final[dict[str, tuple[int, ...]]] = {
     "weight_3": (HIDDEN, 2),
     "bias_3": (2,),
 }
-"""The arrays of a file of weights; features are centred and scaled first."""
+"""Name -> shape of the arrays in a file of weights; features are centred and scaled first."""
 
 SD_RANGE: Final = (5.0, 800.0)
-"""Bounds of the standard deviation, newtons. The upper one is as good as uniform."""
+"""Bounds of the standard deviation, newtons; the upper one is practically uniform."""
 
 FARTHEST: Final = 6.0
 """Scaled features are cut here, so that a scene unlike those of the training stays harmless."""
@@ -367,10 +368,10 @@ FARTHEST: Final = 6.0
 class StrengthNetwork:
     """The paper's network: two hidden layers of 64 units (Appendix 4B), an estimator.
 
-    It says how strong an agent seems by a window, and how sure that is: the mean and the standard
-    deviation of a normal distribution that is cut to the range of strengths, which is what SIMPLE
-    proposes from. Where a window shows nothing the standard deviation is large and the
-    distribution close to uniform. ``SimpleSettings(strength=...)`` takes one of one's own.
+    For each window it gives the mean and standard deviation of a normal distribution, truncated to
+    the range of strengths. SIMPLE proposes strengths from it. If a window shows nothing, the
+    standard deviation is large and the distribution close to uniform.
+    ``SimpleSettings(strength=...)`` takes a user's own network.
 
     Args:
         weights: arrays by name, see :data:`SHAPES`.
@@ -387,7 +388,7 @@ class StrengthNetwork:
             if array.shape != shape:
                 raise InvalidSettingError(f"{name} has shape {array.shape}, expected {shape}")
             if array.dtype.kind != "f" or not np.isfinite(array).all():
-                raise InvalidSettingError(f"{name} holds something else than finite numbers")
+                raise InvalidSettingError(f"{name} holds values that are not finite numbers")
         if not (weights["scale"] > 0).all():
             raise InvalidSettingError("scale holds a number that is not positive")
         self._weights = {name: weights[name].astype(np.float64) for name in SHAPES}
@@ -424,14 +425,14 @@ class StrengthNetwork:
     def __call__(
         self, scene: Scene, observation: Observation, windows: NDArray[np.int64]
     ) -> StrengthEstimates:
-        """Return what each window says; see :class:`Estimator`."""
+        """Return the estimates of each window; see :class:`Estimator`."""
         features = window_features(observation.trajectory, scene.radius, windows)
         return StrengthEstimates(*self.outputs(features))
 
 
 @functools.cache
 def shipped_network() -> StrengthNetwork:
-    """Return the package's own network; ``strength_weights.json`` says how it was made."""
+    """Return the package's own network; ``strength_weights.json`` records how it was trained."""
     file = resources.files(__package__) / "strength_weights.npz"
     with resources.as_file(file) as path:
         return StrengthNetwork.load(path)
@@ -440,9 +441,9 @@ def shipped_network() -> StrengthNetwork:
 def network_strengths(
     scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return what the network that comes with the package says; see :class:`Estimator`.
+    """Return the estimates of the package's own network; see :class:`Estimator`.
 
-    It knows agents that keep their velocities: of others it says what the analytic rule does.
+    It was trained on agents that keep their velocities; for others the analytic rule is used.
     """
     if scene.resets_velocity:
         return analytic_strengths(scene, observation, windows)
@@ -473,7 +474,7 @@ def strength_estimator(strength: str | Estimator) -> Estimator:
 def estimated_strengths(
     strength: str | Estimator, scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return what an estimator says of each window."""
+    """Return an estimator's strengths for each window, checked."""
     found = strength_estimator(strength)(scene, observation, windows)
     mean, sd = (np.asarray(part, float) for part in found)
     wanted = (len(windows), len(scene.world.agents))

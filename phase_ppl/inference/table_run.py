@@ -1,7 +1,7 @@
-"""Kernels on what the closed loop has read: each simulation is a look-up in its table.
+"""Kernels on a table of the closed loop: each simulation is a look-up.
 
-Ten thousand draws take seconds, and the exact posterior is known: it is the table's own. So kernels
-are compared without the noise of simulations.
+Ten thousand draws take seconds, and the table's exact posterior is known. So kernels are compared
+without the noise of simulations.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 ITERATIONS: Final = 1000
-"""Draws of each chain, where nothing else is asked for."""
+"""Default number of draws per chain."""
 
 _BLOCK: Final = 64  # iterations that are compiled as one
 _DRAW_BYTES, _FRAME_BYTES = 400, 28  # of memory that a draw takes, and each of its frames
-_MOST_BYTES: Final = 2 * 10**9  # that a run takes of which seconds decide how long it is
+_MOST_BYTES: Final = 2 * 10**9  # most memory of a run with a budget of seconds
 _OF_SIMULATIONS: Final = (
     *("executor", "on_failure", "retries", "simulation_seconds"),
     *("checkpoint", "weights"),
@@ -68,16 +68,16 @@ _OF_SIMULATIONS: Final = (
 
 
 def event_of(read: StepwisePosterior) -> Event:
-    """Return what was read, up to the frame that is counted."""
+    """Return the event that was read, up to the last frame that counts."""
     return Event(read.scene, Observation(read.observed()), id=read.event_id)
 
 
 def model_of(read: StepwisePosterior, model: Model | None) -> Model:
-    """Return the model whose prior counts: a given one, or that by which the video was read.
+    """Return the model whose prior counts: the given one, else the one that read the video.
 
     Raises:
-        InvalidSettingError: the prior was one's own, which a file cannot hold; or the model is to
-            simulate, or to read the video in another way.
+        InvalidSettingError: the prior is a user's own, which a file cannot hold; or the given model
+            simulates, or reads the video in another way.
     """
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
@@ -103,7 +103,7 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
     for name, value, is_known in parts:
         if value is not None and not is_known:
             raise InvalidSettingError(
-                f"{name}={shown(value)}: of what the closed loop has read a model can change the "
+                f"{name}={shown(value)}: on a result of the closed loop a model can change the "
                 "prior only, infer(post, Model(prior=...), kernel=...)"
             )
     likelihood = StepwiseLikelihood(weight=float(read.dataset.attrs["weight"]))
@@ -111,20 +111,20 @@ def model_of(read: StepwisePosterior, model: Model | None) -> Model:
 
 
 def check_looked_up(options: RunOptions) -> None:
-    """Raise InvalidSettingError if an option is for simulations, of which there are none."""
+    """Raise InvalidSettingError if an option is for simulations; a table needs none."""
     for name in _OF_SIMULATIONS:
         if (value := getattr(options, name)) != getattr(RunOptions, name):
             raise InvalidSettingError(
-                f"{name}={shown(value)} is for simulations: a kernel on what the closed loop has "
-                "read looks everything up"
+                f"{name}={shown(value)} is for simulations: a kernel on a result of the closed "
+                "loop looks everything up"
             )
 
 
 def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Posterior:
-    """Return the posterior of a run whose every simulation is looked up in what was read.
+    """Return the posterior of a run that looks up every simulation in the closed loop's table.
 
     Raises:
-        Interrupted: Ctrl-C, with what was drawn until then.
+        Interrupted: Ctrl-C; it carries the draws so far.
     """
     check_looked_up(options)
     found = ReadTable(read)
@@ -151,7 +151,7 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
         "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
         "interrupted": stopped,
     }
-    # what planned and was followed is as it was read; the prior may be another
+    # planner and tracking are those of the reading; the prior may differ
     record = run.record(done)
     as_read = {k: v for k, v in read.settings.get("model", {}).items() if "prior" not in k}
     record["model"] |= as_read
@@ -164,7 +164,7 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
     }
     tree = _table_tree(run.event, run.model, run.info, steps, found, attrs)
     if options.burn_in is not None:
-        # of a run that ended early at least the last draw counts
+        # at least the last draw of a run that ended early counts
         tree.attrs["burn_in"] = min(options.burn_in, tree["posterior"].sizes["draw"] - 1)
     post = Posterior(tree)
     if stopped:
@@ -173,14 +173,14 @@ def sample_table(read: StepwisePosterior, run: Run, options: RunOptions) -> Post
 
 
 def _iterations(length: Length, n_frames: int, n_bytes: int) -> int:
-    """Return how many iterations there will be at most; a budget buys look-ups.
+    """Return the most iterations of a run; a budget counts look-ups.
 
-    Each takes so many bytes of memory.
+    Each iteration takes ``n_bytes`` of memory.
     """
     most = min(length.limit("simulations"), length.limit("frames") / n_frames)
     if length.iterations is not None:
         n = length.iterations
-    elif most == math.inf:  # seconds decide, as far as there is room
+    elif most == math.inf:  # a budget of seconds; memory is the limit
         n = max(1, _MOST_BYTES // n_bytes)
     else:
         at_start = length.at_most(0)
@@ -192,9 +192,9 @@ def _iterations(length: Length, n_frames: int, n_bytes: int) -> int:
 def _drawn(
     run: Run, data: Data, n: int, seconds: float, options: RunOptions, found: ReadTable
 ) -> tuple[Columns, bool]:
-    """Return the particles (iteration + 1, chain, ...) of so many iterations, or of fewer.
+    """Return particles (iteration + 1, chain, ...), and whether Ctrl-C ended the run.
 
-    And whether Ctrl-C ended them.
+    There are ``n`` iterations, or as many as ``seconds`` allow.
     """
     start, advance = compiled_chains(run.recipe, _BLOCK)
     number = int(np.random.SeedSequence(run.seed).generate_state(1)[0])
@@ -205,7 +205,7 @@ def _drawn(
     sites = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
     possible = np.asarray(np.isfinite(found.errors(sites)).all(axis=-1))
     if not possible.any():
-        raise SimulationError("no initial hypothesis is possible given what was read")
+        raise SimulationError("no initial hypothesis is possible given the closed loop's table")
     state = started_again(state, possible)
     # as the first of blocks (iteration, chain, ...)
     told = [{name: one[None] for name, one in particles_of(state).items()}]
@@ -233,8 +233,8 @@ def _table_tree(
 ) -> xr.DataTree:
     """Return the tree of draws of a run whose simulations were looked up in a table.
 
-    ``steps`` are the particles (iteration, chain, ...). What the tree has as simulations are the
-    hypotheses at which its chains were, in order.
+    ``steps`` are the particles (iteration, chain, ...). The tree's simulations are the hypotheses
+    that its chains visited, in order.
     """
     space, n_iterations = space_of_prior(model.prior), len(steps["sim_seed"]) - 1
     iterations = kept_iterations(n_iterations, kernel)
@@ -288,11 +288,11 @@ def _table_tree(
 def _log_priors(
     model: Model, raw: Columns, goals: NDArray[np.int64], strengths: Columns
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (row,) log priors of hypotheses as they are, and of their effective goals."""
+    """Return (row,) log priors of hypotheses, and of hypotheses by effective goals."""
     log_prior = log_prior_of_hypotheses(model.prior, raw)
     if not strengths_apart(model.prior):
         return log_prior, log_prior_of_effective(model.prior, goals, strengths)
-    # of few pairs of goals, as strengths are a factor of their own
+    # computed per pair of goals, since strengths are a separate factor
     pairs, of_pair = np.unique(goals, axis=0, return_inverse=True)
     typical = {name: np.full(len(pairs), values[0]) for name, values in strengths.items()}
     by_pair = log_prior_of_effective(model.prior, pairs, typical)
@@ -301,9 +301,9 @@ def _log_priors(
 
 
 class ReadTable:
-    """What the closed loop has read, in nats below what explains each frame best.
+    """The closed loop's table, in nats below the best explanation of each frame.
 
-    By effective goals, and by strengths too where a simulator of one's own was asked.
+    It is by effective goals; for a user's own simulator also by strengths.
     """
 
     def __init__(self, read: StepwisePosterior) -> None:
@@ -319,10 +319,10 @@ class ReadTable:
         self._strengths = (strengths.max() - strengths).reshape((n,) * table.space.n_agents)
         self._space = table.space
         self._change: FloatArray | None = None
-        if not table.is_exact:  # a density of one's own is
+        if not table.is_exact:  # a user's own density is
             without = table.summed(table.n_frames - 1)[1:]
             without = weight * (self._by_goals(without, table) - best.sum())
-            with np.errstate(invalid="ignore"):  # of what is impossible with and without
+            with np.errstate(invalid="ignore"):  # -inf both with and without the set
                 self._change = np.nan_to_num(without + self._frames.sum(axis=0), neginf=-np.inf)
 
     def _by_goals(self, values: FloatArray, table: Table) -> FloatArray:
@@ -338,7 +338,7 @@ class ReadTable:
         return found.reshape(*found.shape[:-1], *levels)
 
     def lookup(self, n_frames: int) -> Lookup:
-        """Return it for compiled code, with room for so many frames; none beyond the last."""
+        """Return the table for compiled code, padded to ``n_frames`` frames."""
         beyond = [(0, n_frames - len(self._frames)), *[(0, 0)] * (self._frames.ndim - 1)]
         frames = np.pad(self._frames, beyond).astype(np.float32)
         return Lookup(
@@ -346,7 +346,7 @@ class ReadTable:
         )
 
     def errors(self, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
-        """Return (row, time) the errors, nats, of columns of particles."""
+        """Return (row, time) errors, nats, of particles given by columns."""
         space = self._space
         raw = {name: sites[f"{SITE}{name}"] for name in space.sites}
         strengths = np.stack([raw[name] for name in space.strength_sites], axis=1)
@@ -371,5 +371,5 @@ class ReadTable:
         return np.asarray(self._change[:, *place])
 
     def _place(self, goals: NDArray[Any], strengths: NDArray[Any], n: int) -> Any:
-        """Return where goals, or goals with strengths, are in a table of so many dimensions."""
+        """Return the index of goals, or of goals and strengths, in a table of ``n`` dimensions."""
         return [*goals.T, *np.searchsorted(self._edges, strengths).T][:n]

@@ -1,29 +1,28 @@
-"""What a window of the observation says about goals and strengths (paper, Appendix 4B).
+"""Bottom-up tables: evidence of each window about goals and strengths (paper, Appendix 4B).
 
-Computed once per event, in NumPy, in one of three forms.
+They are computed once per event, in NumPy, in one of three forms.
 
-"learned". Goals are scored by :func:`goal_features`, which also see what the agent itself did, and
+"learned". Goals are scored by :func:`goal_features`, which include the agent's own actions, and
 proposed together with alpha (:func:`joint_logits`). The weights of the features were learned from
 simulated events. Strengths are estimated from the whole observation.
 
-"paper", for any world. A goal is proposed for a window from t1 to t2 in proportion to
-exp(-gamma (2 d(t2) - d(t1)) / R), with R the diagonal of the arena, in PHASE 28.28: it is likely if
-it is nearly achieved at the end (d(t2) small) or has come closer (d(t1) - d(t2) large); who helps
-or hinders whom comes from the prior. The paper prints the opposite sign, which its text
-contradicts, and no R; ``sign="printed"`` and ``unit="printed"`` keep both.
+"paper", for any world. A window from t1 to t2 proposes a goal in proportion to
+exp(-gamma (2 d(t2) - d(t1)) / R), with R the diagonal of the arena, in PHASE 28.28. A goal is
+likely if it is nearly achieved at the end (d(t2) small) or came closer (d(t1) - d(t2) large). Who
+helps or hinders whom comes from the prior. The paper prints the opposite sign, which contradicts
+its text, and no R. ``sign="printed"`` and ``unit="printed"`` keep both.
 
-d is the distance of the goal's own entity: of the item for a goal about an item, of the named
-agent for a goal about an agent at a landmark, between the two for goals of touching. For a goal to
-be *away* it is the distance to the set of places that are away: max(0, R - distance). A smaller R
-leaves many goals at distance 0 that nobody works for.
+d is the distance of the goal's own entity. For a goal about an item it is the item's, and for an
+agent at a landmark the named agent's. For goals of touching it is the distance between the two. For
+a goal to be *away* it is the distance to the places that are away: max(0, R - distance). A smaller
+R would leave many goals at distance 0 that nobody works for.
 
-"closed_loop". The video is read once by the closed loop (:mod:`phase_ppl.closed_loop`), with one
-set of searches and the paper's uniform prior. A window proposes goals, and who helps or hinders
-whom, by what its own frames show: the prior times the likelihood of these frames, each given those
-before it. The initial hypotheses come from all frames. Of the goals of several agents together only
-their product is proposed, given who helps or hinders whom. Hastings' ratio corrects for it, so the
-posterior is still that of simulations; but what the closed loop takes to be improbable is seldom
-tried.
+"closed_loop". The closed loop (:mod:`phase_ppl.closed_loop`) reads the video once, with one set of
+searches and the paper's uniform prior. A window proposes goals, and who helps or hinders whom, by
+the prior times the likelihood of its frames, each given those before it. The initial hypotheses
+come from all frames. Given who helps or hinders whom, agents' goals are proposed independently.
+Hastings' ratio corrects for that, so the posterior is still that of simulations. But hypotheses
+that the closed loop finds improbable are seldom tried.
 """
 
 from __future__ import annotations
@@ -65,10 +64,10 @@ def window_count(n_frames: int, window: int) -> int:
 
 
 class BottomUpTables(NamedTuple):
-    """What each window says; the last entry is about the whole observation."""
+    """Proposals of each window; the last entry is for the whole observation."""
 
     # (window + 1, agent, goal) unnormalised log probabilities of stated goals; or (window + 1,
-    # way, agent, goal), given in which way agents stand to each other (in PHASE: alpha)
+    # way, agent, goal), given the way: who helps or hinders whom (in PHASE: alpha)
     goal_logits: FloatArray | jax.Array
     # (window + 1, agent) estimate, newtons; NaN where there is none
     strength: FloatArray | jax.Array
@@ -79,7 +78,7 @@ class BottomUpTables(NamedTuple):
 
 
 def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
-    """Return the tables with room for so many windows; what comes last is repeated."""
+    """Return the tables padded to ``n_windows`` windows; the last entry is repeated."""
 
     def longer(table: Any) -> Any:
         beyond = [(0, n_windows + 1 - len(table)), *[(0, 0)] * (np.ndim(table) - 1)]
@@ -98,9 +97,8 @@ def bottom_up_tables(
 ) -> BottomUpTables:
     """Return the tables of an event under some settings.
 
-    What these leave open is decided by ``SimpleSettings.settled``. ``progress`` says
-    whether to show a bar where it takes long, as the closed loop does, which searches in so many
-    ``threads``, by default one per usable core.
+    Open settings are decided by ``SimpleSettings.settled``. The closed loop takes long:
+    ``progress`` shows its bar. It searches in ``threads`` threads, by default one per usable core.
     """
     settings = settings.settled(scene.world)
     assert settings.strength is not None, "it is settled"
@@ -115,7 +113,7 @@ def bottom_up_tables(
             goal, alpha = closed_loop_logits(scene, observation, windows, progress, threads)
         else:
             goal, alpha = joint_logits(_scores(scene, observation, first, last))
-        # an agent is as strong in one window as in another: the whole observation says it best
+        # strength is the same in all windows: the whole observation estimates it best
         strength_of_all, sd_of_all = (np.broadcast_to(part[-1], part.shape) for part in estimates)
         return BottomUpTables(goal, strength_of_all, sd_of_all, alpha)
     distance = goal_distances(scene, observation)
@@ -129,8 +127,8 @@ def bottom_up_tables(
 def joint_logits(scores: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return unnormalised log probabilities of stated goals and alpha.
 
-    From scores (..., agent, goal) of effective goals: (..., alpha, agent, goal) of the stated goals
-    given alpha, and (..., alpha) beside the prior's.
+    From scores (..., agent, goal) of effective goals they are (..., alpha, agent, goal) for stated
+    goals given alpha, and (..., alpha), to be added to the prior's.
     """
     space = space_of(PHASE)
     goal = np.zeros((*scores.shape[:-2], *space.becomes.shape))
@@ -153,7 +151,7 @@ def _scores(scene: Scene, observation: Observation, first: IntArray, last: IntAr
 
 @functools.cache
 def goal_weights() -> dict[str, FloatArray]:
-    """Return the weights that come with the package, (kind, feature) each."""
+    """Return the package's own weights, (kind, feature) each."""
     file = importlib.resources.files(__package__) / WEIGHTS_FILE
     with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
         return {name: stored[name].astype(np.float64) for name in ("window", "whole")}
@@ -166,9 +164,9 @@ def _diagonal(scene: Scene) -> float:
 
 
 def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
-    """Return (time, agent, goal) how far each goal is from being achieved, units.
+    """Return (time, agent, goal) the distance of each goal from being achieved, units.
 
-    Of goals that an agent cannot have too, as it names itself: these are 0.
+    Goals that an agent cannot have, because they name itself, get 0.
     """
     position, world, farthest = observation.positions, scene.world, _diagonal(scene)
     distance = np.empty((len(position), len(world.agents), len(world.goals)))
@@ -186,9 +184,9 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
     return distance
 
 
-# --- what the closed loop makes of a video --------------------------------------------------------
+# --- the closed loop's proposals ------------------------------------------------------------------
 
-_LEAST: Final = 1e-12  # share of the mass with which whatever has less is proposed
+_LEAST: Final = 1e-12  # least share of the mass with which a goal is proposed
 _EVENTS_KEPT: Final = 8
 
 
@@ -199,11 +197,11 @@ def closed_loop_logits(
     progress: bool | None = None,
     threads: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what the frames of each window make probable, (window, [first, last]) frame numbers.
+    """Return unnormalised log probabilities of stated goals and ways, by the frames of each window.
 
-    Unnormalised log probabilities: (window, way, agent, goal) of stated goals given in which way
-    agents stand to each other, and (window, way) beside the prior's. ``progress`` and ``threads``
-    as of :func:`bottom_up_tables`.
+    ``windows`` are (window, [first, last]) frame numbers. The first array is (window, way, agent,
+    goal), for stated goals given the way: who helps or hinders whom. The second is (window, way),
+    to be added to the prior's. ``progress`` and ``threads`` as of :func:`bottom_up_tables`.
     """
     table = _read(scene, observation, progress, threads).table
     space, rows = table.space, table.hypotheses
@@ -225,7 +223,7 @@ def closed_loop_logits(
 def _goal_logits(
     space: HypothesisSpace, way: int, rows: GoalRows, masses: FloatArray
 ) -> FloatArray:
-    """Return (agent, goal) log masses of stated goals in one way; all alike of who has none."""
+    """Return (agent, goal) log masses of stated goals in one way; uniform without any mass."""
     found = np.zeros((space.n_agents, space.n_goals))
     chosen = rows.way == way
     for agent in np.unique(space.owner[way]):
@@ -240,7 +238,7 @@ def _sums(way: IntArray, masses: FloatArray, n: int) -> FloatArray:
 
 
 class Reading(NamedTuple):
-    """What it cost to read a video before the first simulation."""
+    """The cost of reading a video before the first simulation."""
 
     seconds: float = 0.0  # of wall time
     searches: int = 0
@@ -252,7 +250,7 @@ class _Read(NamedTuple):
 
 
 def reading_of(scene: Scene, observation: Observation) -> Reading:
-    """Return what the reading cost by which the closed loop proposes; nothing before it is done."""
+    """Return the cost of the closed loop's reading; zero before it is done."""
     found = _kept.get((scene, observation))
     return Reading() if found is None else found.cost
 
@@ -260,7 +258,7 @@ def reading_of(scene: Scene, observation: Observation) -> Reading:
 def _read(
     scene: Scene, observation: Observation, progress: bool | None, threads: int | None
 ) -> _Read:
-    # remembered for the same two objects, so that kernels that are compared share it
+    # cached for the same two objects, so that compared kernels share it
     from phase_ppl.analysis.stepwise_table import table_of
     from phase_ppl.inference.stepwise import filtered_frames
     from phase_ppl.models.model import Model
@@ -283,12 +281,12 @@ _kept: Final[dict[tuple[Scene, Observation], _Read]] = {}
 """The last few videos that were read."""
 
 
-# --- features of motion that speak for goals ------------------------------------------------------
+# --- features of motion that are evidence for goals -----------------------------------------------
+
 # A goal is about a subject (the agent itself, the other one, an item) and a place: a landmark, or
-# the other agent. Its features say where the subject is, whether it has come nearer, and what the
-# agent itself did: whether it went to the subject, touched it, moved towards the place. They are
-# computed from positions alone, so that they hold for any scene and are blind to which landmark or
-# item it is.
+# the other agent. Features describe the subject's position and approach to the place. They also
+# describe the agent's own actions: going to the subject, touching it, moving towards the place.
+# They use positions alone, so they hold for any scene, landmark and item.
 
 FEATURES: Final = (
     "constant",
@@ -308,10 +306,10 @@ FEATURES: Final = (
     "agent's path",
     "progress while touching the subject",
 )
-"""Of a goal in a stretch of time; lengths in units of 10, ways in units of 3."""
+"""Features of a goal in a stretch of time; lengths in units of 10, paths in units of 3."""
 
 KINDS: Final = ("item", "not item", "self", "not self", "other", "not other", "touch", "not touch")
-"""What a goal is about, and whether it is to be so or not; kinds have weights of their own."""
+"""Kinds of goals: subject and place, and to or away; each kind has its own weights."""
 
 TOUCHING: Final = 0.4
 """Gap below which two bodies count as touching, units; frames are means over a step."""
@@ -324,7 +322,7 @@ _LENGTH, _WAY = 10.0, 3.0
 
 
 class _Goals(NamedTuple):
-    """(agent, goal) what the goals are about."""
+    """Subject and place of the goals; all arrays are (agent, goal)."""
 
     kind: IntArray  # index into ``KINDS``
     subject: IntArray  # entity
@@ -354,7 +352,7 @@ GOALS_ABOUT: Final = _goals()
 def goal_features(
     scene: Scene, observation: Observation, first: IntArray, last: IntArray
 ) -> FloatArray:
-    """Return (stretch, agent, goal, feature), in the order of ``FEATURES``.
+    """Return features (stretch, agent, goal, feature), in the order of ``FEATURES``.
 
     A stretch goes from its first to its last frame.
     """
@@ -364,7 +362,7 @@ def goal_features(
 
 
 class _Tracks:
-    """What is read off all frames once, with sums over time up to each frame."""
+    """Quantities computed once for all frames, with sums over time up to each frame."""
 
     def __init__(self, scene: Scene, observation: Observation) -> None:
         position, places = observation.positions, scene.landmark_centres
@@ -389,7 +387,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _summed(values: FloatArray) -> FloatArray:
-    """Return (time + 1, ...) the sums of all values before each time."""
+    """Return (time + 1, ...) cumulative sums of the values before each time."""
     return np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
 
 

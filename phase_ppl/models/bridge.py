@@ -26,7 +26,7 @@ _Columns = dict[str, NDArray[Any]]
 
 
 class Request(NamedTuple):
-    """A simulation that is asked for, or an array (...) of them.
+    """A request for a simulation, or an array (...) of requests.
 
     Arguments as of :meth:`phase_ppl.models.program.EventProgram.simulate`.
     """
@@ -41,46 +41,43 @@ class Request(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Record:
-    """One simulation that was paid for."""
+    """One simulation that was run."""
 
     result: SimulationResult  # what came out
     sites: dict[str, NDArray[Any]]  # all latent sites of the prior, as the chain holds them
     log_prior: float  # their log density
     chain: int  # which particle asked for it
     iteration: int  # in which iteration; 0 for the initial particles
-    # log density of the proposal that it was drawn from, given all that was done before; NaN where
-    # the kernel does not say
+    # log density of the proposal that drew it, given the history of the run; NaN: unknown
     log_proposal: float = math.nan
-    # log of the largest acceptance ratio that it could have, less its log likelihood. It was
-    # simulated to the end with probability min(1, exp(log_bound + log likelihood)); inf: for
-    # certain
+    # log of its largest possible acceptance ratio, less its log likelihood. It was simulated to the
+    # end with probability min(1, exp(log_bound + log likelihood)); inf: with certainty
     log_bound: float = math.inf
-    # log of the sum of 1 / proposal density over the later requests that it answered; -inf without
-    # any
+    # log of the sum of 1 / proposal density over later requests that it answered; -inf: none
     log_again: float = -math.inf
-    n_again: int = 0  # how many these are
+    n_again: int = 0  # number of these later requests
 
 
 class SimulatorBridge:
-    """Answers the requests of kernels for simulations, and keeps a record of them.
+    """Answers kernels' requests for simulations, and keeps a record of them.
 
-    A request is a pure function of its arguments, since the seed is one of them; JAX may
-    therefore reorder it, and one that was answered by a completed simulation before is answered
-    by it again, at no cost. All particles of a vectorised step arrive in one call.
+    A request is a pure function of its arguments, since the seed is one of them. So JAX may reorder
+    requests, and a request with a completed simulation is answered again at no cost. All particles
+    of a vectorised step arrive in one call.
 
     Args:
         runner: simulates, as :class:`phase_ppl.simulator.runner.Runner` does.
         n_frames: of the observation.
-        space: what values of sites stand for; by default that of PHASE.
+        space: the meaning of sites' values; by default PHASE's.
         raises: whether an exception leaves at once, through JAX, instead of waiting.
 
     Attributes:
         handle: number by which compiled code that calls back knows this bridge.
         records: every simulation so far.
-        iteration: what new records are labelled with.
-        failure: the last exception that ended a call, if one did. It waits for whoever drives the
-            chain, who then raises it; until then all is answered with infinite errors. Raised at
-            once, it would be logged by JAX and replaced by an exception of another class.
+        iteration: label of new records.
+        failure: the last exception that ended a call, if any. The code that runs the chain raises
+            it; until then all requests get infinite errors. If it were raised at once, JAX would
+            log it and replace it by an exception of another class.
     """
 
     def __init__(
@@ -125,7 +122,7 @@ class SimulatorBridge:
         return np.pad(found, [(0, 0)] * len(batch) + [(0, beyond)])
 
     def remember(self, record: Record) -> None:
-        """Keep a simulation; the same request is answered by it from now on, if it completed."""
+        """Keep a simulation; if it completed, it answers the same request from now on."""
         if record.result.completed:
             self._completed[request_key(record.sites, record.result.seed)] = len(self.records)
         self.records.append(record)
@@ -152,7 +149,7 @@ class SimulatorBridge:
             else:
                 errors[row] = self.records[known].result.errors
                 self._ask_again(known, float(log_proposal[row]))
-        # of equal requests the one that bears the largest error is run, and answers all
+        # of equal requests the one with the highest ceiling is run, and answers all
         rows = [max(alike, key=lambda row: ceiling[row]) for alike in asked.values()]
         results = self._runner.run(
             [self._space.hypothesis({k: v[row] for k, v in flat.items()}) for row in rows],
@@ -161,11 +158,11 @@ class SimulatorBridge:
         )
         for alike, longest, result in zip(asked.values(), rows, results, strict=True):
             errors[alike] = result.errors
-            # the first that would have completed it answers those after it, as in batches of one
+            # the first that would have completed answers the later ones, as in batches of one
             ends = [r for r in alike if result.completed and result.total_error <= ceiling[r]]
             row = ends[0] if ends else longest
             if result.completed and not ends:
-                # its last frame took it beyond the ceiling: one frame more, and it had been stopped
+                # its last frame exceeded the ceiling: one frame earlier it would have been stopped
                 result = dataclasses.replace(result, completed=False)
             sites = {name: values[row] for name, values in flat.items()}
             place = len(self.records)
@@ -204,7 +201,7 @@ def _answered(handle: Any, request: Request, n_frames: int) -> NDArray[np.float3
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def called_back(n_frames: int, handle: jax.Array, request: Request) -> jax.Array:
-    """Return (..., time) what the bridge of a handle answers, from inside compiled code.
+    """Return (..., time) the errors from a handle's bridge, inside compiled code.
 
     All particles of a vectorised program are one call.
     """
@@ -215,7 +212,7 @@ def called_back(n_frames: int, handle: jax.Array, request: Request) -> jax.Array
 
 @called_back.defjvp
 def no_gradient(*_: Any) -> Any:
-    """Refuse to be differentiated."""
+    """Raise InvalidSettingError: a simulation has no gradient."""
     raise InvalidSettingError(
         "a simulation has no gradient, which this sampler asks for: take a kernel of "
         "phase_ppl.kernels, or one without gradients, such as NumPyro's SA or AIES"
@@ -223,5 +220,5 @@ def no_gradient(*_: Any) -> Any:
 
 
 def request_key(sites: Mapping[str, NDArray[Any]], seed: int) -> tuple[Any, ...]:
-    """Return what identifies a request: seed and sites, to the last bit."""
+    """Return the key of a request: seed and sites, to the last bit."""
     return seed, *(sites[name].tobytes() for name in sorted(sites))

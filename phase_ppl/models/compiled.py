@@ -1,7 +1,7 @@
-"""Compiled functions whose code outlives the process; but for time, ``jax.jit``.
+"""Compiled functions kept on disk; apart from speed they equal ``jax.jit``.
 
-To compile the pieces of a kernel takes ten seconds, to read them from the disk a tenth of one. What
-calls Python from within (``jax.pure_callback``) is compiled anew in every process.
+Compiling the pieces of a kernel takes ten seconds, reading them from disk a tenth of a second. Code
+that calls Python (``jax.pure_callback``) is compiled anew in every process.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from phase_ppl.world.files import write_bytes
 from phase_ppl.world.identity import code_changed_since, versions
 
 SUFFIX: Final = ".xla"
-MOST: Final = 400  # files; beyond that the one goes that was not used for longest
+MOST: Final = 400  # files; beyond, the least recently used one is deleted
 _IMPORTED: Final = time.time()
 _LEVEL: Final = 3  # of compression: as good as any for machine code, and fast
 _DIGEST: Final = hashlib.sha256().digest_size
@@ -41,8 +41,8 @@ _CALLS_PYTHON: Final = "python_cpu_callback"  # in the text of a program that do
 class Compiled:
     """A function compiled for the processor; with ``jax.disable_jit`` the function itself.
 
-    Its ``identity`` tells it from any other function of this package's code, so that it need not
-    even be traced where it has been before; without one, what it computes tells.
+    ``identity`` distinguishes it from all other functions of this package. A function known by it
+    need not be traced again. Without an identity its computation is the key.
     """
 
     def __init__(self, function: Callable[..., Any], identity: str | None = None) -> None:
@@ -51,7 +51,7 @@ class Compiled:
         self._made: dict[Any, Callable[..., Any]] = {}
 
     def shapes(self, *args: Any) -> Any:
-        """Return shapes and types of what a call returns."""
+        """Return shapes and types of a call's result."""
         return self._jitted.eval_shape(*args)
 
     def __call__(self, *args: Any) -> Any:
@@ -65,7 +65,7 @@ class Compiled:
             return self._made[kind](*args)
 
     def _remembered(self, kind: Any, args: tuple[Any, ...]) -> Callable[..., Any] | None:
-        """Return what an earlier process has made of an identity, if it is still there."""
+        """Return the program of this identity from an earlier process, if it is still kept."""
         name = self._identity and _name(f"{self._identity} {kind}")
         return read(name, args) if name else None
 
@@ -87,15 +87,15 @@ class Compiled:
 
 
 def folder() -> Path | None:
-    """Return where programs are kept; None: nowhere, or where JAX is told to keep them itself."""
+    """Return the folder of programs; None: not kept, or JAX is set to keep them itself."""
     config: Any = jax.config
     return None if config.jax_compilation_cache_dir else cache_folder()
 
 
 def _name(what: str) -> str | None:
-    """Return the name of a file for something, made by this code for this machine.
+    """Return the name of a file, specific to this code and machine.
 
-    None where code was changed since it was imported: what runs is not what the files say.
+    None if source files changed since they were imported: the running code differs from them.
     """
     if code_changed_since(_IMPORTED):
         return None
@@ -110,7 +110,7 @@ def _target() -> tuple[str, ...]:
 
 
 def read(name: str | None, args: tuple[Any, ...]) -> Callable[..., Any] | None:
-    """Return a program of such arguments from the disk; None: not there, or damaged."""
+    """Return a program for arguments of this kind from disk; None: missing or damaged."""
     if name is None or (place := folder()) is None:
         return None
     path = place / f"{name}{SUFFIX}"
@@ -131,17 +131,17 @@ def read(name: str | None, args: tuple[Any, ...]) -> Callable[..., Any] | None:
         return found
     except OSError:
         return None
-    except Exception as error:  # whatever a damaged file makes the reader stumble over
+    except Exception as error:  # a damaged file can make the reader raise anything
         warnings.warn(f"compiled anew, as {path} is damaged: {error!r}", RuntimeWarning, 2)
         return None
 
 
 def write(name: str, content: bytes) -> None:
-    """Keep something on the disk, and no more than :data:`MOST` files in all."""
+    """Write a file, and keep at most :data:`MOST` files in all."""
     if (place := folder()) is None:
         return
     packed = zlib.compress(content, _LEVEL)
-    # what cannot be written is compiled again by the next process
+    # if writing fails, the next process compiles again
     with contextlib.suppress(OutputError, OSError):
         place.mkdir(parents=True, exist_ok=True)
         path = place / f"{name}{SUFFIX}"

@@ -1,4 +1,4 @@
-"""Drawing from a NumPyro program and evaluating its density, inside compiled code."""
+"""Draws from a NumPyro program, and its density, inside compiled code."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ Result = TypeVar("Result")
 
 
 def remembered(most: int) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Return a decorator like ``functools.lru_cache``, for arguments of a user's own too.
+    """Return a decorator like ``functools.lru_cache`` that allows unhashable arguments.
 
-    A program or a model that cannot be hashed cannot be recognised: it is worked out anew.
+    For a program or model that cannot be hashed the result is computed anew.
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -64,7 +64,7 @@ os.register_at_fork(after_in_child=_note_fork)
 
 
 def _check_not_forked() -> None:
-    """Raise InvalidSettingError where JAX would hang, as its threads stayed behind."""
+    """Raise InvalidSettingError in a forked process: JAX would hang, since it lost its threads."""
     if _forked:
         raise InvalidSettingError(
             "this process was forked from one in which JAX was at work, and would hang: start "
@@ -75,10 +75,10 @@ def _check_not_forked() -> None:
 
 @contextlib.contextmanager
 def tracing() -> Iterator[None]:
-    """Keep other threads from tracing programs: NumPyro has one stack of handlers for all.
+    """Keep other threads from tracing programs: all threads share NumPyro's stack of handlers.
 
-    A context, and a decorator of functions that enter NumPyro's handlers or sample by its kernels
-    while others may infer. No simulation is run within.
+    A context, and a decorator for functions that use NumPyro's handlers or kernels while other
+    threads may infer. No simulation is run within.
 
     Raises:
         InvalidSettingError: the process was forked from one in which JAX was at work.
@@ -93,7 +93,7 @@ def tracing() -> Iterator[None]:
 
 @tracing()
 def traced(program: Program, key: jax.Array, given: Sites | None = None, *args: Any) -> Any:
-    """Return the trace of a run of ``program(*args)`` with a key, the values of sites if given."""
+    """Return the trace of ``program(*args)`` with a key, and with the given values of sites."""
     with_values = handlers.substitute(program, data=dict(given or {}))
     return handlers.trace(handlers.seed(with_values, key)).get_trace(*args)
 
@@ -120,10 +120,10 @@ def site_shapes(program: Program) -> dict[str, tuple[int, ...]]:
 
 
 class Site(NamedTuple):
-    """What a site that is a single number can be."""
+    """The possible values of a site that is a single number."""
 
     discrete: bool
-    values: tuple[float, ...] | None  # all of them; None: not a few that are always the same
+    values: tuple[float, ...] | None  # all of them; None: not a small fixed set
 
 
 @remembered(16)
@@ -148,8 +148,8 @@ def single_sites(program: Program) -> dict[str, Site]:
 
     jax.eval_shape(run, jax.random.key(0))
     if unknown:
-        # constants are numbers here, not placeholders, as what depends on other sites still is; but
-        # each operation is compiled
+        # under vmap constants are numbers, while values that depend on other sites are
+        # placeholders; but each operation is compiled
         jax.vmap(run)(jax.random.split(jax.random.key(0), 1))
     return found
 
@@ -164,8 +164,8 @@ def draw(program: Program, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
 def log_density(program: Program, sites: Sites, *args: Any) -> jax.Array:
     """Return the log density of ``program(*args)`` at ``sites``, -inf outside its support.
 
-    NumPyro's own ``log_density`` does not look at the support: there, a uniform distribution
-    has the same density everywhere.
+    NumPyro's own ``log_density`` does not check the support: its uniform distribution has the same
+    density everywhere.
     """
     trace = handlers.trace(handlers.substitute(program, data=dict(sites))).get_trace(*args)
     return trace_log_density(trace)
@@ -185,7 +185,7 @@ def trace_log_density(trace: Mapping[str, Any]) -> jax.Array:
     return total
 
 
-# --- compiling programs that run for milliseconds, where compiling well does not pay --------------
+# --- fast compilation, for programs that run for milliseconds -------------------------------------
 
 _WANTED: Final[dict[str, Any]] = {
     "xla_backend_optimization_level": 0,
@@ -201,7 +201,7 @@ def compiled_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @functools.cache
 def _known_options() -> dict[str, Any]:
-    """Return those options that the installed XLA knows; they come and go with its versions."""
+    """Return the options that the installed version of XLA knows."""
     known = {}
     for name, value in _WANTED.items():
         with contextlib.suppress(Exception):  # of a kind of XLA's own
@@ -211,17 +211,17 @@ def _known_options() -> dict[str, Any]:
 
 
 def is_stepped() -> bool:
-    """Whether nothing is to be compiled, as somebody steps through it (``jax.disable_jit``)."""
+    """Whether compilation is off (``jax.disable_jit``), as for stepping through in a debugger."""
     config: Any = jax.config
     return bool(config.jax_disable_jit)
 
 
 @contextlib.contextmanager
 def on_cpu() -> Iterator[None]:
-    """Let JAX work on the processor, by its and NumPy's defaults, whatever a program has set.
+    """Run JAX on the CPU with JAX's and NumPy's default settings, not the calling program's.
 
-    A context, and a decorator. The random numbers, and with them the results, are the same in all
-    programs; simulations in threads of their own have the settings of their program.
+    A context, and a decorator. Random numbers, and so results, are the same in all programs.
+    Simulations in threads of their own keep their program's settings.
     """
     _check_not_forked()
     with contextlib.ExitStack() as settings:

@@ -1,13 +1,13 @@
 """Likelihoods that compare a simulation with the video, among them the paper's (Eq. 2).
 
-The other kind, of which nothing is simulated, is the closed loop's (``stepwise.py``).
+The other kind, the closed loop's (``stepwise.py``), compares no whole simulation.
 
-The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density: per frame, the position of
-all entities (d numbers, 8 in PHASE) has the radial density exp(-beta ||s - s^||) / Z. Z does not
-depend on the hypothesis, so the posterior is the paper's; but data can be drawn from it.
+The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density. In each frame the positions of
+all entities (d numbers, 8 in PHASE) have the radial density exp(-beta ||s - s^||) / Z. Z does not
+depend on the hypothesis, so the posterior is the paper's. But data can be drawn from it.
 
-The mean distance under it is d / beta, 160 units at the paper's beta = 0.05, eight times the
-arena's width: it is a tempered likelihood, not a model of the observation noise.
+Its mean distance is d / beta, 160 units at the paper's beta = 0.05, eight times the arena's width.
+So it is a tempered likelihood, not a model of the observation noise.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ class TrajectoryLikelihood(Protocol):
 
 
 def is_stepwise(likelihood: object) -> TypeGuard[StepwiseLikelihood]:
-    """Whether it is the closed loop's, of which nothing is simulated."""
-    # where there is one, its module is loaded; another run need not load planner and physics
+    """Whether a likelihood is the closed loop's, which compares no whole simulation."""
+    # if there is one, its module is loaded; other runs need not load planner and physics
     module = sys.modules.get("phase_ppl.models.stepwise")
     return module is not None and isinstance(likelihood, module.StepwiseLikelihood)
 
 
 class InNats:
-    """The likelihood that goes with errors that are nats: exp(-error).
+    """The likelihood exp(-error), for errors in nats.
 
-    So a kernel sees a table over hypotheses: the error of a frame is by how much the best one
-    explains it better.
+    With it kernels sample a table over hypotheses. The error of a frame is the log likelihood of
+    the best hypothesis minus that hypothesis's own.
     """
 
     def log_prob(self, errors: _Array) -> _Array:
@@ -73,7 +73,7 @@ class RadialLikelihood:
 
     Attributes:
         beta: 1 / units; the paper's 0.05.
-        n_entities: of the world, which a run sees to; d is twice that.
+        n_entities: number of entities of the world, which a run sets; d is twice that.
 
     Raises:
         InvalidSettingError: ``beta`` is no positive number.
@@ -109,10 +109,10 @@ class RadialLikelihood:
     def replicate(
         self, positions: NDArray[np.floating[Any]], rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return what could have been observed around simulated positions.
+        """Return a random observation, given simulated positions.
 
-        In every frame all entities are off by a vector of ``n_coordinates`` numbers, of a
-        direction by chance and a Gamma(d, beta) length.
+        In every frame the positions of all entities are displaced by a vector of ``n_coordinates``
+        numbers, with random direction and Gamma(d, beta) length.
 
         Args:
             positions: (..., entity, 2) simulated x, y, units.

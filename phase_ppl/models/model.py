@@ -64,14 +64,14 @@ class Model:
         simulator: generator function ``(scene, hypothesis, rng)`` of frames, or an object with
             methods (:class:`phase_ppl.simulator.contract.Simulator`); None for the joint simulator
             of the paper (Algorithm 1).
-        likelihood: one that compares a simulation with the video
-            (:mod:`phase_ppl.models.likelihood`), or a :class:`phase_ppl.StepwiseLikelihood`. None:
-            the default of how the model is used, a ``StepwiseLikelihood`` where the video is read
-            by the closed loop, a :class:`phase_ppl.RadialLikelihood` where a kernel samples.
+        likelihood: a likelihood that compares a simulation with the video
+            (:mod:`phase_ppl.models.likelihood`), or a :class:`phase_ppl.StepwiseLikelihood`. None
+            depends on the use: a ``StepwiseLikelihood`` for the closed loop, a
+            :class:`phase_ppl.RadialLikelihood` for a kernel.
         planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
-        noise: "fresh", a new simulator seed per proposal, so that the posterior is that of the
-            mean likelihood over seeds; or "fixed", one seed per event and hypothesis: a
-            deterministic likelihood, hence another posterior.
+        noise: "fresh": a new simulator seed per proposal. The posterior is then under the mean
+            likelihood over seeds. "fixed": one seed per event and hypothesis. The likelihood is
+            then deterministic, and the posterior differs.
 
     Raises:
         InvalidSettingError: the prior cannot work (the message names the site and what is
@@ -87,7 +87,7 @@ class Model:
 
     if TYPE_CHECKING:
 
-        def __init__(  # names are taken for priors, and simulators that do not start a video
+        def __init__(  # for type checkers: accepts names of priors and simulators without a start
             self,
             prior: Program | str = ...,
             simulator: Any = ...,
@@ -124,15 +124,15 @@ class Model:
     def sites(self) -> dict[str, tuple[int, ...]]:
         """Latent sites of the prior with their shapes."""
         if is_of_any_world(self.prior):
-            return {}  # what it samples is known where the world is
+            return {}  # its sites depend on the world
         return dict(checked_sites(self.prior))
 
     def in_world(self, world: World) -> Model:
         """Return the model for events of a world: its prior bound to it, and its likelihood.
 
         Raises:
-            InvalidSettingError: the prior is of PHASE and the world another, or the reverse, or it
-                cannot work.
+            InvalidSettingError: the prior is for PHASE and the world is not, or the reverse; or the
+                prior cannot work.
         """
         prior: Any = bound(self.prior, world)
         likelihood = self.likelihood
@@ -143,10 +143,10 @@ class Model:
         return dataclasses.replace(self, prior=prior, likelihood=likelihood)
 
     def for_reading(self) -> Model:
-        """Return the model with the likelihood by which the closed loop reads a video.
+        """Return the model with a likelihood for the closed loop.
 
         Raises:
-            InvalidSettingError: it has one that compares whole simulations with the video.
+            InvalidSettingError: its likelihood compares whole simulations with the video.
         """
         if is_stepwise(self.likelihood):
             return self
@@ -160,14 +160,14 @@ class Model:
         return dataclasses.replace(self, likelihood=StepwiseLikelihood())
 
     def for_sampling(self) -> Model:
-        """Return the model with the likelihood by which a kernel samples."""
+        """Return the model with a likelihood for kernels."""
         if self.likelihood is not None:
             return self
         return dataclasses.replace(self, likelihood=RadialLikelihood())
 
     @property
     def error_likelihood(self) -> TrajectoryLikelihood:
-        """What kernels weigh per-frame errors by."""
+        """The likelihood of per-frame errors that kernels use."""
         likelihood: Any = self.for_sampling().likelihood
         return InNats() if is_stepwise(likelihood) else likelihood
 
@@ -186,11 +186,11 @@ class Model:
         return JointSimulator(self.planner_config())
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return what distinguishes this model, as plain data for a run's settings.
+        """Return the identity of this model, as plain data for a run's settings.
 
-        Names of prior and simulator with a hash of their source where it can be had, the
-        likelihood, the planner's values and the kind of noise; of a simulator with a method
-        ``settings()`` what that returns.
+        It has the names of prior and simulator with a hash of their source, if available; the
+        likelihood, the planner's values and the kind of noise; and the result of the simulator's
+        method ``settings()``, if it has one.
         """
         own = self.simulator is not None
         details = getattr(self.simulator, "settings", None)
@@ -242,13 +242,13 @@ RESERVED_SITES: Final = frozenset(
 )
 """Names that a prior's own sites cannot have."""
 
-_TRIES: Final = 32  # draws that are looked at
+_TRIES: Final = 32  # draws that are checked
 _REMEMBERED: Final = 64
 
 _NOT_POSITIVE: Final = -np.logspace(-3, 6, 91, dtype=np.float32)
 """Strengths that no support may hold."""
 
-_FAR: Final = 100  # how far from the allowed codes others are looked for
+_FAR: Final = 100  # distance from the allowed codes within which others are searched
 
 
 def for_table(prior: Any, world: World) -> Program:
@@ -279,7 +279,7 @@ def checked_sites(prior: Program, as_table: bool = False) -> dict[str, tuple[int
         masses_of(prior)
     try:
         trace = traced(prior, random.key(0))
-    except Exception as error:  # whatever a user's program does
+    except Exception as error:  # a user's program can raise anything
         raise refused(name, f"cannot be run: {in_one_line(error)}") from error
     space = space_of_prior(prior)
     _check_trace(name, trace, space)
@@ -289,7 +289,7 @@ def checked_sites(prior: Program, as_table: bool = False) -> dict[str, tuple[int
 
 
 def _check_trace(prior: str, trace: Mapping[str, Any], space: HypothesisSpace) -> None:
-    """Refuse a run of the program whose sites are not what they should be."""
+    """Refuse a prior if a trace has missing or wrong sites."""
     for name, site in trace.items():
         if site["type"] == "sample" and site["is_observed"]:
             raise refused(prior, f"conditions on {name!r} (obs= or factor); a prior only samples")
@@ -348,7 +348,7 @@ def _support_fits(distribution: dist.Distribution, limit: int | None) -> bool:
 
 
 def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]) -> None:
-    """Draw often, compiled and vectorised as in kernels, and look at values and densities."""
+    """Draw often, compiled and vectorised as in kernels, and check values and densities."""
 
     def log_prob(site: str, entry: Mapping[str, Any]) -> jax.Array:
         try:

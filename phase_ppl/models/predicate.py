@@ -1,13 +1,13 @@
 """Predicate inverse planning (paper, Appendix "Predicate Inverse Planning"): goals from symbols.
 
-A video becomes a symbolic trajectory, which predicates hold in each frame; a forward model says how
-probable that is for an agent with a goal; its inversion gives P(goals | trajectory). There is no
-physics in it.
+A video becomes a symbolic trajectory: the predicates that hold in each frame. A forward model gives
+its probability for an agent with a goal. Inverting it gives P(goals | trajectory). There is no
+physics.
 
-The predicates are those of the paper's table as SIMPLE's planner uses them: CLOSE(entity,
-landmark) is being in that landmark's room (in an arena without inner walls, its quarter), ATTACH
-is read off the tracks, TOUCH is being near enough to stop or to grab, ON to count as arrived. In
-another world CLOSE is being in a room, with a landmark or without.
+The predicates are those of the paper's table, as SIMPLE's planner uses them. CLOSE(entity,
+landmark): in that landmark's room (without inner walls, its quarter of the arena). ATTACH: inferred
+from the tracks. TOUCH: near enough to stop or to grab. ON: near enough to count as arrived. In
+other worlds CLOSE means being in a room, with or without a landmark.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.space import space_of
 
 FACTOR: Final = 3.0
-"""By how much wider ON, and TOUCH of items, are here than where SIMPLE's planner is done with them:
+"""Factor by which the thresholds of ON, and of TOUCH for items, exceed those of SIMPLE's planner:
 recorded agents stop a little short. Chosen on half of 50 real videos
 (``benchmarks/predicate.py``)."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PredicateSettings:
-    """When a predicate holds, in units, and how rational agents are taken to be.
+    """Thresholds of predicates, in units, and the rationality of agents.
 
-    Thresholds are SIMPLE's planner's by default, but for :data:`FACTOR`.
+    By default thresholds are those of SIMPLE's planner, up to :data:`FACTOR`.
 
     Raises:
         InvalidSettingError: a value outside its range.
@@ -71,18 +71,18 @@ class PredicateSettings:
     on_agent: float = FACTOR * NEAR_AGENT_ON
     on_item: float = FACTOR * NEAR_ITEM_ON  # ON(item, landmark): likewise
     touch_agent: float = NEAR_TOUCH  # TOUCH(agent, agent): from centre to centre
-    # TOUCH(agent, item): from a grab point of the agent to the item's rim. As for the planner, only
-    # those in the same room touch
+    # TOUCH(agent, item): from a grab point of the agent to the item's rim. As for the planner, they
+    # touch only in the same room
     touch_item: float = FACTOR * GRAB_REACH
-    # ATTACH(agent, item): how far the item may be from its place at a grab point; it is to stay
-    # there for three frames
+    # ATTACH(agent, item): largest distance of the item from its place at a grab point, for three
+    # frames
     attach: float = HELD_WITHIN
     lasting: int = 3  # frames for which a predicate must hold, or not hold, to count
-    rationality: float = 0.8  # inverse temperature, per unit of way; 0 is blind chance
-    operator_frames: float = 12.0  # frames that an operator takes in the mean, more than 1
-    # what waiting costs while something is left to do, units of way
+    rationality: float = 0.8  # inverse temperature, per unit of path length; 0 is pure chance
+    operator_frames: float = 12.0  # mean frames that an operator takes, more than 1
+    # cost of waiting while something is left to do, units of path length
     wait_cost: float = 2 * TOUCH_COST
-    lapse: float = 0.02  # probability of doing just anything, in (0, 1)
+    lapse: float = 0.02  # probability of a random operator, in (0, 1)
 
     def __post_init__(self) -> None:
         whole_number("lasting", self.lasting)
@@ -101,7 +101,7 @@ class PredicateSettings:
 class Moment(NamedTuple):
     """The predicates that hold at one moment."""
 
-    rooms: tuple[int, ...]  # CLOSE: the room each entity is in; in PHASE that of its landmark
+    rooms: tuple[int, ...]  # CLOSE: the room of each entity; in PHASE each has a landmark
     held: tuple[int, ...]  # ATTACH: item that each agent holds, or ``NOTHING``
     near: tuple[tuple[bool, ...], ...]  # TOUCH: per agent, whether it touches each entity
     on: tuple[int, ...]  # ON: the landmark of its room that each entity is on, or ``NOTHING``
@@ -127,7 +127,7 @@ def symbolic_trajectory(
 
 
 def _near(trajectory: FloatArray, scene: Scene, given: PredicateSettings) -> BoolArray:
-    """Return (time, agent, entity)."""
+    """Return (time, agent, entity): TOUCH."""
     n, place, angle = len(scene.world.agents), trajectory[..., :2], trajectory[:, :, 2]
     agents, items = place[:, :n], place[:, n:]
     near = np.zeros((*agents.shape[:2], place.shape[1]), bool)
@@ -143,7 +143,7 @@ def _near(trajectory: FloatArray, scene: Scene, given: PredicateSettings) -> Boo
 
 
 def _on(trajectory: FloatArray, scene: Scene, given: PredicateSettings) -> NDArray[np.int64]:
-    """Return (time, entity)."""
+    """Return (time, entity): ON, the landmark or ``NOTHING``."""
     place, centres = trajectory[..., :2], scene.landmark_centres
     apart = np.linalg.norm(place[:, :, None] - centres, axis=-1)
     limit = np.full(place.shape[1], given.on_item)
@@ -154,7 +154,7 @@ def _on(trajectory: FloatArray, scene: Scene, given: PredicateSettings) -> NDArr
 
 
 def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
-    """Return series (time, ...) in which shorter runs go on with what was before them."""
+    """Return series (time, ...) in which runs below ``frames`` keep the value before them."""
     result = values.reshape(len(values), -1).copy()
     for series in result.T:
         edges = np.flatnonzero(series[1:] != series[:-1]) + 1
@@ -164,10 +164,11 @@ def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
     return result.reshape(values.shape)
 
 
-# --- what agents can do, in symbols, and what is left to do for a goal ----------------------------
-# The operators are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.symbols`), of bodies
-# that can do everything: they pass every door, close none, and carry any item alone. Costs are its
-# too: lengths of ways from room to room, and constants for touching, gripping and placing.
+# --- symbolic operators, and the cost to reach a goal ---------------------------------------------
+
+# The operators are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.symbols`), without
+# limits of bodies: agents pass every door, close none, and carry any item alone. Costs are the
+# planner's too: path lengths between rooms, and constants for touching, gripping and placing.
 
 _TIE: Final = 1e-6
 
@@ -196,10 +197,10 @@ class Layout(NamedTuple):
 
 
 def operators(state: Moment, agent: int, layout: Layout) -> Iterator[tuple[Literal, float, Moment]]:
-    """Yield all that an agent can do: what it makes true, its cost, and the state after it.
+    """Yield an agent's operators: the literal made true, its cost, and the state after it.
 
-    Who carries an item goes and arrives with it, and so do others that hold it. Of what an agent
-    touches it loses touch as it goes on its own, or touches something else.
+    A carried item moves with its holder, and so do other agents that hold it. An agent that moves
+    alone, or touches something else, loses touch with what it touched.
     """
     rooms, held, near, on = state
     item = held[agent]
@@ -242,7 +243,7 @@ def _put(values: tuple, value: object, *places: int) -> tuple:  # type: ignore[t
 
 
 class CostToGo:
-    """Cost of the cheapest plan of one agent to what its goal means in symbols.
+    """Cost of an agent's cheapest plan to fulfil the symbolic meaning of its goal.
 
     =====================  =================================================================
     goal                   done when
@@ -253,8 +254,8 @@ class CostToGo:
     not ON(self, l)        it is in the room farthest from the landmark
     not TOUCH(self, other) it is in the room farthest from the other's
     not ON(item, l)        it holds the item in the room farthest from the landmark
-    not ON(other, l)       it touches the other: without physics there is no other way to
-                           hinder anyone
+    not ON(other, l)       it touches the other: without physics agents can only hinder
+                           by touching
     TOUCH(other, item)     the item is in the other's room
     TOUCH(other, third)    always: they go by themselves
     not TOUCH(self, item)  it is in the room farthest from the item's
@@ -262,15 +263,15 @@ class CostToGo:
     not TOUCH(other, ...)  of a third agent: it touches the other
     =====================  =================================================================
 
-    Farthest of the rooms in reach; none is farther than one without a way. Of several landmarks in
-    a room only that of the goal is one to be on.
+    The farthest room is the farthest reachable one; an unreachable room counts as farthest of all.
+    If a room has several landmarks, only the goal's own counts for ON.
 
-    Bodies that can do everything pass all doors, so that a plan is a way or two between rooms, with
-    letting go of what is in the way, touching, gripping and placing.
+    Agents pass all doors. So a plan is one or two paths between rooms, with letting go, touching,
+    gripping and placing.
 
     Args:
         layout: of the scene.
-        agent: who plans, its number.
+        agent: number of the planning agent.
         goal: literal of its effective goal.
     """
 
@@ -294,7 +295,7 @@ class CostToGo:
         # that is the entity that the agent has to be at for the goal
 
     def __call__(self, state: Moment) -> float:
-        """Return the cost, units of way; inf where there is no plan."""
+        """Return the cost, units of path length; inf: there is no plan."""
         agent, (predicate, subject, target, positive) = self.agent, self.goal
         way, start, touch = self.layout.way, state.rooms[agent], predicate is Predicate.TOUCH
         held, touched = state.held[agent], state.near[agent]
@@ -313,7 +314,7 @@ class CostToGo:
             if not positive:
                 return self._to_farthest(room, start, free)
             return 0.0 if state.on[agent] == target else free + way[start][room] + PLACE_COST
-        # an item is moved by who holds it
+        # an item is moved by its holder
         lies = state.rooms[self._item]
         if held == self._item:
             grip = 0.0
@@ -332,10 +333,10 @@ class CostToGo:
         return self.layout.way[state.rooms[self.agent]][state.rooms[self._focus]] + TOUCH_COST
 
     def _to_farthest(self, room: int, start: int, before: float) -> float:
-        """Return what it costs to get from ``start`` to the rooms farthest from ``room``.
+        """Return the cost of going from ``start`` to the reachable room farthest from ``room``.
 
-        Of those in reach; none is farther than one without a way to it. Who is there already need
-        not pay what comes ``before``.
+        A room without a path to ``room`` counts as farthest. An agent that is there already does
+        not pay the cost ``before``.
         """
         distance = self.layout.distance
         there = [r for r in range(len(distance)) if math.isfinite(distance[start][r])]
@@ -344,24 +345,26 @@ class CostToGo:
         return before + left if left > 0 else 0.0
 
 
-# --- the forward model: how probable a symbolic trajectory is if an agent has a goal --------------
-# In each frame an agent completes an operator with the probability h = 1 / ``operator_frames``,
-# else nothing happens. Which one it is is boundedly rational: with the cost to go C after it,
+# --- the forward model: probability of a symbolic trajectory given a goal -------------------------
+
+# In each frame an agent completes an operator with probability h = 1 / ``operator_frames``, else
+# nothing happens. The choice of operator is boundedly rational. With cost to go C after it,
 #
 # P(o | state, g) = (1 - lapse) exp(-rationality Q(o)) / Z + lapse / n, Q(o) = cost(o) + C(o, g),
 #
-# over the n operators that the planner knows in that state, waiting among them. Waiting costs
-# ``wait_cost`` as long as there is something left to do and nothing otherwise, and cannot be told
-# from completing nothing. What comes true without an operator of the agent that explains it has
-# only the lapse. Facts that are no agent's doing (a pushed item, where a holder is) are given.
+# over the n operators of the planner in that state, including waiting. Waiting costs ``wait_cost``
+# while something is left to do, otherwise nothing. It cannot be told from completing nothing. A
+# change that no operator of the agent explains has only the lapse. Facts that no agent causes (a
+# pushed item, a holder's place) are given.
 
 
 def own_changes(before: Moment, after: Moment, agent: int) -> Iterator[tuple[Moment, Literal]]:
-    """Yield what an agent did between two frames, each with the state in which it did it.
+    """Yield an agent's operators between two frames, each after the state in which it acted.
 
-    Letting go, going to a room, touching, gripping, arriving, in this order. To grip is to touch;
-    an agent that holds an item goes and arrives with it, and so do two that hold the same. That a
-    predicate ceases to hold is no doing of its own, but for letting go: it comes with going on.
+    The order is letting go, going to a room, touching, gripping, arriving. Gripping implies
+    touching. An agent that holds an item goes and arrives with it, and so do two that hold the same
+    item. A predicate that ceases to hold, other than by letting go, is no operator of its own: it
+    comes with going on.
     """
     had, has = before.held[agent], after.held[agent]
     state = before
@@ -394,13 +397,13 @@ def _touching(state: Moment, agent: int, entity: int) -> Moment:
 
 
 class ForwardModel:
-    """Probabilities of symbolic trajectories in one scene, of which only the layout counts."""
+    """Probabilities of symbolic trajectories in one scene; only its layout matters."""
 
     def __init__(self, scene: Scene, settings: PredicateSettings | None = None) -> None:
         self.settings = settings or PredicateSettings()
         for own in scene.world.predicates:
             raise InvalidSettingError(
-                f"predicate inverse planning knows no predicates of one's own, such as {own.name!r}"
+                f"predicate inverse planning knows no user-defined predicates, such as {own.name!r}"
             )
         layout, self._world = Layout.of(scene), scene.world
         self._cost_to_go = {
@@ -408,7 +411,7 @@ class ForwardModel:
             for agent in range(len(self._world.agents))
             for goal in possible_goals(agent, self._world)
         }
-        # goals differ in landmarks alone, so that most share what can be done
+        # goals differ mostly in landmarks: they share operators
         self._operators = functools.cache(
             lambda state, agent, landmarks: list(
                 operators(state, agent, layout._replace(landmark_in=landmarks))
@@ -426,7 +429,7 @@ class ForwardModel:
         costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
         for literal, cost, after in self._operators(state, agent, landmarks):
             costs[literal] = cost + left_after(after)
-        # where there is no way to the goal, nothing is better than anything else
+        # without a plan to the goal all operators are equally good
         least = min(costs.values())
         weights = {  # costs may be infinite
             literal: 1.0
@@ -443,8 +446,8 @@ class ForwardModel:
     def log_likelihood(self, trajectory: Sequence[Moment]) -> FloatArray:
         """Return (agent, goal) log P(trajectory | goal), 0 for goals that name their holder.
 
-        Given what is seen of both before, each agent's doings depend on its own goal only: the
-        log probability given a pair of goals is the sum of the two.
+        Given the past of both, each agent's operators depend on its own goal only. So the log
+        probability given a pair of goals is the sum of the two.
         """
         found = np.zeros((len(self._world.agents), len(self._world.goals)))
         for agent, goal in self._cost_to_go:
@@ -468,27 +471,28 @@ class ForwardModel:
 
 
 # --- the inversion of the forward model -----------------------------------------------------------
+
 # P(g_red, g_green | tau) ~ P(tau | g_red) P(tau | g_green) P(g_red, g_green) (paper, Appendix
 # "Predicate Inverse Planning"), over all pairs of effective goals. The paper says "a prior over
-# goals, often uniform". Under SIMPLE's prior each agent's effective goal is uniform over the 34
-# that it can have, but the two go together more often than by chance: 2 of 3 times one agent
-# helps or hinders the other. That is the default here, so that the two models differ in physics
-# and nothing else; the other choice, :data:`INDEPENDENT`, has all pairs alike.
+# goals, often uniform". Under SIMPLE's prior each agent's effective goal is uniform over its 34
+# possible goals, but the two are correlated: 2 of 3 times one agent helps or hinders the other.
+# That is the default, so the two models differ in physics only. The alternative,
+# :data:`INDEPENDENT`, is uniform over pairs.
 
 INDEPENDENT: Final = "independent"
-"""Name of the prior under which all pairs of effective goals are alike."""
+"""Name of the uniform prior over pairs of effective goals."""
 
 AS_THE_PAPER: Final[Mapping[str, Any]] = {
     "prior": INDEPENDENT,
     **{"on_agent": NEAR_AGENT_ON, "on_item": NEAR_ITEM_ON, "touch_item": GRAB_REACH},
 }
-"""The paper's P(g), and the predicates as SIMPLE's planner has them."""
+"""The paper's P(g), and SIMPLE's planner's thresholds of predicates."""
 
 
 def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> dict[str, FloatArray]:
     """Return the probabilities of goals and relation, by question.
 
-    What (agent, goal) log P(trajectory | goal) and the log prior of pairs say.
+    ``log_likelihood`` is (agent, goal) log P(trajectory | goal); ``log_prior`` is over pairs.
     """
     log_joint = log_likelihood[0][:, None] + log_likelihood[1] + log_prior
     joint = np.exp(log_joint - log_joint.max())
@@ -499,9 +503,9 @@ def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> dict[str, Fl
 
 @functools.cache
 def log_prior_of_pairs(name: str) -> FloatArray:
-    """Return the log prior of pairs of effective goals (goal of red, goal of green), sum 1.
+    """Return the normalised log prior (goal of red, goal of green) of pairs of effective goals.
 
-    By name: :data:`INDEPENDENT`, or a prior of SIMPLE (:mod:`phase_ppl.models.priors`).
+    ``name`` is :data:`INDEPENDENT`, or a prior of SIMPLE (:mod:`phase_ppl.models.priors`).
     """
     if name == INDEPENDENT:
         red, green = ~space_of(PHASE).impossible

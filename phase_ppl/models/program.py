@@ -30,11 +30,11 @@ _NEVER: Final = {
     "enumerate": "never: a simulation has no gradient, and no seeds to sum over. Take a kernel of "
     "phase_ppl.kernels, or SA or AIES on program.uniform"
 }
-"""What NumPyro's HMC, NUTS, SA and AIES say of the site when they refuse it."""
+"""Message of NumPyro's HMC, NUTS, SA and AIES when they refuse the site."""
 
 
 class SimulatorSeed(dist.DiscreteUniform):
-    """Any seed of the simulator, as likely as any other; too many to be enumerated."""
+    """Uniform distribution of the simulator's seed; too many values to enumerate."""
 
     has_enumerate_support = False
 
@@ -43,10 +43,10 @@ class SimulatorSeed(dist.DiscreteUniform):
 
 
 class Lookup(NamedTuple):
-    """What the closed loop has read of a video, as errors that take the place of a simulation's.
+    """The closed loop's table of a video, as errors in place of a simulation's.
 
-    A frame's error is by how many nats, times the likelihood's weight, the best pair of goals
-    explains it better. A strength counts as the nearest level that was followed.
+    A frame's error is the log likelihood of the best pair of goals minus the pair's own, in nats,
+    times the likelihood's weight. A strength is rounded to the nearest level in the table.
     """
 
     # (time, goal of the first agent, of the second, ...) nats, or by levels of strength too; inf:
@@ -64,25 +64,25 @@ class Lookup(NamedTuple):
 
 
 class EventProgram:
-    """The model of one event, bound to whatever runs its simulations.
+    """The model of one event, bound to the bridge that runs its simulations.
 
-    Called, it is the paper's model as a NumPyro program, to be traced, seeded, conditioned and
-    sampled as any other; :meth:`uniform` is the same law without discrete sites. Kernels that must
-    know the prior density before a simulation is paid for use its parts.
+    Calling it runs the paper's model as a NumPyro program, which can be traced, seeded, conditioned
+    and sampled. :meth:`uniform` is the same law without discrete sites. Kernels that need the prior
+    density before they simulate use its parts.
 
-    The simulator is noisy, and its seed w is a latent site, ``sim_seed``: the target is
-    P(h) p(w) L(e(h, w)), and the same point always has the same likelihood. Of a chain on it the
-    hypotheses h are those of the posterior under the mean likelihood over seeds (pseudo-marginal),
-    whatever exact kernel moves both. With ``noise="fixed"`` the seed follows from the hypothesis.
+    The simulator is noisy, and its seed w is a latent site, ``sim_seed``. The target is
+    P(h) p(w) L(e(h, w)), and the same point always has the same likelihood. Under any exact kernel
+    the hypotheses h of a chain follow the posterior under the mean likelihood over seeds
+    (pseudo-marginal). With ``noise="fixed"`` the seed follows from the hypothesis.
 
     Args:
         model: prior, likelihood, noise.
         bridge: handle of the :class:`~phase_ppl.models.bridge.SimulatorBridge` that simulates.
         n_frames: length of the arrays (time,).
-        salt: stands for the event where ``noise="fixed"``; see :func:`event_salt`.
-        observed: length T of the observation, perhaps known only inside compiled code, where the
-            arrays are longer; errors and log likelihoods of frames beyond it are 0.
-        table: what the closed loop has read, which is looked up in place of a simulation.
+        salt: number of the event for ``noise="fixed"``; see :func:`event_salt`.
+        observed: length T of the observation if arrays are longer, perhaps known only inside
+            compiled code; errors and log likelihoods of frames beyond it are 0.
+        table: the closed loop's table, looked up in place of simulating.
     """
 
     def __init__(
@@ -117,10 +117,10 @@ class EventProgram:
         numpyro.factor("trajectory", self.log_likelihood(errors).sum())
 
     def uniform(self) -> None:
-        """The same law as a NumPyro program of one site, ``uniform``, (dimension,) numbers.
+        """The same law as a NumPyro program with one site: ``uniform``, (dimension,) numbers.
 
-        For samplers that know no discrete sites: NumPyro's SA, AIES, ESS. The hypothesis and the
-        seed are deterministic sites, functions of the numbers (:mod:`phase_ppl.models.uniform`).
+        For samplers without discrete sites: NumPyro's SA, AIES, ESS. Hypothesis and seed are
+        deterministic sites, functions of the numbers (:mod:`phase_ppl.models.uniform`).
 
         Raises:
             InvalidSettingError: a site of the prior has no inverse distribution function.
@@ -152,15 +152,15 @@ class EventProgram:
         return self._within(self.likelihood.log_prob(step_error))
 
     def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
-        """Return the log density of the observation less that of no error at all.
+        """Return the log density of the observation, relative to a simulation without error.
 
-        Frame by frame, so that the large constant of the likelihood cancels without rounding.
+        It is computed frame by frame: the likelihood's large constant cancels without rounding.
         """
         none = self.likelihood.log_prob(jnp.zeros_like(step_error))
         return self._within(self.likelihood.log_prob(step_error) - none).sum()
 
     def _within(self, by_frame: jax.Array) -> jax.Array:
-        """Return what there is by frame (time,), 0 beyond the observation."""
+        """Return values by frame (time,), set to 0 beyond the observation."""
         if not self.is_padded:
             return by_frame
         return jnp.where(jnp.arange(self.n_frames) < self.observed, by_frame, 0.0)
@@ -176,10 +176,10 @@ class EventProgram:
     ) -> jax.Array:
         """Return (time,) the errors of a simulation, units; float32; inside compiled code.
 
-        The bridge is named by a number, so that one compiled program serves many events. Errors are
-        inf from where the simulation was stopped, once their sum exceeds the ceiling; all inf for a
-        failed simulation and for hypotheses without prior mass, which are not simulated; 0 beyond
-        the observation. ``log_proposal`` and ``log_bound`` are kept with the simulation, see
+        The bridge is given as a number, so one compiled program serves many events. A simulation is
+        stopped once its summed error exceeds the ceiling; errors are inf from there. They are all
+        inf for failed simulations and for hypotheses without prior mass, which are not simulated.
+        They are 0 beyond the observation. ``log_proposal`` and ``log_bound`` are recorded, see
         :class:`~phase_ppl.models.bridge.Record`.
         """
         if self.table is not None:
@@ -201,10 +201,10 @@ class EventProgram:
         return one(request)
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
-        """Return the seed, int32, with which a proposed hypothesis is simulated.
+        """Return the simulator's seed, int32, for a proposed hypothesis.
 
-        Drawn with ``key``; or, with fixed noise, a function of the event and of what the
-        simulator is told: effective goals and strengths.
+        It is drawn with ``key``. With fixed noise it is a function of the event, effective goals
+        and strengths.
         """
         if self.model.noise == "fixed":
             return self._fixed_seed(sites)
@@ -218,7 +218,7 @@ class EventProgram:
         return random.randint(key, (), 0, MAX_SEED, jnp.int32)
 
     def seed_at(self, uniform: jax.Array, sites: Sites) -> jax.Array:
-        """Return the seed for a number in [0, 1); with fixed noise it does not count."""
+        """Return the seed for a number in [0, 1), which fixed noise ignores."""
         number = jnp.floor(uniform * 2**SEED_BITS).astype(jnp.uint32)
         return self.simulator_seed(random.fold_in(random.key(0), number), sites)
 
@@ -227,7 +227,7 @@ class EventProgram:
         return effective_goals(self.space, sites)
 
     def _effective(self, sites: Sites) -> jax.Array:
-        """Return a number, uint32, that stands for the effective goals of all agents."""
+        """Return a number, uint32, that encodes the effective goals of all agents."""
         space, goals = self.space, self.effective_goals(sites).astype(jnp.uint32)
         # the last agent's goal counts least
         agents = np.arange(space.n_agents)
@@ -244,7 +244,7 @@ def effective_goals(space: HypothesisSpace, sites: Sites) -> jax.Array:
 
 
 def event_salt(scene: Scene, observation: Observation) -> int:
-    """Return a number below 2**31 that stands for an event's start, sizes, walls and trajectory."""
+    """Return a hash, below 2**31, of an event's start, sizes, walls and trajectory."""
     digest = hashlib.sha256(physics_rules(scene))
     for array in (scene.start, scene.radius, scene.walls, observation.trajectory):
         digest.update(np.ascontiguousarray(array, np.float64).tobytes())

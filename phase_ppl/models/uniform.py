@@ -1,8 +1,8 @@
 """A model as a function of uniform numbers, for samplers that know no discrete sites.
 
-Every latent site of the prior is its inverse distribution function at a uniform number, site after
-site, and the simulator's seed is a function of one more. Such a model has no discrete site, and its
-prior is the same for every site.
+Every latent site of the prior is its inverse distribution function at a uniform number, one site
+after the other. The simulator's seed is a function of one more number. Such a model has no discrete
+site, and its prior is uniform.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError
 
 IMPOSSIBLE: Final = 1e8
-"""Potential of what has no mass. Finite: NumPyro's SA never gives up a point with an infinite
-one."""
+"""Potential of points without mass. It is finite: NumPyro's SA never leaves a point with infinite
+potential."""
 
-SEED_BITS: Final = 24  # so many bits of a uniform number in single precision make a seed
+SEED_BITS: Final = 24  # bits of a uniform number in single precision that make a seed
 _STEPS: Final = 2**16  # distinct values of a uniform number
 
 
 def dimensions(model: Model) -> int:
-    """Return how many numbers stand for a hypothesis and, unless noise is fixed, the seed."""
+    """Return how many numbers make a hypothesis and, unless noise is fixed, the seed."""
     return sum(map(math.prod, model.sites.values())) + (model.noise == "fresh")
 
 
@@ -38,20 +38,20 @@ def dimensions(model: Model) -> int:
 def in_steps(uniform: jax.Array) -> jax.Array:
     """Return uniform numbers rounded to the middle of one of many steps.
 
-    Compiled code rounds the same sum differently in different places, and what was simulated must
-    be known again when the sampler has moved there; once in some thousand iterations a step is
-    missed, and simulated again.
+    Compiled code rounds the same sum differently in different places. Steps let a simulation be
+    recognised when the sampler has moved there. Once in some thousand iterations this fails, and
+    the point is simulated again.
     """
     steps = jnp.minimum(jnp.floor(uniform * _STEPS), _STEPS - 1)
     return (steps + 0.5) / _STEPS
 
 
-in_steps.defjvp(no_gradient)  # it would be 0 everywhere, which is worse than none
+in_steps.defjvp(no_gradient)  # a gradient of 0 everywhere would be worse than an error
 
 
 @tracing()
 def sites_at(model: Model, uniform: jax.Array) -> dict[str, jax.Array]:
-    """Return the hypothesis, with any further sites, that (dimension,) numbers stand for.
+    """Return the hypothesis, with any further sites, for uniform numbers (dimension,).
 
     Raises:
         InvalidSettingError: a site of the prior has no inverse distribution function.
@@ -73,7 +73,7 @@ def sites_at(model: Model, uniform: jax.Array) -> dict[str, jax.Array]:
 
 
 def _quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
-    """Return where a distribution function reaches ``uniform``, element by element."""
+    """Return the inverse distribution function at ``uniform``, element by element."""
     while isinstance(distribution, dist.Independent | dist.ExpandedDistribution):
         distribution = distribution.base_dist  # broadcasting gives the shape back
     if not distribution.event_shape:

@@ -132,5 +132,5 @@ def test_random_goals_and_rewards_know_it() -> None:
 
 
 def test_what_knows_no_predicates_of_ones_own_says_so() -> None:
-    with pytest.raises(InvalidSettingError, match="knows no predicates of one's own, such as"):
+    with pytest.raises(InvalidSettingError, match="knows no user-defined predicates, such as"):
         ForwardModel(SCENE)

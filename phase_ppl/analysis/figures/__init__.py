@@ -1,9 +1,9 @@
 """Figures of posteriors, comparisons and sets of events, as ``ppl.plot``.
 
-Every function of an object returns a matplotlib figure that belongs to no global state, and where
-``path`` is given writes it there as well, as .png, .pdf or .svg; OutputError: it cannot be written
-there, or the ending is another. Figures of one's own look the same if a function that is decorated
-by ``in_style`` begins with ``new_figure`` and ends with ``written``.
+Every function returns a matplotlib figure, outside matplotlib's global state. With ``path`` the
+figure is also written, as .png, .pdf or .svg. OutputError: it cannot be written, or the ending is
+another. A user's own function gets the same style with the decorator ``in_style``, if it begins
+with ``new_figure`` and ends with ``written``.
 """
 
 from phase_ppl.analysis.figures.beliefs import beliefs, search

@@ -28,7 +28,7 @@ PAPERS_PARTICLES: Final = 10  # K in the figure of the paper
 _DARK: Final = 0.35
 _FAINT: Final = 0.55
 _MOST_PARTICLES: Final = 1000
-_APART: Final = 4.0  # units between particles from which on a place is not known
+_APART: Final = 4.0  # distance between particles, units, from which a place counts as unknown
 
 
 class Belief(NamedTuple):
@@ -40,10 +40,10 @@ class Belief(NamedTuple):
 
 
 def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Iterator[Belief]:
-    """Yield what an agent sees and believes in each frame of an event.
+    """Yield an agent's view and belief in each frame of an event.
 
-    It is what the simulator's agents believe, given the true states as far as they can be read
-    off the observation; in between the agent is taken to coast.
+    It is the belief of the simulator's agents, given the true states as far as the observation
+    shows them. Between frames the agent is assumed to coast.
     """
     from phase_ppl.agents.beliefs import Perception
     from phase_ppl.agents.config import PlannerConfig
@@ -71,10 +71,10 @@ def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Itera
 
 
 def discovery(found: Sequence[Belief]) -> int | None:
-    """Return the first frame in which an agent sees what it did not know where to look for.
+    """Return the first frame in which an agent sees an entity whose place it did not know.
 
-    That is an entity that is not seen in the frame before, and that particles have in different
-    places there; None where there is none.
+    The entity was not seen in the frame before, and particles had it in different places. None:
+    there is no such frame.
     """
     for frame, (before, after) in enumerate(itertools.pairwise(found), 1):
         spread = np.ptp(before.particles[..., :2], axis=0).max(axis=-1)
@@ -156,8 +156,8 @@ _SEARCH: Final[dict[str, Any]] = {
     "start": [[8.5, 19.5, 0.0], [20.0, 10.0, 2.8], [12.0, 20.0, 0.0], [24.0, 4.0, 0.0]],
     "goals": ("Get red agent to blue lm", "Get blue item to red lm"),
 }
-"""Green does not see the blue item: most of what it has not seen, and the item, lie on the left; a
-room close to it lies above. Walls go up, left, down, right."""
+"""A scene in which green does not see the blue item. The item and most of the unseen area lie on
+the left; a room close to green lies above. Walls go up, left, down, right."""
 
 _SIZE: Final = 0.8
 _STEPS: Final = 100
@@ -172,9 +172,9 @@ def search(
     planner: str = "fast",
     seed: int = 0,
 ) -> Figure:
-    """Draw how the green agent looks for an item, by what the way there counts.
+    """Draw the green agent's search for an item under different weights of path cost.
 
-    A panel for each of ``cost_weights``, lambda; the paper's are 0 and 0.05.
+    There is a panel for each of ``cost_weights``, lambda; the paper's are 0 and 0.05.
 
     Raises:
         InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.

@@ -57,11 +57,11 @@ def comparison(
 ) -> Figure:
     """Draw measures of accuracy against simulations, a line per kernel; 4.6 inches a panel.
 
-    Against frames, where the budget was of frames. Lines are means over repeats, bands their
-    standard errors. A kernel that keeps its last population only is a point with a bar. A dashed
-    line is what the reference says of the truth; of distances from the reference, those in the grey
-    area at the bottom are smaller than its own error. ``measures`` are of :data:`HEADINGS`, a panel
-    each; those without values are left out.
+    With a budget of frames the axis is frames. Lines are means over repeats, bands their standard
+    errors. A kernel that keeps its last population only is a point with a bar. A dashed line is the
+    reference's own probability of the truth. Distances in the grey area at the bottom are smaller
+    than the reference's own error. ``measures`` are of :data:`HEADINGS`, one panel each; those
+    without values are left out.
 
     Raises:
         UnknownNameError: there is no such measure.
@@ -111,9 +111,9 @@ def _compared(axes: Axes, c: Comparison, name: str) -> None:
 def _mean_curve(
     rows: pd.DataFrame, name: str, unit: str
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return simulations or frames, mean and standard error, where all repeats have begun.
+    """Return simulations or frames, mean and standard error, from where all repeats have begun.
 
-    Every run counts at each number of simulations with what it had by then.
+    At each number of simulations every run counts with its latest value.
     """
     repeats = [run for _, run in rows.groupby("repeat")]
     runs = [(run[unit].to_numpy(float), run[name].to_numpy(float)) for run in repeats]

@@ -21,14 +21,14 @@ from phase_ppl.world.scene import Scene
 def last_frame() -> Predict:
     """Each agent wants what is nearest to a landmark at the end: itself or an item that moved.
 
-    Of its own body and the items that moved, the one nearest to a landmark's centre in the last
-    frame is to be there; ties go to the own body, then to the blue item, and to landmarks in
-    their order. An item moved if it ends farther than its own radius from where it began. The
-    relation follows from the two goals. There are no probabilities: it only names its answers.
+    The candidates are its own body and the items that moved. Its goal is to get the candidate
+    nearest to a landmark's centre in the last frame to that landmark. Ties go to its own body, then
+    to the blue item, and to landmarks in their order. An item moved if it ends farther than its own
+    radius from its start. The relation follows from the two goals. It gives no probabilities.
 
-    In another world than PHASE: to get somewhere are all goals of an agent alike that are true at
-    the end and were not at the start, or, where there is none, all that it can have. Relations
-    follow from the goals, which are independent of each other.
+    In other worlds than PHASE an agent's goals to get somewhere are equally probable if they are
+    true at the end and were not at the start; without any, all its possible goals are. Goals of
+    agents are independent, and relations follow from them.
     """
     return _predict
 
@@ -70,13 +70,13 @@ def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
 
 @register_model("majority", parallel=False)
 def majority() -> Predict:
-    """The most frequent relation and goals of PHASE, whatever there is to see.
+    """The most frequent relation and goals of PHASE; it does not look at the video.
 
-    Shares are those of the 500 original events (:mod:`phase_ppl.data.statistics`), from the
-    paper and the names of the recordings, whatever events are asked about; PHASE's 100 test videos
-    are among the 500. For goals they are known by type (item or agent, landmark or agent, to or
-    away from); the goals of one type are alike. So eight are the most frequent, and the first of
-    them in label order is the answer.
+    Shares are those of the 500 original events (:mod:`phase_ppl.data.statistics`), from the paper
+    and the names of the recordings, for all events. PHASE's 100 test videos are among the 500.
+    Shares of goals are known by type (item or agent, landmark or agent, to or away from); goals of
+    one type are equally frequent. So eight goals are the most frequent, and the first of them in
+    label order is the answer.
     """
     goals = [goal_shares(agent) for agent in range(len(AGENTS))]
     relations = np.array([shares("relation")[relation] for relation in RELATIONS])
@@ -88,7 +88,7 @@ def majority() -> Predict:
 
 @register_model("chance", parallel=False)
 def chance() -> Predict:
-    """All relations alike: with an observer, what surface cues alone can tell."""
+    """Uniform over relations: with an observer, it shows what surface cues alone can tell."""
     prediction = Prediction("", {"relation": np.full(len(RELATIONS), 1 / len(RELATIONS))})
     return lambda scene, observation, seed: prediction
 

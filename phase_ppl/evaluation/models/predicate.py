@@ -136,7 +136,7 @@ def predicate(
     Args:
         prior: name of a prior over hypotheses, as SIMPLE takes it, "uniform" by default; or
             "independent", under which all pairs of effective goals are alike.
-        preset: of :func:`phase_ppl.preset`; what else is given goes before it. The paper's have
+        preset: of :func:`phase_ppl.preset`; other arguments override it. The paper's have
             its uniform P(g), "independent", and the thresholds of SIMPLE's planner.
         **options: fields of :class:`~phase_ppl.models.predicate.PredicateSettings`.
     """

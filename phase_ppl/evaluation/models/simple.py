@@ -90,7 +90,7 @@ def simple(
         prior, planner, simulator, noise: of the :class:`phase_ppl.Model`.
         program: a model instead of these.
         weights: of the draws; by default the run's.
-        preset: of :func:`phase_ppl.preset`; what else is given goes before it.
+        preset: of :func:`phase_ppl.preset`; other arguments override it.
         **options: for :func:`phase_ppl.infer`: ``kernel`` and its options, ``chains``,
             ``iterations`` or ``budget``, ``on_failure``, ``settings``; or fields of the settings
             by name, such as ``proposal="paper"``.

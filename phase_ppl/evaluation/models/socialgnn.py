@@ -60,9 +60,9 @@ def socialgnn(
 ) -> SocialGNNModel:
     """SocialGNN: a graph neural network that says goals and relation from the motion alone.
 
-    Those that come with the package were trained on events that the package generated, not on
-    PHASE: on the splits train and validation of the set that ``report.json`` in their files names,
-    of which only the split test is new to them. ``phase-ppl train socialgnn`` makes others.
+    The package's own networks were trained on events that it generated, not on PHASE. They saw the
+    splits train and validation of the set named in ``report.json`` in their files; only its split
+    test is new to them. ``phase-ppl train socialgnn`` trains others.
 
     Args:
         variant: "extended", the paper's and the default; "original", the authors', which says the

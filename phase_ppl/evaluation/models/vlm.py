@@ -1,8 +1,7 @@
 """A vision-language model that watches the animation (paper, Appendix "Gemini 2.5 Pro").
 
-Its answers can be kept, so that an evaluation can be repeated without asking again: one JSON file
-for each request and seed, ``KEY-SEED.json``, where KEY is a hash of what determines the request. It
-holds a :class:`Record`.
+Its answers can be kept, so that an evaluation can be repeated without asking again. Each request
+and seed has a JSON file ``KEY-SEED.json`` with a :class:`Record`; KEY is a hash of the request.
 """
 
 from __future__ import annotations

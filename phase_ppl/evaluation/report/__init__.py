@@ -86,8 +86,7 @@ def report(
         path: of the page, ending in .html; default ``report.html`` in the folder.
         videos: film every event of an evaluation as well, some seconds and 0.1 MB each. A film
             that a run has is always there.
-        progress: whether to show a bar over the events on stderr; by default where that is a
-            terminal.
+        progress: show a bar over the events on stderr; by default if stderr is a terminal.
 
     Raises:
         InvalidEventError: the folder is none of these, or a file in it is damaged.

@@ -1,7 +1,7 @@
-"""Markov kernels over hypotheses, a file each.
+"""Markov kernels over hypotheses, one file each.
 
-Those here are classes, for NumPyro's ``MCMC``: ``ppl.kernels.LocalMH(program)`` of a
-:func:`phase_ppl.program`. :func:`phase_ppl.infer` knows all of them by name.
+They are classes for NumPyro's ``MCMC``: ``ppl.kernels.LocalMH(program)`` of a
+:func:`phase_ppl.program`. :func:`phase_ppl.infer` knows them by name.
 """
 
 from phase_ppl.inference.kernels.enumerated_gibbs import EnumeratedGibbs

@@ -1,20 +1,20 @@
 """Adaptive multiple importance sampling: the proposal learns from all simulations so far.
 
-For simulators that take milliseconds. Every draw weighs P(h) L / Q(h), where Q is the mixture of
-all proposals of the run by how many draws each one made, whichever made it (Cornuet, Marin, Mira,
-Robert 2012). A proposal is a table of who helps or hinders whom and of all goals, and a normal
-distribution of each agent's strength given what it acts on; with a small weight, the prior.
+For simulators that take milliseconds. Every draw weighs P(h) L / Q(h). Q is the mixture of all the
+run's proposals, each weighted by its number of draws (Cornuet, Marin, Mira, Robert 2012). A
+proposal has a table of alphas and goals, and a normal distribution of each agent's strength given
+its effective goal. With a small weight it is the prior.
 
-The first proposal is half what the video suggests and half any goal, so that a suggestion that
-misleads costs half the first draws. Later ones are fitted to all simulations so far:
+The first proposal is half bottom-up and half uniform over goals. So a misleading video costs half
+the first draws. Later proposals are fitted to all simulations so far:
 
-* Each agent's part of a simulation is compared with the video on its own, all others being as far
-  off as they are on average in good simulations (mean field). So a simulation in which one agent
-  does what the video shows is evidence for it, whatever the other does.
-* What simulations of the same effective goals of all agents came to as a whole corrects that.
+* Mean field: each agent's part of a simulation is compared with the video on its own. All others
+  get their mean error in good simulations. So a simulation in which one agent follows the video is
+  evidence about that agent, even if the other agent does not.
+* The joint likelihoods of simulations of the same effective goals correct that.
 
-Both likelihoods are raised to a power below 1, as low as is needed for many simulations to count.
-The fit decides how many simulations are needed, not what the answer is.
+Both likelihoods are raised to a power below 1, low enough for many simulations to count. The fit
+affects how many simulations are needed, not what the answer is.
 """
 
 from __future__ import annotations
@@ -50,23 +50,23 @@ from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.space import HypothesisSpace
 
 GROWTH: Final = 1.1
-"""A proposal is fitted again when there are so many times the draws that it was fitted to."""
+"""Growth of the number of draws, as a factor, after which the proposal is fitted again."""
 
 EFFECTIVE: Final = 30.0
-"""Simulations that are to count for each agent (Kish), for which the likelihood is tempered."""
+"""Effective simulations for each agent (Kish's size) to which the likelihood is tempered."""
 
 POWER: Final = 0.8
-"""Power to which the likelihood is raised at most, so that proposals are wider than the answer."""
+"""Highest power of the likelihood; below 1, so that proposals are wider than the posterior."""
 
 UNTRIED: Final = 0.2
-"""Share of a proposal that is for goals that nobody has simulated yet: what is learned of single
-agents need not hold for all of them together."""
+"""Share of a proposal for untried goals: what single agents show need not hold for all of them
+together."""
 
 PSEUDO: Final = 0.5
-"""Simulations for which what is expected of goals counts, beside those that there are."""
+"""Pseudo-count: number of simulations that the mean-field expectation counts for."""
 
 WIDER: Final = 1.25
-"""Factor by which strengths are drawn wider than they were found."""
+"""Factor by which proposed strengths are wider than the fitted ones."""
 
 NARROWEST: Final = 10.0  # standard deviation of a proposed strength, newtons, at least
 MOST_ENTRIES: Final = 2_000_000  # of the table of goals
@@ -78,7 +78,7 @@ _RANGE: Final = STRENGTH_RANGE[1] - STRENGTH_RANGE[0]
 
 
 class Proposal(NamedTuple):
-    """What hypotheses are drawn from."""
+    """The distribution that hypotheses are drawn from."""
 
     # log probabilities of the way and of each agent's stated goal, given the way and the goals of
     # the agents before: (way,), (way, goal), (way, goal, goal), ...
@@ -137,7 +137,7 @@ class AMIS(Importance):
 
     @property
     def guide(self) -> Program:
-        """The present proposal, which only a run of ``infer`` fits to its draws."""
+        """The current proposal; only a run of ``infer`` fits it to its draws."""
         if self._guide is None:
             raise InvalidSettingError(
                 "AMIS learns from a whole run: call phase_ppl.infer(event, kernel='amis')"
@@ -177,13 +177,13 @@ class Adaptation:
 
     @property
     def proposal(self) -> Proposal:
-        """The present one."""
+        """The current proposal."""
         return self._proposals[-1]
 
     def add(
         self, sites: Mapping[str, NDArray[Any]], log_weight: FloatArray, records: Sequence[Record]
     ) -> None:
-        """Count a batch (chain, ...) that the present proposal drew, and fit the next one."""
+        """Add a batch (chain, ...) of draws from the current proposal, and fit the next one."""
         self._made_by.append(len(self._proposals) - 1)
         self._batches.append(sites)
         self._log_weights.append(log_weight)
@@ -200,7 +200,7 @@ class Adaptation:
 
     def log_weights(self) -> FloatArray:
         """Return (batch, chain) the log weights against the mixture of all proposals."""
-        # one that has drawn nothing yet is no part of it
+        # a proposal without draws is no part of the mixture
         drawn = np.bincount(self._made_by)
         log_density = np.stack([self._evaluated(one) for one in self._proposals[: len(drawn)]])
         log_share = np.log(drawn / drawn.sum())
@@ -223,7 +223,7 @@ class Adaptation:
         return np.concatenate(found)[:n]
 
     def _fitted(self) -> Proposal:
-        """Return the proposal that fits what was simulated until now."""
+        """Return the proposal fitted to all simulations so far."""
         space = self._space
         all_of = _Simulated(*map(np.concatenate, zip(*self._simulated, strict=True)))
         log_ratio = np.stack(
@@ -255,7 +255,7 @@ class Adaptation:
         return Proposal(_chained(table), *strength.astype(np.float32))
 
     def _log_ratio(self, agent: int, all_of: _Simulated) -> FloatArray:
-        """Return (row,) log P / Q of the strength of an agent, given what it acts on."""
+        """Return (row,) log P / Q of an agent's strength, given its effective goal."""
         from scipy.stats import truncnorm  # slow to import
 
         goal, newtons = all_of.goals[:, agent], all_of.strengths[:, agent]
@@ -277,7 +277,7 @@ class Adaptation:
         """Return the power, and (row, agent) log likelihoods of each agent's part alone."""
         n_agents = self._space.n_agents
         squares = all_of.squares  # (row, time, entity)
-        # those that nobody is yet take from the best quarter
+        # before there is any weight, take the best quarter
         typical = np.quantile(squares, 0.25, axis=0)
         power, found = POWER, np.empty((len(squares), n_agents))
         for _ in range(_ROUNDS):
@@ -301,7 +301,7 @@ class Adaptation:
 
 
 class _Simulated(NamedTuple):
-    """What simulations came to."""
+    """The results of simulations."""
 
     made_by: NDArray[np.int64]  # (row,) which proposal drew each
     goals: NDArray[np.int64]  # (row, agent) effective ones
@@ -314,7 +314,7 @@ class _Simulated(NamedTuple):
     ) -> _Simulated:
         names = (space.company_site, *space.goal_sites, *space.strength_sites)
         sites = {name: np.array([record.sites[name] for record in records]) for name in names}
-        # as a checkpoint keeps them, so that a run that goes on learns the same
+        # in a checkpoint's precision, so that a resumed run learns the same
         found = [record.result.trajectory[..., :2].astype(np.float32) for record in records]
         strengths = np.stack([sites[name] for name in space.strength_sites], axis=1)
         squares = ((np.array(found, np.float64) - observed) ** 2).sum(axis=3)
@@ -323,7 +323,7 @@ class _Simulated(NamedTuple):
 
 
 def first_proposal(suggested: NDArray[Any], prior: Program) -> Proposal:
-    """Return the first proposal, given logits (..., agent, goal) of what the video suggests.
+    """Return the first proposal, given bottom-up logits (..., agent, goal).
 
     Raises:
         InvalidSettingError: there are too many combinations of goals for a table.
@@ -382,11 +382,11 @@ def _corrected(
     own: FloatArray,
     space: HypothesisSpace,
 ) -> FloatArray:
-    """Return the log of what goals are expected to come to, corrected by what they came to.
+    """Return the log of the expected likelihood of goals, corrected by their simulations.
 
-    As root mean square of the simulations of the same effective goals, of which ``PSEUDO`` are as
-    expected: draws that are to make a sum sure are shared out so (Neyman), and what was not tried
-    yet is tried sooner than by its mean. ``own`` is what is expected of the simulations, (row,).
+    It is a root mean square over simulations of the same effective goals and ``PSEUDO`` expected
+    ones. Draws in this proportion give a sum the least variance (Neyman), and untried goals come
+    sooner than by their mean. ``own`` is the expectation for each simulation, (row,).
     """
     square = np.exp(2 * (log_value - log_value.max()))
     scale = np.log(square.sum()) - log_sum_exp(2 * own)
@@ -395,7 +395,7 @@ def _corrected(
     n, total = np.bincount(code, minlength=size), np.bincount(code, square, size)
     possible = (acts_on >= 0).all(axis=0)
     of_all = np.ravel_multi_index(tuple(np.where(possible, acts_on, 0)), shape)
-    with np.errstate(divide="ignore"):  # of what was not simulated
+    with np.errstate(divide="ignore"):  # goals that were not simulated
         sums = np.logaddexp(np.log(total[of_all]), np.log(PSEUDO) + scale + 2 * expected)
     return np.where(possible, 0.5 * (sums - np.log(n[of_all] + PSEUDO)), -np.inf)
 
@@ -429,7 +429,7 @@ def _strengths(
     mean = (np.bincount(goal, value * newtons, n_goals) + kept * overall) / (total + kept)
     square = (value * (newtons - mean[goal]) ** 2, (overall - mean) ** 2 + spread)
     variance = (np.bincount(goal, square[0], n_goals) + kept * square[1]) / (total + kept)
-    # of few simulations none need be near to what fits best
+    # among few simulations none may be near the best fit
     variance = WIDER**2 * variance + (_RANGE / (n + 1)) ** 2
     found = np.stack([mean, np.maximum(np.sqrt(variance), NARROWEST)])
     return np.where(n > 1, found, np.nan)

@@ -1,20 +1,20 @@
-r"""Gibbs sampling of goals by simulating all; Metropolis-Hastings for the rest.
+r"""Gibbs sampling of goals by simulating all of them; Metropolis-Hastings for the rest.
 
 An agent's goal is drawn from its conditional given everything else. The target P(h) p(w) L(e(h, w))
-has one simulator seed w; give each value v of the goal a seed w_v of its own:
+has one simulator seed w. Give each value v of the goal a seed w_v of its own:
 
     P(v, rest) L(e(v, rest, w_v)) prod_v p(w_v)
 
-Summed over the seeds of the values that the particle does not have, this is the target again, so
-a move that leaves it invariant is exact. Here are two such moves. Given the current value, the
-seeds of the others are independent of everything: they are drawn anew. Given all seeds, the value
-is drawn with probabilities proportional to P(v, rest) L(e(v, rest, w_v)), where the current value
-has the seed and the errors that belong to the state. The seeds not chosen are then forgotten.
+Summed over the seeds of all other values this is the target again. So a move that leaves it
+invariant is exact. The kernel makes two such moves:
 
-All values are simulated in one batch, to the end, because each one's likelihood counts. Only an
-agent that acts on its own goal is chosen: that of a helper or hinderer changes nothing that is
-simulated. Which agents do follows from the site of who helps or hinders whom, which stays, so that
-the choice needs no correction.
+1. Given the current value, the seeds of the others are independent of everything: draw them anew.
+2. Given all seeds, draw the value with probability proportional to P(v, rest) L(e(v, rest, w_v)).
+   The current value keeps the state's seed and errors. The seeds not chosen are then dropped.
+
+All values are simulated in one batch, to the end, because each one's likelihood counts. Only agents
+that act on their own goal are chosen: the goal of a helper or hinderer changes no simulation. The
+site of who helps or hinders whom stays the same, so the choice needs no correction.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from phase_ppl.world.space import HypothesisSpace, space_of
 
 
 def most_simulations(space: HypothesisSpace) -> int:
-    """Return the most that a step takes: all other goals that an agent can have, and one more.
+    """Return the most simulations that a step takes: one per other goal of an agent, and one more.
 
     Goals without prior mass are not simulated.
     """
@@ -57,7 +57,7 @@ class EnumeratedGibbs(MetropolisKernel):
 
     @property
     def sims_per_step(self) -> int:
-        """The most that a step takes."""
+        """The most simulations that a step takes."""
         return SIMS_PER_STEP if self._program is None else most_simulations(self.program.space)
 
     def goals_asked(self, state: MHState) -> tuple[Any, Request]:
@@ -75,7 +75,7 @@ class EnumeratedGibbs(MetropolisKernel):
             kept = value == current
             log_prior = program.log_prior(sites)
             seed = jnp.where(kept, state.sim_seed, program.simulator_seed(key, sites))
-            # nothing is simulated where there is no mass
+            # goals without prior mass are not simulated
             return log_prior, Request(sites, jnp.where(kept, -jnp.inf, log_prior), seed)
 
         log_prior, request = jax.vmap(asked)(jnp.arange(space.n_goals), jnp.stack(keys))

@@ -37,8 +37,8 @@ from phase_ppl.world.space import HypothesisSpace
 class PriorMH(ProposalKernel):
     """Metropolis-Hastings with proposals from the prior.
 
-    An independence sampler: prior and proposal cancel, so that the acceptance ratio is that of
-    the likelihoods.
+    An independence sampler: prior and proposal cancel, so the acceptance ratio is the ratio of
+    likelihoods.
     """
 
     proposes_from_prior = True
@@ -52,8 +52,8 @@ class PriorMH(ProposalKernel):
 class SingleSiteMH(ProposalKernel):
     """Metropolis-Hastings that proposes one site at a time from the prior.
 
-    A random site is drawn from its prior given the sites above it; all others stay. A site of a
-    user's own moves like any other, in whatever hierarchy it stands.
+    A random site is drawn from its prior given the sites above it; all others stay. A user's own
+    sites move like any other, in any hierarchy.
     """
 
     def proposed(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
@@ -61,8 +61,8 @@ class SingleSiteMH(ProposalKernel):
 
 
 LEAP: Final = 0.2
-"""Share of goal proposals that come from the prior, so that goals which it leaves without
-neighbours are reached too."""
+"""Share of goal proposals that come from the prior. They reach goals that have no neighbour with
+prior mass."""
 
 SCALE: Final = 60.0  # standard deviation of a step of a strength, newtons
 
@@ -73,13 +73,13 @@ class RandomWalkMH(ProposalKernel):
 
     A random site moves, all others stay.
 
-    * a goal: to one of those neighbours (:func:`phase_ppl.world.goals.neighbouring_goals`) that
-      have prior mass; with probability :data:`LEAP`, or where there is none, to a goal from its
-      prior given the sites above it;
-    * who helps or hinders whom: to any other way;
-    * a strength: by a normal step, reflected at the ends of its support; one that the prior makes
-      one of a few values, drawn from it given the sites above;
-    * a site of a user's own: drawn from its prior given the sites above it.
+    * A goal moves to a neighbour (:func:`phase_ppl.world.goals.neighbouring_goals`) with prior
+      mass. With probability :data:`LEAP`, or without neighbours, it is drawn from its prior given
+      the sites above it.
+    * Who helps or hinders whom moves to any other way.
+    * A strength makes a normal step, reflected at the ends of its support. A discrete one is drawn
+      from its prior given the sites above it.
+    * A user's own site is drawn from its prior given the sites above it.
 
     Args:
         program, early_reject: as of every Metropolis-Hastings kernel.
@@ -120,7 +120,7 @@ def _nearby_goal(
     neighbours = jnp.asarray(near) & (log_prior > NEVER)
 
     def log_q(goal: jax.Array) -> jax.Array:
-        """Return (goal,) log probabilities of what is proposed from a goal."""
+        """Return (goal,) log probabilities of the goals proposed from a goal."""
         row = neighbours[goal]
         leap = jnp.where(row.any(), LEAP, 1.0)
         return jnp.log((1 - leap) * row / jnp.maximum(row.sum(), 1) + leap * prior)
@@ -133,7 +133,7 @@ def _nearby_goal(
 
 @functools.lru_cache(16)
 def _neighbours(space: HypothesisSpace) -> NDArray[np.bool_]:
-    """Return (holder, goal, goal) which possible goals are each other's neighbours."""
+    """Return (holder, goal, goal): True where two possible goals are neighbours."""
     goals = np.arange(space.n_goals)
     near = [np.isin(goals, neighbouring_goals(goal, space.world)) for goal in goals.tolist()]
     return np.array(near)[None] & ~space.impossible[:, None, :]
@@ -173,10 +173,10 @@ LOCAL_SHARE: Final = 0.5
 class MixtureMH(LocalMH):
     """Metropolis-Hastings that mixes SIMPLE's local moves with moves of single sites.
 
-    Makes a local move (:class:`LocalMH`, exact rule), or draws one site from its prior. Local
-    moves find where the observation points; single sites move about there. The kind of a move is
-    drawn beforehand and independently of the state, so that each kind is accepted by its own
-    ratio and the mixture leaves invariant what both leave invariant.
+    It makes a local move (:class:`LocalMH`, exact rule), or draws one site from its prior. Local
+    moves go where the observation points; single sites explore there. The kind of move is drawn
+    independently of the state. So each kind has its own acceptance ratio, and the mixture is exact
+    if both kinds are.
 
     Args:
         program, guide, settings, early_reject: as of :class:`LocalMH`.
@@ -207,7 +207,7 @@ class MixtureMH(LocalMH):
         key, key_kind, *keys, key_seed, key_accept = random.split(state.rng_key, 7)
         key_window, key_local, key_site = keys
         local = random.bernoulli(key_kind, self._local_share)
-        # both are proposed, which costs nothing, and one of them is simulated
+        # both are proposed, which costs nothing, but only one is simulated
         window, sites = self.propose_locally(key_window, key_local, state)
         one_moved, log_hastings = self.one_site_moved(key_site, state.z)
         sites = chosen(local, sites, one_moved)
@@ -222,5 +222,5 @@ class MixtureMH(LocalMH):
         return self.asked(move, state, key, key_seed, key_accept)
 
     def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
-        """Return that of a local move; a site is moved back whatever the simulation."""
+        """Return the term of a local move; reversing a single site needs no simulation."""
         return jnp.where(move.window < 0, 0.0, super().log_after(move, state, step_error))

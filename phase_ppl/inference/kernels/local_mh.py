@@ -1,29 +1,29 @@
 r"""SIMPLE: Metropolis-Hastings with local, bottom-up proposals (paper, Section 4).
 
-A particle looks where its simulation fails: it picks a window k of the observation with
-probability r(k | e) proportional to exp(eta * sum of its errors e in the window), and proposes a
-hypothesis from what the observation shows in that window, h' ~ Q(. | S_k), with a fresh
-simulator seed. The target is P(h) p(w) L(e(h, w)) over hypothesis h and simulator seed w.
+A particle looks where its simulation fails. It picks a window k of the observation with
+probability r(k | e) proportional to exp(eta * sum of its errors e in the window). From that window
+it proposes a hypothesis, h' ~ Q(. | S_k), with a fresh simulator seed. The target is
+P(h) p(w) L(e(h, w)) over hypothesis h and simulator seed w.
 
-``rule="exact"``. The window is a random choice within the move, and it depends on the current
-errors; summing it out of the move in both directions gives
+``rule="exact"``. The choice of window depends on the current errors. Summing it out in both
+directions gives::
 
     log A = log P(h') - log P(h) + log L(e') - log L(e)
             + log sum_k r(k | e') Q(h | S_k) - log sum_k r(k | e) Q(h' | S_k)
 
-``rule="window"``. The window is a part of the move, which is reversed from the same one. Exact
-too, but it accepts less:
+``rule="window"``. The window is part of the move, and the reverse move uses the same window. Exact
+too, but it accepts less::
 
     log A = log P(h') - log P(h) + log L(e') - log L(e)
             + log r(k | e') + log Q(h | S_k) - log r(k | e) - log Q(h' | S_k)
 
 ``rule="paper"``. The ratio as printed: log L(e') - log L(e) + log Q(h' | S_k) - log Q(h | S_k),
 for the chosen window. It has the proposals upside down, no prior and no window term. Within a
-fixed window it leaves L Q^2 invariant instead of the posterior. It alone does without a share of
-the prior in Q: from an h that no window suggests, whatever can be simulated is accepted.
+fixed window it leaves L Q^2 invariant instead of the posterior. Only this rule allows a Q without a
+share of the prior: from an h that no window suggests, every completed simulation is accepted.
 
-Early rejection. All but L(e') and r(. | e') is known before simulating, and neither
-sum_k r(k | e') Q(h | S_k) <= max_k Q(h | S_k) nor r(k | e') <= 1 can make up for more than that.
+Early rejection. All but L(e') and r(. | e') is known before simulating. The unknown terms are
+bounded: sum_k r(k | e') Q(h | S_k) <= max_k Q(h | S_k), and r(k | e') <= 1.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def log_window_choice(
 ) -> jax.Array:
     """Return (window,) log r(k | e), normalised, from errors (time,) [units].
 
-    ``eta`` is in 1 / units; a window has one frame more than the ``length`` Delta T. Of the windows
-    the first ``count`` can be chosen; None: all.
+    ``eta`` is in 1 / units; a window has one frame more than the ``length`` Delta T. Only the first
+    ``count`` windows can be chosen; None: all.
     """
     n_windows = step_error.shape[0] - length
     frames = np.arange(n_windows)[:, None] + np.arange(length + 1)
@@ -77,10 +77,10 @@ def log_before(
     log_proposal: tuple[jax.Array, jax.Array],
     log_windows: jax.Array,
 ) -> jax.Array:
-    """Return the log acceptance ratio as far as it is known before simulating.
+    """Return the part of the log acceptance ratio that is known before simulating.
 
-    ``log_prior`` and ``log_proposal``, (window,) log Q(. | S_k), are of the current and of the
-    proposed hypothesis, ``log_windows`` are log r(k | e) at the current errors; ``window`` is k.
+    ``log_prior`` and ``log_proposal``, (window,) log Q(. | S_k), are pairs: of the current and of
+    the proposed hypothesis. ``log_windows`` is log r(k | e) at the current errors; ``window`` is k.
     """
     if rule == "paper":
         return log_proposal[1][window] - log_proposal[0][window]
@@ -95,7 +95,7 @@ def log_after(
 ) -> jax.Array | float:
     """Return what the simulation adds to the log acceptance ratio, beside its likelihood.
 
-    ``log_proposal`` is of the current hypothesis, ``log_windows`` log r(k | e') at the errors of
+    ``log_proposal`` is of the current hypothesis; ``log_windows`` is log r(k | e') at the errors of
     the proposed one.
     """
     if rule == "paper":
@@ -106,7 +106,7 @@ def log_after(
 
 
 def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
-    """Return the most that :func:`log_after` can be, whatever the simulation."""
+    """Return an upper bound of :func:`log_after` over all simulations."""
     return jnp.max(log_proposal) if rule == "exact" else 0.0
 
 
@@ -116,8 +116,8 @@ class LocalMH(MetropolisKernel):
 
     Args:
         program, early_reject: as of every Metropolis-Hastings kernel.
-        guide: proposal program over the prior's sites; that of the whole observation makes the
-            initial hypotheses.
+        guide: proposal program over the prior's sites; initial hypotheses come from its proposal
+            for the whole observation.
         settings: eta and the length of the windows; by default the paper's.
         rule: "exact": Hastings' ratio with the window summed out; "window": with the window in
             it; "paper": the ratio as printed, which is biased.
@@ -146,7 +146,7 @@ class LocalMH(MetropolisKernel):
         return "exact" if self._rule in EXACT_RULES else "approximate"
 
     def memo(self, sites: Sites) -> dict[str, jax.Array]:
-        """Return (window,) log Q(sites | S_k); -inf for windows that there are not."""
+        """Return (window,) log Q(sites | S_k); -inf for windows that do not exist."""
         windows = jnp.arange(self.most_windows)
         density = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
         if self.program.is_padded:
@@ -154,7 +154,7 @@ class LocalMH(MetropolisKernel):
         return {"log_proposal": density}
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis from what the whole observation shows."""
+        """Return a hypothesis proposed from the whole observation."""
         return self.draw_guide(key, self.n_windows)
 
     def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array:
@@ -162,7 +162,7 @@ class LocalMH(MetropolisKernel):
         return log_density(self.guide, sites, self.n_windows)
 
     def propose(self, state: MHState) -> tuple[Proposed, Request]:
-        """Propose from a window that is simulated badly."""
+        """Propose from a window in which the simulation is off."""
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
         window, sites = self.propose_locally(key_window, key_sites, state)
         move = self.local_move(window, sites, state)
@@ -171,7 +171,7 @@ class LocalMH(MetropolisKernel):
     def propose_locally(
         self, key_window: jax.Array, key_sites: jax.Array, state: MHState
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Return a window that is simulated badly, and a hypothesis from it."""
+        """Return a window in which the simulation is off, and a hypothesis proposed from it."""
         window = random.categorical(key_window, self.log_windows(state.step_error))
         return window, self.draw_guide(key_sites, window)
 
@@ -193,7 +193,7 @@ class LocalMH(MetropolisKernel):
         )
 
     def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
-        """Return log of how probable the reversal is, as far as it depends on the simulation."""
+        """Return the part of the log reverse probability that depends on the simulation."""
         before = state.memo["log_proposal"]
         return log_after(self._rule, move.window, before, self.log_windows(step_error))
 
@@ -204,13 +204,13 @@ class LocalMH(MetropolisKernel):
         log_drawn: jax.Array,
         log_floor: jax.Array,
     ) -> Request:
-        """Return the simulation of a hypothesis of which some sites are given.
+        """Return the request for a simulation of a hypothesis with some sites given.
 
-        These were drawn with log probability ``log_drawn``, the others are drawn from what the
-        whole observation suggests given them; the density of both together is kept with the
-        simulation, which is stopped where its log likelihood cannot reach a floor.
+        The given sites were drawn with log probability ``log_drawn``. The others are drawn from the
+        proposal for the whole observation, given them. The request keeps the density of both
+        together. The simulation stops when its log likelihood cannot reach ``log_floor``.
         """
-        # nothing is divided by Q here, which may be without a share of the prior
+        # Q may lack a share of the prior: nothing is divided by it here
         program, guide = self.program, self._guide
         assert isinstance(guide, Mixture), "the bottom-up guide is one"
         bottom_up, window = guide.programs[0], jnp.asarray(self.n_windows)
@@ -223,7 +223,7 @@ class LocalMH(MetropolisKernel):
         return Request(sites, log_prior, seed, self.error_ceiling(log_floor), log_proposal)
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:
-        """Return (window,) log r(k | e), of the windows that there are."""
+        """Return (window,) log r(k | e), of the windows that exist."""
         length = window_length(self.program.n_frames, self.settings.window)
         count = self.n_windows if self.program.is_padded else None
         return log_window_choice(step_error, self.settings.eta, length, count)

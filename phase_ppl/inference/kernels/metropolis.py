@@ -1,16 +1,15 @@
-"""What kernels are made of: batches of particles, and steps of Metropolis-Hastings.
+"""Base classes of the kernels: batches of particles, and steps of Metropolis-Hastings.
 
 The target is P(h) p(w) L(e(h, w)) over hypothesis h and simulator seed w, where e are the errors
 of the simulation. A kernel proposes h' with a fresh seed w' and accepts if
 
     log u < log P(h') - log P(h) + log L(e') - log L(e) + log q(h | h') - log q(h' | h)
 
-The seed and the errors belong to the state (pseudo-marginal): the current hypothesis is never
-simulated again, and the stationary law of h is the posterior under the likelihood's mean over
-seeds.
+The seed and the errors belong to the state (pseudo-marginal). The current hypothesis is never
+simulated again. The stationary law of h is the posterior under the mean likelihood over seeds.
 
-Early rejection. log u is drawn first, so that there is a summed error beyond which the proposal
-cannot be accepted; the runner stops there. Decisions are the same with and without.
+Early rejection. log u is drawn first, so there is a summed error beyond which the proposal cannot
+be accepted. The runner stops there. Decisions are the same with and without.
 """
 
 from __future__ import annotations
@@ -50,35 +49,36 @@ _RELATIVE_SLACK: Final = 1e-5
 
 
 Stage = Callable[..., Any]
-"""A pure function of what is known and of the errors of the simulations that were asked for last.
+"""A pure function of its known values and the errors of the simulations requested last.
 
-The last of several returns a state, the others what the next has to know and a ``Request``.
+The last stage returns a state. The others return known values for the next one and a ``Request``.
 """
 
 
 class EventKernel(MCMCKernel):
     """Base of our kernels: bound to the model of an event, and made of stages.
 
-    A start and a move are stages (:data:`Stage`) with simulations in between, so that each stage is
-    compiled, and what simulates is plain Python: ``initial(key, sites or None)``, simulate,
-    ``started(known, errors)``; then ``propose(state)``, simulate, ``accept(known, errors)``.
-    Their simulations reach the runner in one call (``chain_method="vectorized"``). States hold
-    constrained values, so nothing is replayed after the run; beside what the registry asks for they
-    have ``n_accepted``, how many of ``i`` iterations accepted, or could simulate, a hypothesis.
-    The proposal program ``guide(window)`` counts windows by their first frame; the index after the
-    last one stands for the whole observation.
+    A start and a move are stages (:data:`Stage`) with simulations in between. Stages are compiled,
+    and simulating is plain Python. A start is ``initial(key, sites or None)``, simulate,
+    ``started(known, errors)``. A move is ``propose(state)``, simulate, ``accept(known, errors)``.
+    The simulations of all particles reach the runner in one call (``chain_method="vectorized"``).
+
+    States hold constrained values, so nothing is replayed after the run. Beside the fields that the
+    registry asks for, they have ``n_accepted``: how many of ``i`` iterations accepted, or could
+    simulate, a hypothesis. The proposal program ``guide(window)`` counts windows by their first
+    frame; the index after the last one stands for the whole observation.
     """
 
     sample_field: ClassVar[str] = "z"
     default_fields: ClassVar[tuple[str, ...]] = ("z", "sim_seed", "accepted")
     starts: ClassVar[tuple[str, ...]] = ("initial", "started")
     moves: ClassVar[tuple[str, ...]] = ("propose", "accept")
-    """Names of the methods that are the stages of a start, and of a move."""
+    """Names of the methods that are the stages of a start and of a move."""
     is_population: ClassVar[bool] = False
-    """Whether stages are given all particles together, as these notice each other."""
+    """Whether stages get all particles together, because these depend on each other."""
     initial_tries: ClassVar[int] = 16
-    """Initial hypotheses drawn per particle, of which the first with prior mass is taken; 1 where
-    the draw is weighed, since the best of several has another density."""
+    """Initial hypotheses drawn per particle; the first one with prior mass is taken. It is 1 if
+    draws are weighed, since the best of several has another density."""
 
     def __init__(
         self,
@@ -111,9 +111,9 @@ class EventKernel(MCMCKernel):
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
         if self.settings.prior_share == 0 and getattr(self, "validity", "exact") != "approximate":
             raise InvalidSettingError(
-                f"prior_share=0 for {type(self).__name__}: its ratio or its weights divide by Q, "
-                "which only a share of the prior keeps above 0 wherever the prior is; expected a "
-                "number in (0, 1), or kernel='local_mh' with rule='paper', the ratio as printed"
+                f"prior_share=0 for {type(self).__name__}: only a share of the prior keeps Q, "
+                "which it divides by, above 0; expected a number in (0, 1), or kernel='local_mh' "
+                "with rule='paper', the ratio as printed"
             )
         found: Program = guide
         return found
@@ -126,12 +126,12 @@ class EventKernel(MCMCKernel):
         model_args: tuple[Any, ...] = (),
         model_kwargs: dict[str, Any] | None = None,
     ) -> Any:
-        """Return the initial state of the particle, or of a batch where ``rng_key`` is one.
+        """Return the initial state of the particle, or of a batch if ``rng_key`` is one.
 
-        ``init_params`` is the hypothesis to start from, by default what the kernel proposes; the
+        ``init_params`` is the hypothesis to start from, by default the kernel's own proposal. The
         other arguments are ignored: nothing is tuned, and the program knows its event.
         """
-        # JAX takes options only of what is compiled as a whole, not of a part of it
+        # JAX takes compiler options for whole programs only, not for a part of one
         part = any(isinstance(one, jax.core.Tracer) for one in (rng_key, jnp.zeros(())))
 
         def started(given: tuple[Any, Any]) -> Any:
@@ -146,7 +146,7 @@ class EventKernel(MCMCKernel):
         return self._sample_fn(state)
 
     def _sample_fn(self, state: Any) -> Any:
-        """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
+        """Move one particle or a batch; NumPyro checks for this name to see if init is due."""
 
         def moved(state: Any) -> Any:
             return through(self.stages("moves"), self.program.answer, state)
@@ -160,14 +160,14 @@ class EventKernel(MCMCKernel):
         return stages if self.is_population else [functools.partial(for_each, s) for s in stages]
 
     def initial(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> tuple[Any, Request]:
-        """Return where a particle starts, by default at one of :meth:`initial_sites`."""
+        """Start a particle at ``sites``, by default at :meth:`initial_sites`; see :data:`Stage`."""
         key, key_sites, key_start = random.split(key, 3)
         return self.start(key, key_start, self.initial_sites(key_sites) if sites is None else sites)
 
     def start(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> tuple[Any, Request]:
-        """Return what ``started`` has to know, and the simulation of an initial hypothesis."""
+        """Return known values for ``started``, and the request for an initial simulation."""
         raise NotImplementedError
 
     def get_diagnostics_str(self, state: Any) -> str:
@@ -175,13 +175,13 @@ class EventKernel(MCMCKernel):
         return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
 
     def lenient(self, log_floor: jax.Array) -> jax.Array:
-        """Return a log likelihood a little lower, since both it and simulations are rounded."""
+        """Return a slightly lower log likelihood, since both it and simulations are rounded."""
         return log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
 
     def error_ceiling(self, log_floor: jax.Array) -> jax.Array:
         """Return the summed error [units] beyond which the log likelihood cannot reach a floor.
 
-        A lenient one, so that no simulation is stopped which would have been accepted.
+        It is lenient: no simulation is stopped that would have been accepted.
         """
         floor = self.lenient(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
@@ -191,15 +191,15 @@ class EventKernel(MCMCKernel):
 
     @property
     def n_windows(self) -> Any:
-        """How many windows the observation has: a number, or an array of one if it is padded."""
+        """Number of windows of the observation; an array if the observation is padded."""
         if not self.program.is_padded:
             return self.most_windows
-        # as ``window_count`` says, of a length that is known only here
+        # ``window_count`` for a length that is known only at run time
         return jnp.maximum(self.program.observed - self.settings.window, 1)
 
     @property
     def most_windows(self) -> int:
-        """How many windows the arrays have room for."""
+        """Number of windows that the arrays have room for."""
         return window_count(self.program.n_frames, self.settings.window)
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
@@ -209,9 +209,9 @@ class EventKernel(MCMCKernel):
         return draw(self.guide, key, jnp.asarray(window))
 
     def initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return the first of some initial hypotheses that has prior mass.
+        """Return the first of several initial hypotheses that has prior mass.
 
-        A window may suggest what a user's prior excludes; the last try is from the prior itself.
+        A window may suggest what a user's prior excludes; the last try is from the prior.
         """
         if self.initial_tries == 1:
             return self.propose_initial(key)
@@ -241,7 +241,7 @@ def chosen(accepted: jax.Array, new: Any, old: Any) -> Any:
 
 
 def through(stages: Sequence[Stage], answer: Callable[[Request], Any], *given: Any) -> Any:
-    """Return what the stages of an iteration come to, with all that they ask for answered."""
+    """Return the result of an iteration's stages; ``answer`` fulfils their requests."""
     for stage in stages[:-1]:
         known, request = stage(*given)
         given = known, answer(request)
@@ -249,10 +249,9 @@ def through(stages: Sequence[Stage], answer: Callable[[Request], Any], *given: A
 
 
 def for_each(function: Callable[..., Any], *trees: Any) -> Any:
-    """Return what ``jax.vmap(function)(*trees)`` does.
+    """Return ``jax.vmap(function)(*trees)``.
 
-    Where nothing is compiled (``jax.disable_jit``) one after the other, so that a debugger shows
-    numbers.
+    Under ``jax.disable_jit`` it runs one after the other, so that a debugger shows numbers.
     """
     if not is_stepped():
         return jax.vmap(function)(*trees)
@@ -262,12 +261,12 @@ def for_each(function: Callable[..., Any], *trees: Any) -> Any:
 
 
 def as_batch_of_one(function: Callable[[Any], Any], tree: Any) -> Any:
-    """Return what a function of a batch makes of a single one, as a single one."""
+    """Apply a function of a batch to a single element, and return a single result."""
     return jax.tree.map(lambda leaf: leaf[0], function(jax.tree.map(lambda leaf: leaf[None], tree)))
 
 
 def _strongly_typed(state: Any) -> Any:
-    """Strip weak types, with which the step would be compiled twice."""
+    """Strip weak types; with them the step would be compiled twice."""
 
     def strip(leaf: jax.Array) -> jax.Array:
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
@@ -297,7 +296,7 @@ class MHState(NamedTuple):
 
 
 class Move(NamedTuple):
-    """A proposed hypothesis, and what is known of its acceptance before it is simulated."""
+    """A proposed hypothesis, and the part of its acceptance ratio known before simulating."""
 
     sites: dict[str, jax.Array]  # the hypothesis
     log_prior: jax.Array  # its log prior density
@@ -312,7 +311,7 @@ class Move(NamedTuple):
 
 
 class Proposed(NamedTuple):
-    """A move whose simulation was asked for."""
+    """A move whose simulation was requested."""
 
     state: MHState  # from where
     move: Move
@@ -322,7 +321,7 @@ class Proposed(NamedTuple):
 
 
 SiteMove = Callable[[jax.Array, Mapping[str, Any]], tuple[jax.Array, jax.Array | float]]
-"""``(key, site) -> (new value, Hastings' correction)``, where the site is that of a trace."""
+"""``(key, site) -> (new value, Hastings' correction)``; the site is an entry of a trace."""
 
 
 def _redrawn(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, jax.Array | float]:
@@ -336,7 +335,7 @@ def log_ratio_known(
 ) -> jax.Array:
     """Return the log acceptance ratio without the likelihoods."""
     known = log_prior - state.log_prior + log_hastings
-    # from a start without mass, whatever completes is accepted
+    # from a start without mass, every completed simulation is accepted
     return jnp.where(state.log_prior > NO_DENSITY, known, 0.0)
 
 
@@ -350,7 +349,7 @@ def log_ratio(
 
     ``current`` and ``proposed`` are (time,) log likelihoods of the frames under the two hypotheses.
     """
-    # frame by frame, so that the large constant of the likelihood cancels without rounding
+    # frame by frame: the large constant of the likelihood cancels without rounding
     return log_known + (proposed - current).sum() + log_after
 
 
@@ -377,7 +376,7 @@ class MetropolisKernel(EventKernel):
         return "exact"
 
     def memo(self, sites: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Return what a kernel wants to know of a hypothesis again later; by default nothing."""
+        """Return values of a hypothesis that the kernel needs again later; by default none."""
         return {}
 
     def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array | float:
@@ -417,7 +416,7 @@ class MetropolisKernel(EventKernel):
         state: MHState,
         from_prior: bool = False,
     ) -> Move:
-        """Return the move to a hypothesis z', whose reversal does not depend on its simulation.
+        """Return the move to a hypothesis z'; its reversal does not depend on its simulation.
 
         ``log_hastings`` is log q(z | z') - log q(z' | z).
         """
@@ -429,11 +428,11 @@ class MetropolisKernel(EventKernel):
     def one_site_moved(
         self, key: jax.Array, sites: Sites, moves: Mapping[str, SiteMove] | None = None
     ) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Move one site, each as likely, while the others stay.
+        """Move one site, each with equal probability; return sites and Hastings' correction.
 
-        Sites that ``moves`` does not name are drawn from their prior, given those above. Also
-        returns Hastings' correction log q(z | z') - log q(z' | z). The prior of the sites below it
-        in a hierarchy changes too, which is in the prior's ratio.
+        Sites that ``moves`` does not name are drawn from their prior, given those above. The
+        correction is log q(z | z') - log q(z' | z). A move also changes the prior of the sites
+        below; the prior's ratio accounts for that.
         """
         model, moves = self.program.model, moves or {}
         trace = handlers.trace(handlers.substitute(model.prior, data=dict(sites))).get_trace()
@@ -450,14 +449,14 @@ class MetropolisKernel(EventKernel):
     def log_after(self, move: Move, state: MHState, step_error: jax.Array) -> jax.Array | float:
         """Return what the simulation (time,) adds to the log ratio, beside its likelihood.
 
-        Of moves that are reversed with a probability that depends on it.
+        It is not 0 if the probability of the reverse move depends on the simulation.
         """
         return 0.0
 
     def asked(
         self, move: Move, state: MHState, key: jax.Array, key_seed: jax.Array, key_accept: jax.Array
     ) -> tuple[Proposed, Request]:
-        """Return a move, and the simulation that decides on it."""
+        """Return a move, and the request for the simulation that decides on it."""
         seed = self.program.simulator_seed(key_seed, move.sites)
         log_u = log_uniform(key_accept)
         request = Request(move.sites, move.log_prior, seed, log_proposal=move.log_proposal)
@@ -493,10 +492,10 @@ class MetropolisKernel(EventKernel):
 
 
 class ProposalKernel(MetropolisKernel):
-    """Base of those kernels of the family that only have to say what they propose."""
+    """Base of the kernels of the family that only define a proposal."""
 
     proposes_from_prior: ClassVar[bool] = False
-    """Whether each proposal is a draw from the prior, whatever the state."""
+    """Whether each proposal is a draw from the prior, independent of the state."""
 
     @abstractmethod
     def proposed(

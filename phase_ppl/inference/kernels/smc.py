@@ -1,16 +1,18 @@
 """Sequential Monte Carlo: a population that is cooled from the proposal to the posterior.
 
-The particles of a run are one population. They start as draws from what the whole observation
-shows, with weights P / Q, and pass through the laws P(h) p(w) L(e)^t of hypothesis h and simulator
-seed w, from t = 0 to the posterior at t = 1 (Del Moral, Doucet, Jasra 2006). Each iteration
+The particles of a run are one population. They start as draws from the proposal for the whole
+observation, with weights P / Q. They pass through the laws P(h) p(w) L(e)^t of hypothesis h and
+simulator seed w, from t = 0 to the posterior at t = 1 (Del Moral, Doucet, Jasra 2006).
 
-1. raises t as far as the stored errors allow: no simulation is needed to reweight;
+Each iteration
+
+1. raises t as far as the stored errors allow; reweighting needs no simulation;
 2. resamples, systematically;
-3. moves every particle once by Metropolis-Hastings at that t: one simulation each, which is
-   stopped early as in the kernel that makes the move.
+3. moves every particle once by Metropolis-Hastings at that t, with one simulation each.
 
-From t = 1 on, iterations are moves only. A run that ends before has draws that carry the weight
-L^(1 - t) that is left. The draws are the last population only.
+The kernel of the moves may stop simulations early. From t = 1 on, iterations are moves only. If a
+run ends before, its draws carry the remaining weight L^(1 - t). The draws are the last population
+only.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ _BISECTIONS = 40
 
 
 class Tempered:
-    """The likelihood L^temperature, in [0, 1]; not a density any more."""
+    """The likelihood raised to a temperature in [0, 1]; no longer a density."""
 
     def __init__(self, likelihood: TrajectoryLikelihood, temperature: jax.Array) -> None:
         self._likelihood, self._temperature = likelihood, temperature
@@ -47,7 +49,7 @@ class Tempered:
     def log_prob(self, errors: Any) -> Any:
         """Return the temperature times the log density of each frame; -inf without one."""
         log_prob = self._likelihood.log_prob(errors)
-        # 0 times -inf is no number; what failed stays impossible at any temperature
+        # 0 times -inf is NaN; failed simulations stay impossible at any temperature
         return jnp.where(jnp.isfinite(log_prob), self._temperature * log_prob, -jnp.inf)
 
     def max_total_error(self, log_floor: Any, n_frames: int) -> Any:
@@ -69,9 +71,9 @@ def next_temperature(
 ) -> jax.Array:
     """Return the highest temperature that the population can be reweighted to.
 
-    By bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016): the share of
-    particles, ``target``, that the increments of weight leave effective, given the weights so far.
-    Both arrays are (n,), log likelihoods up to a constant.
+    It is found by bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016).
+    ``target`` is the share of particles that stay effective under the increments of weight, given
+    the weights so far. Both arrays are (n,), log likelihoods up to a constant.
     """
     share = log_weights - logsumexp(log_weights)
 
@@ -91,12 +93,12 @@ def next_temperature(
 
 
 def powered(log_likelihood: jax.Array, power: jax.Array) -> jax.Array:
-    """Return log L^power; -inf for what is impossible, whatever the power."""
+    """Return log L^power; an impossible L stays -inf at any power."""
     return jnp.where(jnp.isfinite(log_likelihood), power * log_likelihood, -jnp.inf)
 
 
 def systematic(key: jax.Array, log_weights: jax.Array) -> jax.Array:
-    """Return (n,) which particle each place of a systematic resampling gets.
+    """Return (n,) the particle at each place after systematic resampling.
 
     With equal weights every particle keeps its place.
     """
@@ -155,8 +157,8 @@ class SMC(EventKernel):
     """Sequential Monte Carlo: a population cooled from the proposal to the posterior.
 
     Args:
-        target: share of the population that a rise in temperature may leave effective; the
-            lower, the fewer iterations reach the posterior, and the fewer distinct particles.
+        target: share of the population that stays effective when the temperature rises. A lower
+            target takes fewer iterations to the posterior and leaves fewer distinct particles.
         move: name of the kernel that moves the particles.
 
     Raises:
@@ -191,7 +193,7 @@ class SMC(EventKernel):
         return PriorMH(program)
 
     def initial(self, keys: jax.Array, given: dict[str, jax.Array] | None) -> tuple[Any, Request]:
-        """Draw the population (chain,) from what the whole observation shows."""
+        """Draw the population (chain,) from the proposal for the whole observation."""
 
         def one(key: jax.Array, sites: dict[str, jax.Array] | None) -> tuple[Any, Request]:
             key, key_sites, key_start = random.split(key, 3)
@@ -220,7 +222,7 @@ class SMC(EventKernel):
             )
 
         state: SMCState = for_each(one, known, step_error)
-        # until it is cooled, that of importance sampling
+        # before cooling the evidence is importance sampling's
         return state._replace(
             log_evidence=jnp.full_like(state.log_evidence, self._log_mean(state.log_weight))
         )
@@ -241,8 +243,8 @@ class SMC(EventKernel):
         particle = particle._replace(rng_key=keys[:, 1])
         mover = self._mover(tempered(self.program, temperature))
         proposed, request = jax.vmap(mover.propose)(particle)
-        # how probable it is that a simulation is not stopped follows from L^t, not from L, so that
-        # it cannot be weighed as those of other kernels are
+        # the probability that a simulation is not stopped follows from L^t, not from L: so it
+        # cannot be weighed like those of other kernels
         unknown = jnp.full_like(weights, np.nan)
         request = request._replace(log_proposal=unknown, log_bound=jnp.full_like(weights, np.inf))
         return (state.i + 1, proposed, temperature, so_far, keys[:, 2]), request
@@ -264,7 +266,7 @@ class SMC(EventKernel):
         )
 
     def _log_mean(self, log_weight: jax.Array) -> jax.Array:
-        """Return the log of the mean weight, with what the weights leave out of the likelihood."""
+        """Return the log of the mean weight, with the part of the likelihood that weights omit."""
         without_error = self.program.log_likelihood(jnp.zeros(self.program.n_frames)).sum()
         return logsumexp(log_weight) - np.log(len(log_weight)) + without_error
 

@@ -39,7 +39,7 @@ from phase_ppl.world.hypothesis import STRENGTH_RANGE
 
 
 class WeightedState(NamedTuple):
-    """State of a particle that draws anew in every iteration, each draw with a weight."""
+    """State of a particle that makes an independent, weighted draw in every iteration."""
 
     i: jax.Array
     # site -> value, the hypothesis drawn last with any further sites; an earlier one, at weight 0,
@@ -70,7 +70,7 @@ class WeightedState(NamedTuple):
         simulated: jax.Array,
         window: jax.Array | int = -1,
     ) -> WeightedState:
-        """Return the state after a draw; ``simulated`` says whether it could be."""
+        """Return the state after a draw; ``simulated`` says whether its simulation succeeded."""
         sites, seed = chosen(simulated, (sites, seed), (self.z, self.sim_seed))
         return WeightedState(
             self.i + 1,
@@ -96,8 +96,8 @@ class Importance(EventKernel):
     """Importance sampling from the guide's mixture over windows.
 
     Draws are independent, each weighing P(h) L / Q(h). Q is the even mixture of the guide's
-    proposals over all windows and the whole observation; with the guide's share of the prior it
-    covers whatever the prior does. Nothing is stopped early.
+    proposals over all windows and the whole observation. The guide's share of the prior makes Q
+    cover the prior's support. Nothing is stopped early.
     """
 
     validity = "consistent"
@@ -125,7 +125,7 @@ class Importance(EventKernel):
         return self.accept((before, *known[1:]), step_error)
 
     def propose(self, state: WeightedState) -> tuple[Any, Request]:
-        """Draw once more, whatever was drawn before."""
+        """Make another draw, independent of those before."""
         key, key_sites, key_seed = random.split(state.rng_key, 3)
         return self._drawn(state, key, key_seed, *self._draw(key_sites))
 
@@ -156,8 +156,8 @@ class Importance(EventKernel):
 # --- every hypothesis ----------------------------------------------------------------------------
 
 _NEGLIGIBLE: Final = -60.0
-"""Log prior, less the highest, below which a hypothesis is left out; NumPyro gives a probability
-of 0 some -87."""
+"""Log prior relative to the highest, below which a hypothesis is left out. NumPyro gives a
+probability of 0 a log of about -87."""
 
 STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)  # grid of each agent's strength, newtons
 MAX_SIMULATIONS: Final = 50_000
@@ -180,9 +180,10 @@ class Grid(NamedTuple):
 def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SIMULATIONS) -> Grid:
     """Return all effective goals of all agents with prior mass, times all strengths [N].
 
-    A strength stands for all that are nearer to it than to any other, and has their prior mass; in
-    other worlds than PHASE, and of a grid beyond the range of strengths, by the density at it.
-    In other worlds as many hypotheses as ``most``; each way to help or hinder counts by itself.
+    A strength stands for all that are nearer to it than to any other, and has their prior mass. In
+    other worlds than PHASE, and for grids beyond the range of strengths, it has the prior density
+    at its value. Other worlds have at most ``most`` hypotheses; each way to help or hinder counts
+    by itself.
     """
     space = space_of_prior(model.prior)
     own = [name for name in model.sites if name not in space.sites]
@@ -195,7 +196,7 @@ def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SI
         raise InvalidSettingError(
             f"strengths={shown(strengths)}, expected a few positive numbers, newtons"
         )
-    with jax.ensure_compile_time_eval():  # kernels are made inside compiled code
+    with jax.ensure_compile_time_eval():  # kernels may be made inside compiled code
         forces = tuple(float(value) for value in strengths)
         if isinstance(model.prior, WorldPrior):
             return _grid_in_world(model.prior, forces, most)
@@ -230,7 +231,7 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
 def _log_cells(prior: Any, pairs: NDArray[np.int64], strengths: tuple[float, ...]) -> FloatArray:
     """Return (strength, strength, pair) log prior masses of effective goals and strengths.
 
-    They are integrated: where strengths depend on each other, a density may rise without bounds.
+    Masses are integrals: if strengths depend on each other, a density may be unbounded.
     """
     levels, place, count = np.unique(strengths, return_inverse=True, return_counts=True)
     masses = np.exp(prior_table(prior, tuple(levels.tolist())))
@@ -258,7 +259,7 @@ def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -
             f"max_simulations={most}"
         )
     for way, own in zip(ways, owners, strict=True):
-        # of who helps or hinders any goal will do: it is not used
+        # helpers and hinderers do not use their own goal: any goal will do
         choices = [p if is_own else p[:1] for p, is_own in zip(possible, own, strict=True)]
         rows = np.array(list(itertools.product(*choices)), np.int32).reshape(-1, n_agents)
         blocks.append(np.column_stack([rows, np.full(len(rows), way)]))
@@ -280,12 +281,12 @@ def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -
 
 
 def _log_newtons(law: Any, strengths: NDArray[Any], cut: bool = True) -> FloatArray:
-    """Return (row,) the log of how many newtons the strengths of a grid stand for.
+    """Return (row,) the log width, in newtons, of each strength's cell of the grid.
 
     Args:
-        law: of the strength in the prior.
-        strengths: (row,) newtons, each of the grid as often as it is given there.
-        cut: whether the support of ``law`` is that of the strength in all hypotheses.
+        law: the strength's distribution in the prior.
+        strengths: (row,) newtons, with repetitions as in the grid.
+        cut: whether ``law`` has the same support in all hypotheses.
     """
     if law.support.is_discrete:
         return np.zeros(len(strengths))
@@ -302,9 +303,9 @@ def _log_newtons(law: Any, strengths: NDArray[Any], cut: bool = True) -> FloatAr
 def _with_mass(
     prior: Any, sites: dict[str, NDArray[Any]], log_prior: FloatArray, strengths: Sequence[float]
 ) -> Grid:
-    """Return the grid of those hypotheses that have prior mass."""
+    """Return the grid without hypotheses that have no prior mass."""
     density = jax.jit(jax.vmap(functools.partial(log_density, prior)))(sites)
-    keep = np.asarray(density) > NO_DENSITY  # looks at the support, as NumPyro's own does not
+    keep = np.asarray(density) > NO_DENSITY  # checks the support, which NumPyro does not
     keep &= log_prior > np.max(log_prior, initial=-np.inf, where=keep) + _NEGLIGIBLE
     if not keep.any():
         raise InvalidSettingError(
@@ -319,16 +320,16 @@ def _with_mass(
 class Enumeration(EventKernel):
     """Enumeration of all agents' effective goals on a grid of strengths.
 
-    Every hypothesis is simulated, one after the other, and weighs P(h) L. As good as its grid of
-    strengths and, where the simulator is noisy, as its number of seeds: hence "consistent" and not
+    Every hypothesis is simulated, one after the other, and weighs P(h) L. The result is as good as
+    the grid of strengths and, for a noisy simulator, the number of seeds: hence "consistent", not
     "exact". The particles share the work; the seeds vary slowest.
 
     Args:
         strengths: grid of each agent's strength, newtons. Each stands for those nearer to it than
-            to another: with strengths alike between 150 and 600 N, the four by default weigh 1/6,
-            1/3, 1/3 and 1/6. See :func:`hypothesis_grid`.
+            to another. Under a uniform prior from 150 to 600 N the default four weigh 1/6, 1/3,
+            1/3 and 1/6. See :func:`hypothesis_grid`.
         noise_seeds: simulations of each hypothesis, with seeds of their own.
-        max_simulations: more than these are refused.
+        max_simulations: largest number of simulations allowed.
 
     Raises:
         InvalidSettingError: the prior cannot be enumerated, or takes too many simulations; more
@@ -371,11 +372,11 @@ class Enumeration(EventKernel):
 
     @property
     def n_simulations(self) -> int:
-        """How many simulations all hypotheses take."""
+        """Number of simulations for all hypotheses."""
         return self._grid.size * self._noise_seeds
 
     def n_iterations(self, chains: int) -> int:
-        """Return how many iterations so many particles need after their initial ones."""
+        """Return how many iterations ``chains`` particles need after the initial ones."""
         return -(-self.n_simulations // chains) - 1
 
     def initial(self, keys: jax.Array, _: Any) -> tuple[Any, Request]:
@@ -399,7 +400,7 @@ class Enumeration(EventKernel):
 
         def weighed(known: Any, error: jax.Array) -> WeightedState:
             state, key, row, request = known
-            # beside that without any error
+            # relative to a simulation without any error
             likeness = self.program.relative_log_likelihood(error)
             log_weight = jnp.asarray(self._grid.log_prior)[row] + likeness
             possible = jnp.isfinite(error).all()

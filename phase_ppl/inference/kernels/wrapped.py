@@ -1,6 +1,6 @@
-"""Samplers of NumPyro: composable Gibbs, site by site, and those that know real vectors only.
+"""Samplers of NumPyro: composable Gibbs, site by site, and samplers of real vectors.
 
-These see the model as a function of uniform numbers (:mod:`phase_ppl.models.uniform`); samplers
+The latter see the model as a function of uniform numbers u (:mod:`phase_ppl.models.uniform`). They
 move on the whole real line, u = 1 / (1 + exp(-x)).
 """
 
@@ -36,7 +36,7 @@ from phase_ppl.models.uniform import IMPOSSIBLE, dimensions, in_steps, sites_at
 from phase_ppl.world.errors import InvalidSettingError, positive_number, whole_number
 
 Found = tuple[dict[str, jax.Array], jax.Array, jax.Array]
-"""What a point stands for: sites, seed, and the errors (time,) of the simulation, units."""
+"""The meaning of a point: sites, seed, and errors (time,) of the simulation, units."""
 
 
 class WrappedState(NamedTuple):
@@ -52,9 +52,9 @@ class WrappedState(NamedTuple):
     rng_key: jax.Array
 
     def after(self, inner: Any, moved: jax.Array, found: Found, rng_key: jax.Array) -> WrappedState:
-        """Return the next state; what could not be simulated leaves the hypothesis as it was.
+        """Return the next state; after a failed simulation the hypothesis stays as it was.
 
-        ``found`` is what the sampler's point stands for; the bridge has simulated it already.
+        ``found`` is the meaning of the sampler's point; the bridge has simulated it already.
         """
         moved &= jnp.isfinite(found[2]).all()
         z, sim_seed, error = chosen(moved, found, (self.z, self.sim_seed, self.step_error))
@@ -82,7 +82,7 @@ class UniformKernel(EventKernel):
 
     @property
     def dimensions(self) -> int:
-        """Numbers that make a point: those of the sites, and the seed's unless noise is fixed."""
+        """Length of a point: a number per site, and one for the seed unless noise is fixed."""
         return dimensions(self.program.model)
 
     def potential(self, point: jax.Array) -> jax.Array:
@@ -95,7 +95,7 @@ class UniformKernel(EventKernel):
 
     def begun(self, keys: jax.Array, _: Any) -> WrappedState:
         keys = jax.vmap(lambda key: random.split(key, 3))(keys)
-        # as likely as the prior makes them
+        # starting points from the prior
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
         inner = self.started_at(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
         found = jax.vmap(self._simulated)(self.points(inner))
@@ -106,12 +106,12 @@ class UniformKernel(EventKernel):
         keys = jax.vmap(random.split)(state.rng_key)
         inner = self.advance(keys[:, 0], state.inner)
         moved = (self.points(inner) != self.points(state.inner)).any(axis=1)
-        found = jax.vmap(self._simulated)(self.points(inner))  # the sampler has paid for it
+        found = jax.vmap(self._simulated)(self.points(inner))  # already simulated by the sampler
         return jax.vmap(WrappedState.after)(state, inner, moved, found, keys[:, 1])
 
     def _simulated(self, point: jax.Array) -> Found:
         program, sites = self.program, self._sites(point)
-        # the number after the sites' is the seed's; with fixed noise there is none, and no need
+        # the number after the sites' is the seed's; with fixed noise there is none, nor a need
         seed = program.seed_at(in_steps(jax.nn.sigmoid(point))[-1], sites)
         return sites, seed, program.simulate(sites, program.log_prior(sites), seed)
 
@@ -136,8 +136,8 @@ class UniformKernel(EventKernel):
 class Ensemble(UniformKernel):
     """Affine-invariant ensemble sampling on the uniformised model.
 
-    NumPyro's (Goodman, Weare 2010): the particles are an ensemble, each half of which moves along
-    lines through the other. An iteration is a stretch or a differential evolution move by chance.
+    NumPyro's sampler (Goodman, Weare 2010): the particles are an ensemble; each half moves along
+    lines through the other. An iteration is a stretch or a differential evolution move, at random.
     The sampler evaluates a current point anew; the bridge answers that from its records.
 
     Raises:
@@ -159,7 +159,7 @@ class Ensemble(UniformKernel):
 
     def advance(self, keys: jax.Array, inner: jax.Array) -> Any:
         """Move one half of the ensemble, then the other."""
-        with jax.ensure_compile_time_eval():  # it looks at its weights
+        with jax.ensure_compile_time_eval():  # AIES needs the values of its weights
             sampler = AIES(
                 potential_fn=self.potential, moves={AIES.DEMove(): 0.5, AIES.StretchMove(): 0.5}
             )
@@ -179,11 +179,11 @@ _POINTS_PER_SITE: Final = 8
 class SampleAdaptive(UniformKernel):
     """Sample Adaptive MCMC on the uniformised model.
 
-    NumPyro's (Zhu 2019): a pool of points per particle proposes a new one, which takes the place of
-    another. The draw of an iteration is a point of the pool by chance. The pool's points are
-    simulated at the start, and it takes many iterations to leave them behind. With few points
-    NumPyro's sampler is biased: on the toy of the tests by a total variation of 0.05 with twice as
-    many as sites, below 0.015 with eight times as many. Hence "consistent", and hence the default.
+    NumPyro's sampler (Zhu 2019): a pool of points per particle proposes a new point, which replaces
+    another. The draw of an iteration is a random point of the pool. The pool's points are simulated
+    at the start, and it takes many iterations to leave them behind. With few points the sampler is
+    biased: on the tests' toy model by a total variation of 0.05 with twice as many points as sites,
+    and below 0.015 with eight times as many. Hence "consistent", and hence the default.
 
     Args:
         pool: points per particle; by default eight times the number of sites, the seed's
@@ -207,7 +207,7 @@ class SampleAdaptive(UniformKernel):
     def started_at(self, keys: jax.Array, points: jax.Array) -> Any:
         """Simulate pools around the points."""
         state = self._sampler(keys, points)[1]
-        # a particle must be somewhere possible, if it knows such a place
+        # a particle starts at a possible point of its pool, if there is one
         zs, pes = state.adapt_state.zs, state.adapt_state.pes
         best = pes.argmin(axis=1)[:, None]
         possible = state.potential_energy < IMPOSSIBLE
@@ -220,7 +220,7 @@ class SampleAdaptive(UniformKernel):
 
     def advance(self, keys: jax.Array, inner: Any) -> Any:
         """Propose one point per pool."""
-        sampler, _ = self._sampler(keys, inner.z)  # a sampler is made ready by its init
+        sampler, _ = self._sampler(keys, inner.z)  # which calls its init
         return sampler.sample(inner._replace(rng_key=keys), (), {})
 
     def points(self, inner: Any) -> Any:
@@ -236,7 +236,7 @@ _DRAWS: Final = 256
 
 
 class WalkState(NamedTuple):
-    """State of the block of numbers."""
+    """State of the block of real sites."""
 
     z: dict[str, jax.Array]  # site -> value
     log_density: jax.Array  # of the joint model, given the other block
@@ -244,7 +244,7 @@ class WalkState(NamedTuple):
 
 
 class RandomWalk(MCMCKernel):
-    """Random walk on all real sites together, and now and then a new simulator seed.
+    """Random walk on all real sites together, with an occasional new simulator seed.
 
     Args:
         model: NumPyro program; Gibbs conditions it on the sites of other blocks.
@@ -299,13 +299,13 @@ class RandomWalk(MCMCKernel):
 class GibbsKernel(EventKernel):
     """Gibbs sampling: random walks site by site.
 
-    Updates the discrete sites one by one, in random order, then the numbers and the seed. A
-    discrete site is proposed evenly from its other values, with the simulator's seed kept; the
+    It updates the discrete sites one by one, in random order, then the real sites and the seed. A
+    discrete site is proposed evenly from its other values, with the simulator's seed kept. The
     target is the joint law of hypothesis and seed. An iteration takes one simulation for each
     discrete site and one for the rest.
 
     Args:
-        step: standard deviation of the steps of real sites, in those of the prior.
+        step: standard deviation of the steps of real sites, in standard deviations of the prior.
 
     Raises:
         InvalidSettingError: ``step`` is no positive number, or a discrete site's values are not
@@ -323,7 +323,7 @@ class GibbsKernel(EventKernel):
 
     @property
     def sims_per_step(self) -> int:
-        """One for each discrete element, and one for the rest."""
+        """Simulations per step: one for each discrete element, and one for the rest."""
         shapes = self.program.model.sites
         return 1 + sum(int(np.prod(shapes[name])) for name in self._discrete())
 
@@ -356,7 +356,7 @@ class GibbsKernel(EventKernel):
                 program.model.prior()
             sites = {name: trace[name]["value"] for name in program.model.sites}
             uniform = numpyro.sample(SEED_SITE, dist.Uniform()) if fresh else jnp.zeros(())
-            # looks at the support of all sites, whether Gibbs holds them fixed or not
+            # checks the support of all sites, fixed by Gibbs or not
             log_prior = program.log_prior(sites)
             error = program.simulate(sites, log_prior, program.seed_at(uniform, sites))
             log_likelihood = program.relative_log_likelihood(error)

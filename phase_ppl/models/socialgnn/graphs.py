@@ -1,8 +1,8 @@
-"""The frames of an event as graphs, and events as examples, in all looks that mean the same.
+"""The frames of an event as graphs, and events as training examples in all equivalent looks.
 
-Nodes are the four entities and, but for the original variant, the four landmarks after them. The
-paper's variants see the numbers as they are, units and radians; for message passing places count
-from the arena's centre in halves of its width, so that the arena is [-1, 1] x [-1, 1].
+Nodes are the four entities, followed, except in the original variant, by the four landmarks. The
+paper's variants see unscaled numbers, units and radians. Message passing sees places scaled to the
+arena [-1, 1] x [-1, 1], from its centre in halves of its width.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ NEAR: Final = 5.0
 landmark's square in the original world."""
 
 N_FEATURES: Final = 7
-"""Numbers that a node has in a frame.
+"""Number of features of a node in a frame.
 
-Of the paper's variants: x, y, their gain per simulated second, angle (0 but for agents), size R,
-and 0 for agents, 1 for items, 2 for landmarks. For message passing: x, y, their gain since the last
-frame in units, heading x and y (0 but for agents), size R. A landmark's size is half its width.
+The paper's variants: x, y, their change per simulated second, angle (0 except for agents), size R,
+and 0 for agents, 1 for items, 2 for landmarks. Message passing: x, y, their change since the last
+frame in units, heading x and y (0 except for agents), size R. A landmark's size is half its width.
 """
 
 CONTACT_FACTOR: Final = 1.2
-"""In the paper's variants two entities touch that are nearer than this times R1 + R2."""
+"""In the paper's variants two entities touch if they are nearer than this times R1 + R2."""
 
 _RATE: Final = 12.0  # frames per simulated second
 
@@ -62,9 +62,9 @@ class Graphs(NamedTuple):
     nodes: SingleArray  # (time, node, feature), see ``N_FEATURES``
     # (edge, 4) frame, sender, receiver, kind; every edge is there in both directions
     edges: SmallIntArray
-    # (number,) what all edges are told: the walls on the four rays, in the paper's variants both
-    # ends (0 where there is none), for message passing the outer one (the centre where there is
-    # none); and in the original variant the landmarks' centres
+    # (number,) context of all edges: the walls on the four rays and, in the original variant, the
+    # landmarks' centres. The paper's variants have both ends of a wall (0: no wall), message
+    # passing the outer end (the centre: no wall)
     context: SingleArray
 
 
@@ -84,14 +84,14 @@ def n_nodes(variant: Variant) -> int:
 
 
 def n_context(variant: Variant) -> int:
-    """Return how many numbers all edges are told."""
+    """Return the length of the context of all edges."""
     ends = 1 if variant == "message_passing" else 2
     landmarks = len(LANDMARKS) if variant == "original" else 0
     return 2 * (ends * len(RAY_DIRECTIONS) + landmarks)
 
 
 def edge_slots(variant: Variant) -> IntArray:
-    """Return (sender, receiver) the slot of each edge that there can be, -1 where there is none."""
+    """Return (sender, receiver) the slot of each possible edge; -1: impossible."""
     n = n_nodes(variant)
     entity = np.arange(n) < len(ENTITIES)
     possible = (entity[:, None] | entity) & ~np.eye(n, dtype=bool)
@@ -99,7 +99,7 @@ def edge_slots(variant: Variant) -> IntArray:
 
 
 def touching(scene: Scene, observation: Observation, variant: Variant) -> NDArray[np.bool_]:
-    """Return (time, entity, entity) who touches whom, as the variant has it."""
+    """Return (time, entity, entity) who touches whom, by the variant's definition."""
     if variant == "message_passing":
         return contacts(scene, observation)
     places, walls = observation.positions, scene.rooms.wall_length > 0
@@ -122,7 +122,7 @@ def _walls(scene: Scene) -> FloatArray:
 def _crosses(
     one: FloatArray, other: FloatArray, start: FloatArray, end: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return whether ways (..., coord) from one place to another meet the wall."""
+    """Return whether straight paths between places (..., coord) cross the wall."""
 
     def side(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
         along, to = b - a, c - a
@@ -218,13 +218,13 @@ def batch(graphs: Sequence[Graphs]) -> Batch:
 LOOKS: Final = tuple(
     Look(*look) for look in itertools.product(REFLECTION_SHARES, (False, True), (False, True))
 )
-"""Reflections and exchanges of colours that generated events, like PHASE's, come in: 20."""
+"""The 20 equivalent looks of an event: reflections and exchanges of colours."""
 
 AS_IT_IS: Final = LOOKS.index(Look(UNCHANGED, agents=False, items=False))
 
 
 class Example(NamedTuple):
-    """An event in one look: what is seen, index of the relation, effective goals of red, green."""
+    """An event in one look: graphs, index of the relation, effective goals of red and green."""
 
     graphs: Graphs
     relation: int
@@ -232,7 +232,7 @@ class Example(NamedTuple):
 
 
 class Examples:
-    """Events with known truth, in any look; what was made once is kept.
+    """Events with known truth, in any look; examples are cached.
 
     Raises:
         InvalidEventError: the truth of an event is not known.
@@ -277,7 +277,7 @@ class Examples:
 
 
 def _recording(event: Event) -> Recording:
-    """Return an event as what the copies are made of; what agents do is not known, nor needed."""
+    """Return an event as a recording to copy; agents' actions are unknown and not needed."""
     truth, track = event.truth, event.observation.trajectory
     assert truth is not None
     goals = goal_index(truth.goal_red), goal_index(truth.goal_green)

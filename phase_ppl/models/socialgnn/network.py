@@ -1,4 +1,4 @@
-"""The network, and the training of one. Importing this needs PyTorch."""
+"""The network and its training. Importing this module needs PyTorch."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from phase_ppl.world.scene import Scene
 
 
 class Outputs(NamedTuple):
-    """What the heads say, before any softmax."""
+    """The heads' outputs before the softmax."""
 
     relation: Any  # (event, relation)
     goals: Any  # (event, agent, goal); None in the original variant
 
 
 class SocialGNN(nn.Module):
-    """A network of any variant, with that dropout of the LSTM's inputs and of its last state."""
+    """A network of any variant, with dropout on the LSTM's inputs and on its last state."""
 
     def __init__(self, variant: Variant, dropout: float = 0.0) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class SocialGNN(nn.Module):
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, given: Batch) -> Outputs:
-        """Return what the heads say of the events of a batch."""
+        """Return the heads' outputs for the events of a batch."""
         frames = self.dropout(self._frames(given))
         lengths = torch.from_numpy(given.lengths)
         padded = nn.utils.rnn.pad_sequence(frames.split(given.lengths.tolist()), batch_first=True)
@@ -77,7 +77,7 @@ class SocialGNN(nn.Module):
         return Outputs(said["relation"], torch.stack(goals, dim=1) if goals else None)
 
     def _frames(self, given: Batch) -> Any:
-        """Return (frame, number) what the LSTM reads of every frame."""
+        """Return (frame, number) the LSTM's input of every frame."""
         nodes = torch.from_numpy(given.nodes)
         frame, sender, receiver, kind = torch.from_numpy(given.edges).T
         context = torch.from_numpy(given.context)[torch.from_numpy(given.event)[frame]]
@@ -99,7 +99,7 @@ class SocialGNN(nn.Module):
         return self.node(torch.cat([flat, arrived], dim=1)).relu().view(len(nodes), -1)
 
 
-# --- what trained networks say of an event --------------------------------------------------------
+# --- predictions of trained networks --------------------------------------------------------------
 
 
 class Ensemble:
@@ -168,8 +168,8 @@ def fit(
 ) -> Fitted:
     """Return the network trained from a seed.
 
-    That of the first weights, the order and looks of the events, and the dropout. ``after_epoch``
-    is called after each epoch.
+    The seed decides the first weights, the order and looks of events, and the dropout.
+    ``after_epoch`` is called after each epoch.
     """
     with torch_threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -241,9 +241,9 @@ def _scores(network: SocialGNN, held_out: Sequence[Example], weights: Any) -> di
 
 
 def class_weights(relations: Sequence[int]) -> Any:
-    """Return (relation,) weights in inverse proportion to how often each is there.
+    """Return (relation,) weights in inverse proportion to each relation's frequency.
 
-    Those of the events themselves have mean 1; a relation that is never there has weight 1.
+    Their mean over events is 1; a relation that never occurs has weight 1.
     """
     counts = np.bincount(relations, minlength=len(RELATIONS))
     there = counts > 0

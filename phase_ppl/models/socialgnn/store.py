@@ -1,8 +1,8 @@
-"""How a network is made, and trained networks in files: plain arrays in half precision, no code.
+"""Settings of training, and files of trained networks: plain arrays in half precision, no code.
 
-A file such as ``original.npz``, called by its variant, holds one or more *members*, networks of the
-same variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
-being 0, 1, ... ``report.json`` in it says how they were made; older files have it beside them.
+A file such as ``original.npz`` is named by its variant. It holds one or more *members*: networks of
+that variant trained from different seeds. Their arrays are called ``MEMBER/NAME``, with MEMBER
+0, 1, ... ``report.json`` in it records the training; older files have it beside them.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def shapes(variant: Variant) -> dict[str, tuple[int, ...]]:
     """Return the arrays of a trained network, as PyTorch calls them, with their shapes."""
     nodes, context = n_nodes(variant), n_context(variant)
     if variant == "message_passing":
-        # which node it is, the way from one to the other, its length, the kind of edge
+        # identity of the node, vector from one to the other, its length, kind of edge
         features, state = N_FEATURES + nodes, _OWN_STATE
         layers = {
             "edge": (_OWN_EDGE, 2 * features + 4 + context),
@@ -95,8 +95,8 @@ class TrainingSettings:
     # "extended", "message_passing" (relation and goals) or "original" (relation only)
     variant: Variant = "message_passing"
     epochs: int = 250  # passes over the training events, at most
-    # epochs without a smaller loss on the validation events after which it ends; the network of the
-    # smallest one counts. 0: all epochs at one rate, the last one counts
+    # epochs without a smaller validation loss after which training ends; the network with the
+    # smallest loss is kept. 0: all epochs at one rate, and the last network is kept
     patience: int = 40
     batch: int = 16  # events per step
     # of Adam at the start; halved after a third of the patience without progress
@@ -104,10 +104,10 @@ class TrainingSettings:
     decay: float = 3e-5  # weight of the squared norm of all weights in the loss
     dropout: float = 0.2  # share of units left out in each step
     # whether relations that are rare among the training events weigh more; else neutral ones count
-    # twice, as the authors have it. The loss of a batch is the weighted mean, so that in batches of
-    # one event neither changes anything
+    # twice, as for the authors. A batch's loss is the weighted mean: in batches of one event
+    # neither has an effect
     balanced: bool = True
-    looks: bool = True  # whether an event is reflected and recoloured anew in each epoch
+    looks: bool = True  # whether each epoch reflects and recolours an event anew
     threads: int = 1  # of PyTorch; the result depends on it
 
     def __post_init__(self) -> None:
@@ -128,7 +128,7 @@ class TrainingSettings:
 
     @classmethod
     def of(cls, variant: Variant, **changes: Any) -> TrainingSettings:
-        """Return how a variant is usually trained: those of the paper as its authors did."""
+        """Return the default settings of a variant; the paper's variants have the authors'."""
         usual = {} if variant == "message_passing" else AS_THE_AUTHORS
         return cls(variant, **{**usual, **changes})
 
@@ -137,7 +137,7 @@ AS_THE_AUTHORS: Final[Mapping[str, Any]] = {
     **{"epochs": 100, "patience": 0, "batch": 20, "learning_rate": 1e-3, "dropout": 0.0},
     **{"decay": 0.05 / 2, "balanced": False, "looks": False},  # their lambda, of half the norm
 }
-"""How the authors of SocialGNN trained it."""
+"""The training settings of SocialGNN's authors."""
 
 
 def needs_torch() -> Any:
@@ -151,7 +151,7 @@ def needs_torch() -> Any:
 
 @contextlib.contextmanager
 def torch_threads(number: int) -> Iterator[None]:
-    """Have PyTorch use so many threads within; sums, and so all numbers, depend on how many."""
+    """Context in which PyTorch uses ``number`` threads; results depend on the number."""
     torch = needs_torch()
     before = torch.get_num_threads()
     torch.set_num_threads(number)
@@ -224,14 +224,14 @@ def load(path: str | os.PathLike[str]) -> Trained:
                 raise ValueError(f"it unpacks to more than {_LARGEST} bytes")
         with open(source, "rb") as file, np.load(file, allow_pickle=False) as kept:
             return _checked({name: kept[name] for name in kept.files if name != REPORT})
-    except Exception as error:  # NumPy has a dozen kinds for what is not as it should be
+    except Exception as error:  # NumPy raises a dozen kinds of errors for bad files
         reason = str(getattr(error, "strerror", None) or error)
         words = textwrap.shorten(reason, 200, placeholder="...")  # NumPy shows what it cannot read
         raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {words}") from None
 
 
 def shipped(variant: str) -> Trained:
-    """Return the networks that come with the package; UnknownNameError: of no such variant."""
+    """Return the package's own networks; UnknownNameError: there is no such variant."""
     check_name("variant", variant, VARIANTS)
     with resources.as_file(_WEIGHTS / f"{variant}.npz") as file:
         return load(file)

@@ -1,9 +1,9 @@
-"""What passes between this package and whoever answers: an animation, a question, a reply.
+"""Requests to a vision-language model, its replies, and how answers are read.
 
-An answer is read strictly: only what has one meaning is repaired, and every repair is noted;
-anything else is refused. Repaired are: a code fence around the object, case and spaces in names,
-keys that were not asked for, and sums that miss 1 by no more than ten numbers of two decimals can
-(0.05).
+Answers are read strictly. Unambiguous faults are repaired, and every repair is noted; anything else
+is refused. Four faults are repaired: a code fence around the object, case and spaces in names,
+extra keys, and sums that differ from 1 by up to 0.05, the rounding error of ten two-decimal
+numbers.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ QUESTIONS: Final = {"goal_red": GOALS, "goal_green": GOALS, "relation": RELATION
 N_NAMED: Final = 10  # goals that an answer names for each agent
 
 REMAINING: Final = ("spread", "zero")
-"""What becomes of probability that an answer gives to no goal: spread evenly over the goals that it
-does not name, or left out, those named being scaled to sum 1."""
+"""Treatment of probability that an answer gives to no goal. "spread": evenly over the goals that it
+does not name. "zero": left out, and the named goals are scaled to sum 1."""
 
 _EXCERPT: Final = 200  # characters of a line about a request, at most
 _SUM_TOLERANCE: Final = 0.05
@@ -93,20 +93,20 @@ Its form, with the names and numbers still to be put in:
 "relation": {{"friendly": <probability>, "neutral": <probability>, \
 "adversarial": <probability>}}}}
 """
-"""The facts of the paper's prompt (Appendix D), in words of our own.
+"""The facts of the paper's prompt (Appendix D), in our own words.
 
-In this and in a prompt of one's own ``{goals}`` (``{goals_str}`` in the paper's), ``{relations}``
-and ``{shown}`` stand for the names of the goals, for the relations with their meanings, and for how
-the animation is shown.
+Here and in a user's own prompt ``{goals}`` (``{goals_str}`` in the paper's) stands for the names of
+the goals, ``{relations}`` for the relations with their meanings, and ``{shown}`` for how the
+animation is shown.
 """
 
 _PAPERS_KEYS: Final = {"red_agent_goals": "goal_red", "green_agent_goals": "goal_green"}
-"""What the paper's prompt calls its questions -> what they are called here."""
+"""Question in the paper's prompt -> its name here."""
 
 
-# what draws is imported where it is used: this module is loaded with every model's name
+# drawing is imported only where it is used: this module is loaded with every model's name
 def rendering() -> dict[str, Any]:
-    """Return how videos are drawn: as people saw them, a step in 0.25 s."""
+    """Return the settings of drawn videos: as people saw them, 0.25 s per step."""
     from phase_ppl.render.frames import HEIGHT, WIDTH
     from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP
 
@@ -115,16 +115,17 @@ def rendering() -> dict[str, Any]:
 
 
 class Picture(NamedTuple):
-    """A frame of the animation: when the video shows it, and a PNG of 640 x 480 pixels."""
+    """A frame of the animation: its time in the video, and a PNG of 640 x 480 pixels."""
 
     seconds: float
     png: bytes
 
 
 class Request:
-    """A question about one event, whose animation is drawn when it is first asked for.
+    """A question about one event; its animation is drawn on first use.
 
-    It speaks of a video or of at most ``n_pictures`` :attr:`pictures`; ``text`` is as :data:`TEXT`.
+    The prompt refers to a video or to at most ``n_pictures`` :attr:`pictures`; ``text`` is as
+    :data:`TEXT`.
     """
 
     def __init__(
@@ -189,15 +190,15 @@ class Request:
 
     @property
     def digest(self) -> str:
-        """A hash of what is drawn and how.
+        """A hash of the animation's content and drawing settings.
 
-        Not of the files: other versions of an encoder write other bytes of the same animation.
+        The files are not hashed: other versions of an encoder write other bytes.
         """
         seen = event_digest(Event(self._scene, self._observation))
         return sha256(json.dumps([seen, self._rendering, self._chosen]))
 
     def drawn(self) -> dict[str, object]:
-        """Return what has been asked for until now: its size in bytes and a hash of its bytes."""
+        """Return the size in bytes and a hash of the files drawn so far."""
         files = {
             "video": [self.video] if "video" in vars(self) else [],
             "pictures": [each.png for each in self.pictures] if "pictures" in vars(self) else [],
@@ -211,7 +212,7 @@ class Request:
 
 @dataclasses.dataclass(frozen=True)
 class Reply:
-    """What came back.
+    """The reply to a request.
 
     Raises:
         AnswerError: ``text`` is no text.
@@ -220,7 +221,7 @@ class Reply:
     text: str  # as it came; empty where there is none
     finish: str | None = None  # why the text ends there, in the service's words
     model: str | None = None  # what answered, in the service's words, such as a version
-    # as the service counts them; None where it does not say, or something that is no whole number
+    # tokens, as the service counts them; None: not given, or no whole number
     tokens_in: int | None = None
     tokens_out: int | None = None
     requests: int = 1  # how many were made until it came
@@ -229,7 +230,7 @@ class Reply:
         if not isinstance(self.text, str):
             kind = type(self.text).__name__
             raise AnswerError(f"the text of a reply is of type {kind}, expected str")
-        # servers send what they like, and one field of another type must not cost the answer
+        # servers may send fields of any type: one must not cost the answer
         for name in ("finish", "model"):
             given = getattr(self, name)
             object.__setattr__(self, name, None if given is None else str(given))
@@ -239,11 +240,11 @@ class Reply:
 
 
 Client: TypeAlias = Callable[[Request], str | Reply]
-"""Who answers. A ``ConnectionError`` or ``TimeoutError`` that it raises is worth another try."""
+"""A function that answers requests. Its ``ConnectionError`` or ``TimeoutError`` is retried."""
 
 
 class NoReply(AnswerError):
-    """A request to which no answer came.
+    """A request got no answer.
 
     Attributes:
         again: whether the same request may succeed later.
@@ -330,7 +331,7 @@ def _asked_for(document: Mapping[str, Any], repairs: list[str]) -> dict[str, Any
 
 
 def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | None:
-    """Return the name that is the same but for case and spaces, if there is one."""
+    """Return the allowed name that equals ``given`` up to case and spaces; None: there is none."""
     wanted = " ".join(given.split()).lower()
     name = next((one for one in allowed if one.lower() == wanted), None)
     if name not in (None, given):

@@ -1,9 +1,8 @@
-"""The services that can be asked, through their own libraries: google-genai and openai.
+"""Services that answer requests, through their own libraries: google-genai and openai.
 
-The libraries try again where a failure may pass, and ask for JSON. A key is read from the
-environment when a request is made, goes to the library alone, and is hidden in whatever comes back.
-No redirection is followed, which would take the request along; an answer has a largest size and a
-latest moment.
+The libraries retry temporary failures, and ask for JSON. A key is read from the environment when a
+request is made, goes to the library alone, and is hidden in replies. Redirections are not followed,
+since they would take the request along. Answers are limited in size and time.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the 
 MAX_REPLY: Final = 8 * 2**20  # largest answer that is read, bytes; a good one has a few thousand
 FIRST_WAIT: Final = 4.0
 LONGEST_WAIT: Final = 120.0
-"""Seconds that are waited before a request is made again, doubled every time, and at most; of
-Google's library, which does not heed Retry-After. OpenAI's has its own."""
+"""First and longest wait before a retry, seconds; waits double. For Google's library, which ignores
+Retry-After; OpenAI's has its own."""
 
 _USUAL: Final[Mapping[str, Mapping[str, Any]]] = {
     "google": {
@@ -48,8 +47,8 @@ _USUAL: Final[Mapping[str, Mapping[str, Any]]] = {
 _MOST: Final = {"timeout": 86_400.0, "temperature": 2.0, "video_fps": 24.0}
 _NO_KEY: Final = "none"  # sent as the key to a server of one's own that asks for none
 _SECRET_LENGTH: Final = 12
-"""A shorter key, such as the "x" that a server of one's own is content with, is no secret, and
-hiding it would spoil the answers."""
+"""Shorter keys, such as "x" for a user's own server, are no secrets; hiding them would spoil the
+answers."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,15 +139,15 @@ def _hidden(given: Any, key: str) -> Any:
 
 
 def _line(words: str, key: str) -> str:
-    # hidden before the cut, which could leave half of it
+    # hidden before shortening, which could leave half of the key
     return in_a_line(_hidden(words, key))
 
 
 class _Guard:
-    """Sees what a library's HTTP client (httpx or httpx2) sends and gets before the library does.
+    """Hooks that check what a library's HTTP client (httpx or httpx2) sends and receives.
 
-    It keeps the time from a request to the end of its answer: the libraries' own limits are for
-    each piece of an answer, and a server that sends a byte now and then keeps to them.
+    They limit the time from a request to the end of its answer. The libraries' own limits are per
+    piece of an answer: a server that sends a byte now and then keeps to them.
     """
 
     def __init__(self, key: str, timeout: float) -> None:
@@ -158,14 +157,14 @@ class _Guard:
         self._refusal: NoReply | None = None
 
     def _sent(self, request: Any) -> None:
-        if self._refusal is not None:  # by a library that tries again after whatever was raised
+        if self._refusal is not None:  # the library retries after any error
             raise self._refusal
         self.requests += 1
         self._end = time.monotonic() + self._timeout
         request.headers["Accept-Encoding"] = "identity"  # an answer is as large as what is sent
 
     def _answered(self, response: Any) -> None:
-        """Take the answer in, and give the library what was taken, without the key."""
+        """Read the answer, and hand it to the library without the key."""
         if response.headers.get("content-encoding", "identity").lower() != "identity":
             raise self._refused("the answer is compressed, which was not asked for")
         content = bytearray()
@@ -221,7 +220,7 @@ def _google(
         finish = getattr(found.candidates[0].finish_reason, "value", None)
     elif found.prompt_feedback:
         finish = f"blocked: {getattr(found.prompt_feedback.block_reason, 'value', None)}"
-    # what it thought is paid for too, also where it thought until the limit
+    # thinking is paid for too, even if it used up the limit
     counts = (usage.candidates_token_count, usage.thoughts_token_count) if usage else ()
     written = [count for count in counts if count is not None]
     return Reply(
@@ -328,9 +327,9 @@ def make_service(
 
 
 def _is_open(address: object) -> bool:
-    """Whether what is sent to an address can be read on its way: by http, to another machine.
+    """Whether traffic to an address is readable on its way: http to another machine.
 
-    No part of it may be a secret: settings are written into files.
+    An address with a secret in it is refused: settings are written into files.
     """
     text, host, secret = address if isinstance(address, str) else "", None, None
     with contextlib.suppress(ValueError):
