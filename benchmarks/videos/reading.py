@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import (
     Conduct,
     GoalFilter,
     Plans,
     SearchSets,
-    log_likelihoods,
     policies_of,
-    shift_of,
 )
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
 from phase_ppl.models import priors

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.analysis.tree import kept_world
 from phase_ppl.analysis.weights import Rows, log_sum_exp
-from phase_ppl.closed_loop.goal_filter import log_likelihoods
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods
 from phase_ppl.physics.actions import ACTION_NAMES, N_ACTIONS
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError

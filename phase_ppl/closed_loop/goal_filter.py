@@ -29,6 +29,7 @@ from phase_ppl.agents.agent import NO_INTENT, Policies, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.standpoints import standpoints
 from phase_ppl.agents.world_model import WorldModel
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.hidden_state import (
     Expected,
     HiddenState,
@@ -204,49 +205,6 @@ def policies_of(plans: _All, conduct: Conduct) -> tuple[list[FloatArray], list[I
         policies.append(np.stack(of_sets, axis=1))
         policy_of.append(number.reshape(-1))
     return policies, policy_of
-
-
-def log_likelihoods(
-    log_density: FloatArray,
-    policies: Sequence[FloatArray],
-    numbers: Sequence[IntArray],
-    n_tables: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return (row,) log likelihoods of a frame by the first set of searches alone.
-
-    And (table, row) those with all sets, and without each; NaN where not all have searched. A
-    policy is a mean over the sets.
-
-    Args:
-        log_density: (action of the first agent, of the second, ...) of the frame.
-        policies: (agent) (policy, set, action) probabilities, NaN where a set has not searched.
-        numbers: (agent) (row,) which of its policies an agent has.
-        n_tables: of the second result.
-    """
-    highest, every = log_density.max(), range(policies[0].shape[1])
-    place = np.ravel_multi_index(tuple(numbers), [len(own) for own in policies])
-
-    def by(sets: list[int]) -> FloatArray:
-        table = np.exp(log_density - highest)
-        for own in policies:  # the first axis goes, and what it becomes is put last
-            table = np.tensordot(table, own[:, sets].mean(axis=1), axes=(0, 1))
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(table.ravel())[place] + highest)
-
-    left_out = (None, *every)[:n_tables]
-    return by([0]), np.array([by([one for one in every if one != other]) for other in left_out])
-
-
-def shift_of(first: FloatArray, every: FloatArray, log_mass: FloatArray) -> FloatArray:
-    """Return (table,) by how much all sets move the log likelihoods of the first alone.
-
-    A mean over where all have searched, by log masses (row,) before the frame; 0 where none have.
-    """
-    sure = ~np.isnan(every[0]) & np.isfinite(log_mass)
-    if not sure.any():
-        return np.zeros(len(every))
-    share = np.exp(log_mass[sure] - log_mass[sure].max())
-    return np.asarray((every[:, sure] - first[sure]) @ share / share.sum())
 
 
 class GoalFilter:

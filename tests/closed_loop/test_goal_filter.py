@@ -7,12 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
+from phase_ppl.closed_loop.frame_likelihood import log_likelihoods, shift_of
 from phase_ppl.closed_loop.goal_filter import (
     Conduct,
     Plans,
-    log_likelihoods,
     policies_of,
-    shift_of,
 )
 from phase_ppl.physics.actions import N_ACTIONS, Action
 

@@ -123,12 +123,12 @@ def test_frames_of_the_closed_loop_fade_by_their_age_and_count_as_it_counts_them
     event, read = ppl.load_event("collaborate"), StepwisePosterior(reading())
     given = evidence_of([event], {event.id: read})
     logs = given.log_likelihood.reshape(3, N_GOALS, N_GOALS)
-    frames = read.dataset["log_likelihood"].values
+    frames = read.by_frame()["log_likelihood"].values  # weighed
     one, other = (BLUE_TO_RED, BLUE_TO_RED), (BLUE_NOT_TO_RED, BLUE_TO_RED)
     for found, half_life in zip(logs, (np.inf, 40.0, 10.0), strict=True):
         assert found.max() == 0
         ages = zip((3, 2, 1, 0), frames, strict=True)
-        expected = sum(0.5 * 0.5 ** (age / half_life) * (f[one] - f[other]) for age, f in ages)
+        expected = sum(0.5 ** (age / half_life) * (f[one] - f[other]) for age, f in ages)
         assert found[one] - found[other] == pytest.approx(expected)
     for goals, name in zip(other, ("goal_red", "goal_green"), strict=True):
         assert given.answers[name].reshape(N_GOALS, N_GOALS)[other] == goals
