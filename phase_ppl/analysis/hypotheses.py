@@ -590,7 +590,7 @@ class Hypotheses(Printed):
         return rows, weights / total, None if without is None else without.only(rows)
 
     def _has_error(self, *columns: NDArray[Any]) -> bool:
-        """Return whether the jackknife knows the error of what depends on these columns."""
+        """Return whether the jackknife gives the error of answers about these columns."""
         return True
 
     def _number(

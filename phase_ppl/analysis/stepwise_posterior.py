@@ -269,11 +269,10 @@ class StepwisePosterior(EventPosterior):
     def log_evidence(self) -> float:
         """Log p(s_1..t | s_0) of the frames that are counted, in nats, per (unit^8 rad^2) a frame.
 
-        Log sum_h P(h) prod_t p(s_t | s_<t, h), each frame counted in full whatever the
-        likelihood's ``weight``, but as evidence for strengths, which stays tempered
-        (``Tracking.strength_weight``): of two priors, or models with the same tracking, the one
-        with more explains the video better; where they differ in strengths, by more than this
-        says.
+        Log sum_h P(h) prod_t p(s_t | s_<t, h). Each frame counts in full, for any ``weight`` of the
+        likelihood. Only evidence for strengths stays tempered (``Tracking.strength_weight``). Of
+        two priors, or two models with the same tracking, the one with the higher log evidence
+        explains the video better. If they differ in strengths, the true difference is larger.
         """
         return self._table.log_evidence(self._frame)
 

@@ -169,7 +169,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
         raise InvalidEventError("planner_seed has 1 entry, expected none or several")
     for name, top in (("goals", space.n_goals), ("policy_of", found.sizes.get("policy"))):
         if name in names and not ((codes := found[name].values) >= 0).all() & (codes < top).all():
-            raise InvalidEventError(f"{name} has a code that is none")
+            raise InvalidEventError(f"{name} has a code outside 0 to {top - 1}")
     for name in names & {"log_likelihood", "density", "strengths", "log_prior_company", "shift"}:
         values = found[name].values
         unasked = name == "log_likelihood" and is_own
@@ -356,7 +356,7 @@ class Prior:
 
 
 class Read(NamedTuple):
-    """The hypotheses that a simulator of one's own is asked about."""
+    """The hypotheses to ask a user's own simulator about: those with prior mass."""
 
     space: HypothesisSpace
     goals: IntArray  # (goals, agent) effective goals, ascending
@@ -378,8 +378,8 @@ def _check_number(n_goals: int, n_strengths: int) -> None:
     if n_goals * n_strengths > MOST_READ:
         raise InvalidSettingError(
             f"the prior has mass on {n_goals:.3g} combinations of goals times {n_strengths} of "
-            f"strengths, each of which a simulator of one's own is asked about at every frame, "
-            f"{MOST_READ} at most: give a prior with fewer goals, or fewer strengths, "
+            f"strengths. Your simulator is asked about each at every frame, so at most "
+            f"{MOST_READ} are allowed: give a prior with fewer goals, or fewer strengths, "
             "tracking=phase_ppl.Tracking(strengths=(300, 600))"
         )
 

@@ -130,7 +130,7 @@ def likelihood(tree: xr.DataTree) -> Rows:
         lost = int(np.argmax(simulation < 0))
         raise InvalidEventError(
             f"draw {index['draw'][lost]} of chain {index['chain'][lost]} rests on no completed "
-            "simulation of the tree, so its likelihood is unknown"
+            "simulation of the tree, so its likelihood is unknown: give weights='count'"
         )
     log_likelihood = trees.array(tree, "simulations", "log_likelihood").astype(float)
     return Rows(values, normalised(log_likelihood[simulation]), index)

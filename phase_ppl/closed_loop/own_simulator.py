@@ -93,23 +93,23 @@ class OwnReading(NamedTuple):
 
 
 class SimulatorFilter:
-    """Takes in a video frame by frame; what it says of a frame never changes afterwards.
+    """Reads a video frame by frame; the likelihood of a frame never changes afterwards.
 
     Args:
-        simulator: one that goes on from what was seen.
+        simulator: a simulator that can continue from the frames that were seen.
         scene: where everything starts.
-        hypotheses: those that are read, as (goals, combination) says where ``read`` is true.
+        hypotheses: the hypotheses to read, in the order in which ``read`` is true.
         read: (goals, combination) whether a hypothesis is read.
-        frames: those seen so far, to which their owner adds each after it was read.
-        tracking: scale of kernels, and noise of what is seen.
-        samples: for each hypothesis and frame, if the simulator has no density.
-        seed: of samples.
-        workers: processes at most, which are started if a frame takes long enough for them to be
-            worth it; the result does not depend on them.
+        frames: the frames seen so far. Their owner adds each frame after it was read.
+        tracking: scale of kernel densities, and noise of the observed positions.
+        samples: number for each hypothesis and frame, if the simulator has no density.
+        seed: seed of the samples.
+        workers: most processes. They are started only if frames take long enough. The result does
+            not depend on their number.
 
     Attributes:
-        samples: 0 where the simulator has a density.
-        n_parts: of samples, each of which is left out once.
+        samples: as above; 0 if the simulator has a density.
+        n_parts: number of parts of the samples. The jackknife leaves out each once.
     """
 
     def __init__(

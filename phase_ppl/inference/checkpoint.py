@@ -255,7 +255,8 @@ class Checkpoint:
             (jax.tree_util.keystr(path), leaf.shape, leaf.dtype) for path, leaf in expected
         ]:
             raise InvalidSettingError(
-                f"{self.path} does not fit the kernel: its state had other fields, shapes or types"
+                f"{self.path} does not fit the kernel, as its state has other fields, shapes or "
+                "types: continue with the kernel that wrote it, or give another file"
             )
         return jax.tree_util.tree_unflatten(treedef, [leaf for _, leaf in self._leaves])
 
@@ -263,7 +264,7 @@ class Checkpoint:
 def _leaf(values: NDArray[Any], kind: str | None) -> jax.Array:
     """Return a leaf of a state from its numbers; with a ``kind`` it is a random key."""
     if values.dtype.kind == "f" and np.isnan(values).any():
-        raise ValueError("a value of its state is NaN")
+        raise ValueError("a value of the kernel's state is NaN")
     leaf = jnp.asarray(values)
     return leaf if kind is None else random.wrap_key_data(leaf, impl=kind)
 

@@ -167,9 +167,10 @@ def _density(prior: Program, names: tuple[str, ...]) -> Callable[[dict[str, jax.
 def _averaged(
     prior: Program, names: tuple[str, ...], above: tuple[str, ...], n_draws: int
 ) -> Callable[[dict[str, jax.Array]], jax.Array]:
-    """Return the log density of sites that depend on others ``above``, which are summed out.
+    """Return the log density of the sites ``names``, with the sites ``above`` them summed out.
 
-    Sites above with few values are summed over, others averaged over ``n_draws`` in all.
+    ``names`` depend on ``above``. Sites above with few values are summed over. The others are
+    averaged over ``n_draws`` draws in all.
     """
     known, summed, n_values = single_sites(prior), dict[str, tuple[float, ...]](), 1
     for name in above:

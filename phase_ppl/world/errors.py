@@ -213,7 +213,7 @@ def instance_of(name: str, value: object, kind: type | tuple[type, ...], expecte
 def check_fields(
     record: Collection[str], kind: type[Any], what: str, needed: Sequence[str] = ()
 ) -> None:
-    """Raise a PhasePPLError if a plain form lacks a field of ``kind``, or has an unknown one."""
+    """Raise a PhasePPLError if a record has a field that ``kind`` lacks, or lacks a needed one."""
     for name in record:
         check_name(f"field of {what}", name, [field.name for field in dataclasses.fields(kind)])
     for name in needed:

@@ -66,8 +66,8 @@ def counted(
     """Yield the items, and count them with a progress bar on stderr.
 
     Args:
-        items: such as events, or answers as they come.
-        shown: whether to show the bar; None: where stderr is a terminal, and in notebooks.
+        items: what to count, such as events or answers.
+        shown: whether to show the bar. None: only if stderr is a terminal, and in notebooks.
         unit: one word for an item.
         what: label before the bar.
         total: number of items, if ``len`` does not give it.

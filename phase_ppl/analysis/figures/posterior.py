@@ -108,10 +108,11 @@ def posteriors(
 ) -> Figure:
     """Draw goals and relations of several posteriors side by side, 7.5 inches wide.
 
-    ``posts`` has what each is called, such as the name of its prior or likelihood.
+    ``posts`` maps a title, such as the name of a prior or likelihood, to each posterior.
 
     Raises:
-        InvalidSettingError: there is none, something else among them, or one of another world.
+        InvalidSettingError: ``posts`` is empty, has something that is no posterior, or has
+            posteriors of several worlds.
     """
     if not isinstance(posts, Mapping) or not posts:
         raise InvalidSettingError(f"posteriors of {shown(posts)}, expected names -> posteriors")
