@@ -161,7 +161,7 @@ def test_a_run_that_ends_early_leaves_results_and_a_file(
 def test_compare_writes_table_and_figure(walk: Path, tmp_path: Path, capsys: Capture) -> None:
     tiny = ["--budget", 8, "--repeats", 1, "--chains", 4, *ALONE]
     kernels = ["--kernels", "prior_mh", "--reference", "single_site_mh"]
-    assert "which is compared" in fails(capsys, "compare", walk, *tiny, *kernels[:-1], "prior_mh")
+    assert "is also compared" in fails(capsys, "compare", walk, *tiny, *kernels[:-1], "prior_mh")
     again = ["compare", walk, *kernels, *tiny, "--out", tmp_path]
     assert "TV goals" in told(capsys, *again)
     assert (tmp_path / "comparison.png").stat().st_size > 1000
