@@ -167,7 +167,7 @@ def _check(found: xr.Dataset, space: HypothesisSpace) -> None:
             raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
     if is_read and not is_own and found.sizes["planner_seed"] == 1:
         raise InvalidEventError("planner_seed has 1 entry, expected none or several")
-    for name, top in (("goals", space.n_goals), ("policy_of", found.sizes.get("policy"))):
+    for name, top in (("goals", space.n_goals), ("policy_of", found.sizes.get("policy", 0))):
         if name in names and not ((codes := found[name].values) >= 0).all() & (codes < top).all():
             raise InvalidEventError(f"{name} has a code outside 0 to {top - 1}")
     for name in names & {"log_likelihood", "density", "strengths", "log_prior_company", "shift"}:
