@@ -16,7 +16,7 @@ from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.cells import WIDTH
 from phase_ppl.evaluation.comparison import holm
 from phase_ppl.evaluation.evaluation import ResultsFolder
-from phase_ppl.evaluation.figures import DRAWINGS, NothingToDrawError, draw_figures
+from phase_ppl.evaluation.figures.frame import DRAWINGS, NothingToDrawError, draw_figures
 from phase_ppl.evaluation.report import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation

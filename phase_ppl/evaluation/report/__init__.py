@@ -29,7 +29,7 @@ from phase_ppl.evaluation.comparison import (
     equivalence_tables,
 )
 from phase_ppl.evaluation.evaluation import COMPARISON, POSTERIOR, SETTINGS, Evaluation
-from phase_ppl.evaluation.figures import Results, drawings_of
+from phase_ppl.evaluation.figures.frame import Results, drawings_of
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.evaluation.table import (
     PEOPLE,
