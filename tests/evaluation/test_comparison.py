@@ -14,7 +14,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.cells import WIDTH
-from phase_ppl.evaluation.comparison import holm
+from phase_ppl.evaluation.differences import holm
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.figures.frame import DRAWINGS, NothingToDrawError, draw_figures
 from phase_ppl.evaluation.report import event_page

@@ -22,7 +22,7 @@ from phase_ppl.analysis.figures.style import (
     written,
 )
 from phase_ppl.evaluation.cells import number
-from phase_ppl.evaluation.comparison import ALPHA
+from phase_ppl.evaluation.differences import ALPHA
 from phase_ppl.evaluation.figures.frame import (
     KIND_TITLES,
     SCENARIO_COLOURS,
