@@ -92,7 +92,10 @@ def equivalence(source: Source, path: PathLike | None = None) -> Figure:
         NothingToDrawError: people judged no event with truth, or it is no comparison of models.
     """
     comparison = compared(source)
-    found = {(r["model"], r["measure"], r["scenario"]): r for r in comparison.equivalence}
+    found = {
+        (r["model"], r["measure"], r["scenario"]): {**r, "n": r["n_events"]}
+        for r in comparison.equivalence
+    }
     ends = [r[k] for r in found.values() for k in ("value", "ci_low", "ci_high")]
     reach = max(0.5, *(abs(end) for end in ends if end is not None), 0)
     parts = [None, *(name for name in SCENARIOS if any(name == part for *_, part in found))]
@@ -116,7 +119,6 @@ def equivalence(source: Source, path: PathLike | None = None) -> Figure:
                     axes.hlines(place, row[low], row[high], answers.colour, lw=width)
             face = answers.colour if "equivalent" in row["verdict"] else "white"
             axes.plot(row["value"], place, "o", ms=5, mec=answers.colour, mew=1.2, mfc=face)
-            row["n"] = row["n_events"]
         axes.set(xlim=(-reach * 1.05, reach * 1.05), xticks=[-0.5, 0, 0.5])
 
     figure = _panels(
