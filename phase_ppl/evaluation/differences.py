@@ -42,8 +42,8 @@ def differences_of(
     models: Mapping[str, Mapping[str, Prediction]],
     *,
     against: str | None = None,
-    seed: int = 0,
-    resamples: int = 10_000,
+    seed: int,
+    resamples: int,
 ) -> list[Row]:
     """Return paired differences between models' scores, for every pair and measure.
 
@@ -82,8 +82,8 @@ def equivalence_of(
     models: Mapping[str, Mapping[str, Prediction]],
     *,
     margin: float,
-    seed: int = 0,
-    resamples: int = 10_000,
+    seed: int,
+    resamples: int,
 ) -> list[Row]:
     """Return models' accuracy minus people's, with a test of equivalence.
 

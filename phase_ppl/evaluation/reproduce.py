@@ -346,7 +346,7 @@ def reproduce(
             notes.append("quick: SIMPLE, as printed too, has 30 simulations a video and 100 a "
                          "decision; the paper has 105 and 1000")  # fmt: skip
         notes += comparison.notes
-        drawn = list(_drawings(events, labels, rated, real))
+        drawn = list(_drawings(events, labels, rated))
         result = Reproduction(cells, comparison, real, notes, drawn, folder)
         record = {**given, "real": real, "notes": notes, "cells": [one.to_dict() for one in cells]}
         write_json(folder / RESULT, record)
@@ -554,7 +554,7 @@ def _of_likeness(likeness: Likeness) -> dict[str, Measure]:
 
 
 def _drawings(
-    events: Sequence[Event], tags: Tags | None, likeness: Likeness | None, real: bool
+    events: Sequence[Event], tags: Tags | None, likeness: Likeness | None
 ) -> Iterator[tuple[str, str, Callable[[], Drawn]]]:
     """Yield title, words and what draws it."""
     from phase_ppl.analysis import figures as plots
