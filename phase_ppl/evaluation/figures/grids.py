@@ -361,7 +361,7 @@ def _differences(
 def film_strips(source: Source, path: PathLike | None = None) -> Figure:
     """Draw the first event of every true scenario as a film strip, up to four.
 
-    If no scenario is known, the first event is drawn.
+    If no scenario is known, the first four events are drawn.
     """
     results = opened(source)
     scenarios = scenarios_of(results)

@@ -79,7 +79,7 @@ def report(
 ) -> Path:
     """Write one self-contained HTML page about what a folder holds; return its path.
 
-    The page holds its pictures, films, style and script, and fetches nothing.
+    The page holds its pictures, films and style, runs no script, and fetches nothing.
 
     Args:
         folder: of a run, with posterior.nc, of an evaluation, or of a comparison of models.
