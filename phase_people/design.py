@@ -62,8 +62,6 @@ def design(
         prior: label -> prior probability of each model; by default equal.
         seed: of the models, and of simulated answers, which tell what several events say.
         workers, progress, **options: for :func:`phase_ppl.evaluate`, where models are asked.
-        seed: of the models, and of the answers that are drawn to see what several events say.
-        workers, progress, **options: for :func:`phase_ppl.evaluate`, where models are asked.
 
     Example:
         ``found = ppl.design(events, ["uniform", "sparse_social"], source="runs")``, then

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +19,7 @@ from phase_ppl.analysis.quantities import Vocabulary
 from phase_ppl.analysis.tree import SIMULATED, array, space_of_tree
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.analysis.with_arviz import ess
+from phase_ppl.data.documents import check_schema, read_document
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, check_name
 from phase_ppl.world.event import Truth
@@ -154,15 +154,14 @@ class Comparison(Printed):
         """
         source = existing_file(path)
         try:
-            record = json.loads(source.read_text(encoding="utf-8"))
-            if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-                raise ValueError(f"it has no schema {SCHEMA!r}")
+            record = read_document(source)
+            check_schema(record, SCHEMA)
             runs = _frame(record["runs"], RUN_COLUMNS)
             curve = _frame(record["curve"], CURVE_COLUMNS)
             settings = dict(record["settings"])
             if unknown := set(runs["kernel"]) - set(settings["kernels"]):
                 raise ValueError(f"its settings do not name the kernels {sorted(unknown)}")
-        except (ValueError, KeyError, TypeError) as error:
+        except (InvalidEventError, ValueError, KeyError, TypeError) as error:
             reason = " ".join(str(error).split())[:200]
             raise InvalidEventError(f"{source} is no comparison: {reason}") from None
         return cls(runs, curve, settings)

@@ -35,11 +35,12 @@ word "and" or "or". ``alpha=(1, 0)`` needs none. A quantity's name may be quoted
 
 from __future__ import annotations
 
+import itertools
 import math
 import operator
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple, NoReturn, TypeAlias
+from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,7 @@ _COMPARED: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
     **{"=": operator.eq, "!=": operator.ne},
 }
 
-
+T = TypeVar("T")
 Columns: TypeAlias = Mapping[str, NDArray[Any]]  # quantity -> (row,) codes or numbers
 Test: TypeAlias = Callable[[Any], NDArray[np.bool_]]
 
@@ -213,25 +214,17 @@ class _Reader:
     # --- events: clauses of which all hold -----------------------------------------------------
 
     def events(self) -> list[Clause]:
-        found = self._either()
-        while self._take(","):
-            found += self._either()
-        return found
+        return list(itertools.chain(*self._each(self._either, lambda: self._take(","))))
 
     def _either(self) -> list[Clause]:
-        parts = [self._both()]
-        while self._word("or"):
-            parts.append(self._both())
+        parts = self._each(self._both, lambda: self._word("or"))
         if len(parts) == 1:
             return parts[0]
         each = [Conditions("", tuple(part)) for part in parts]
         return [Clause(lambda columns: np.logical_or.reduce([one.holds(columns) for one in each]))]
 
     def _both(self) -> list[Clause]:
-        found = self._single()
-        while self._word("and"):
-            found += self._single()
-        return found
+        return list(itertools.chain(*self._each(self._single, lambda: self._word("and"))))
 
     def _single(self) -> list[Clause]:
         start = self.skip()
@@ -282,9 +275,7 @@ class _Reader:
         if sign == "in" and self._take("["):
             return self._numbers(name, at, self._interval())
         if sign == "in" and self._take("{"):
-            labels = [self._label(name.text)]
-            while self._take(","):
-                labels.append(self._label(name.text))
+            labels = self._each(lambda: self._label(name.text), lambda: self._take(","))
             self._expect("}", "',' or '}'")
         elif sign == "in":
             self.expected("{ and labels, or [ and an interval's ends, after 'in'")
@@ -441,6 +432,13 @@ class _Reader:
         there = self._text.startswith(sign, self.skip())
         self._at += len(sign) * there
         return there
+
+    def _each(self, read: Callable[[], T], joined: Callable[[], bool]) -> list[T]:
+        """Read once, and again as long as what follows is joined to it."""
+        found = [read()]
+        while joined():
+            found.append(read())
+        return found
 
     def _expect(self, sign: str, what: str) -> None:
         if not self._take(sign):

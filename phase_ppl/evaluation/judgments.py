@@ -43,6 +43,7 @@ from phase_ppl.data.authors.videos import parse_name
 from phase_ppl.data.documents import Faults, in_front, of_kind, read_rows, reading_bytes, too_large
 from phase_ppl.data.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.data.load import load_events
+from phase_ppl.evaluation.evaluation import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import checked_answer, questions_of, reference_predictions
 from phase_ppl.evaluation.ratings import Judgments
@@ -325,10 +326,6 @@ def _read_rater(file: Path) -> tuple[dict[str, str], dict[str, bool]]:
 
 
 # --- the events of an evaluation, and people's judgments of them ----------------------------------
-
-SETTINGS: Final = "settings.json"
-EVENTS: Final = "events.json"
-"""Files of an evaluation (:mod:`phase_ppl.evaluation.evaluation`)."""
 
 GENERATED: Final = (MANIFEST, PLAN)  # files that mark the folder of a generated data set
 EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import math
@@ -14,9 +15,9 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.cells import WIDTH
-from phase_ppl.evaluation.comparison import holm
+from phase_ppl.evaluation.differences import holm
 from phase_ppl.evaluation.evaluation import ResultsFolder
-from phase_ppl.evaluation.figures import DRAWINGS, NothingToDrawError, draw_figures
+from phase_ppl.evaluation.figures.frame import DRAWINGS, NothingToDrawError, draw_figures
 from phase_ppl.evaluation.report import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event, Observation
@@ -236,12 +237,14 @@ def test_figures_say_of_how_many_events_who_predicts_fewer() -> None:
     )
     models = evaluation("every", predictions=every), evaluation("part", predictions=part)
     results = compare(*models, resamples=50)
+    before = copy.deepcopy(results.equivalence)
     for name in ("accuracy", "confusion", "equivalence"):
         figure = DRAWINGS[name].draw(results)
         shown = shown_in(figure)
         for numbers in ("3 to 4", "7 to 8"):
             assert any(f"n = {numbers}" in text for text in shown), (name, numbers)
         texts_apart(figure)
+    assert results.equivalence == before
     assert "part predicts 10 of 12 events; its scores are about those" in str(results)
 
 

@@ -16,7 +16,12 @@ import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.evaluation import ResultsFolder
 from phase_ppl.evaluation.experiments import LABELS, Likeness
-from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of, opened
+from phase_ppl.evaluation.figures.frame import (
+    NothingToDrawError,
+    draw_figures,
+    drawings_of,
+    opened,
+)
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,

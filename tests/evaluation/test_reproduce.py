@@ -15,14 +15,12 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation import report
 from phase_ppl.evaluation import reproduce as module
+from phase_ppl.evaluation.paper import PRINTED, SIMPLE, STEERED, Printed
 from phase_ppl.evaluation.reproduce import (
     NO_REPRODUCTION,
-    PRINTED,
-    SIMPLE,
     VERDICTS,
     Asked,
     Cell,
-    Printed,
     expected_seconds,
     models_of,
     verdict,
@@ -237,12 +235,12 @@ def test_videos_that_people_steer_give_cells_where_they_are_judged(
     ppl.save_events(played, tmp_path / "played.json")
     given = {"workers": 1, "progress": False, "say": lambda line: None}
     before = cells(ppl.reproduce(tmp_path / "out", videos, **given))
-    right = module.STEERED, "mode of responses right, relations"
+    right = STEERED, "mode of responses right, relations"
     assert "--steered" in before[right].missing
     file = tmp_path / "played.json"
     found = cells(ppl.reproduce(tmp_path / "out", videos, steered=file, resume=True, **given))
     assert found[right].ours["value"] == pytest.approx(2 / 3)
-    assert "--steered" in found[module.STEERED, "mode of responses right, goals"].missing
+    assert "--steered" in found[STEERED, "mode of responses right, goals"].missing
     # beside them those of the generated videos: all modes of ``VOTES`` are right
     assert found["people", "mode of responses right, relations"].ours["value"] == 1
     assert "does not say" in found["PHASE", "most events of a goal category"].missing

@@ -232,7 +232,7 @@ def test_fits_without_people_or_by_nobody_are_refused() -> None:
         ppl.fit_people([event], None, "nobody", source=model)
 
 
-def test_people_who_come_with_the_package_see_what_a_model_makes_of_a_video(tmp_path: Path) -> None:
+def test_people_who_come_with_the_package_see_what_a_model_makes_of_a_video() -> None:
     event = ppl.load_event("independent")
     alone = ppl.evaluate([event], "chance", progress=False)
     seen = ppl.evaluate([event], "chance", observer="people", progress=False)

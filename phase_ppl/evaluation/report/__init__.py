@@ -29,7 +29,7 @@ from phase_ppl.evaluation.comparison import (
     equivalence_tables,
 )
 from phase_ppl.evaluation.evaluation import COMPARISON, POSTERIOR, SETTINGS, Evaluation
-from phase_ppl.evaluation.figures import Results, drawings_of
+from phase_ppl.evaluation.figures.frame import Results, drawings_of
 from phase_ppl.evaluation.prediction import pairs_of, questions_of
 from phase_ppl.evaluation.table import (
     PEOPLE,
@@ -79,7 +79,7 @@ def report(
 ) -> Path:
     """Write one self-contained HTML page about what a folder holds; return its path.
 
-    The page holds its pictures, films, style and script, and fetches nothing.
+    The page holds its pictures, films and style, runs no script, and fetches nothing.
 
     Args:
         folder: of a run, with posterior.nc, of an evaluation, or of a comparison of models.

@@ -1,0 +1,38 @@
+"""Figures of an evaluation or of a comparison of models, for an article.
+
+They show who is right and who agrees with people. Every function takes an evaluation or a
+comparison, or the folder of one, and returns a matplotlib figure. With ``path`` (.png, .pdf, .svg)
+the figure is also written. Matplotlib's global state is left alone. If the results lack the data of
+a figure, it raises :class:`~phase_ppl.evaluation.figures.frame.NothingToDrawError`.
+"""
+
+# pages show the figures in the order of these imports
+# isort: off
+from phase_ppl.evaluation.figures.frame import DRAWINGS, draw_figures
+from phase_ppl.evaluation.figures.rows import accuracy, correlation, equivalence
+from phase_ppl.evaluation.figures.grids import confusion, costs, differences, film_strips
+from phase_ppl.evaluation.figures.grids import scatter_goals, scatter_relations
+from phase_ppl.evaluation.figures.doubt import people
+from phase_ppl.evaluation.figures.experiments import likeness, tags
+# isort: on
+
+__all__ = [
+    "DRAWINGS",
+    "accuracy",
+    "confusion",
+    "correlation",
+    "costs",
+    "differences",
+    "draw_figures",
+    "equivalence",
+    "film_strips",
+    "likeness",
+    "people",
+    "scatter_goals",
+    "scatter_relations",
+    "tags",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

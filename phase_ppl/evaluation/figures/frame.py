@@ -1,0 +1,152 @@
+"""What the figures of results share: whose results, where names stand, how all are written."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
+
+from phase_ppl.analysis.figures.style import NORMAL, in_style
+from phase_ppl.evaluation.cells import KIND_WORDS
+from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.evaluation import COMPARISON, Evaluation
+from phase_ppl.evaluation.table import AnswerSet, true_scenario
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.files import writable_folder
+from phase_ppl.world.hypothesis import SCENARIOS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PathLike: TypeAlias = str | os.PathLike[str]
+Results: TypeAlias = Evaluation | ModelComparison
+Source: TypeAlias = Results | PathLike
+
+KIND_TITLES: Final[dict[str, str]] = {
+    kind: words.capitalize() for kind, words in KIND_WORDS.items()
+}
+
+SCENARIO_COLOURS: Final = dict(
+    zip(SCENARIOS, ("#009e73", "#4d6fb3", "#c98a00", "#b8336a"), strict=True)
+)
+"""Colours that people with red-green blindness can tell apart."""
+
+FOLDER: Final = "figures"  # subfolder of the results
+
+_CHARACTER: Final = 0.6  # mean width of a character, as a share of its size
+_WIDEST: Final = 2.2  # most inches for names of rows; longer names get a smaller font
+
+
+class NothingToDrawError(InvalidSettingError):
+    """The results lack what a figure is about; the message says what."""
+
+
+class Drawing(NamedTuple):
+    """A kind of figure."""
+
+    title: str  # its content, in a few words
+    alt: str  # alternative text for people who cannot see it
+    draw: Callable[..., Figure]  # draws results, and writes the figure to a path
+    compares: bool  # whether it needs a comparison of models
+
+
+DRAWINGS: Final[dict[str, Drawing]] = {}
+"""Name of a figure, and of its file -> its drawing."""
+
+_Draw = TypeVar("_Draw", bound=Callable[..., Any])
+
+
+def drawing(title: str, alt: str, *, compares: bool = False) -> Callable[[_Draw], _Draw]:
+    """Return a decorator: draw in the common style, and register in :data:`DRAWINGS`."""
+
+    def keep(draw: _Draw) -> _Draw:
+        styled: Any = in_style(draw)
+        DRAWINGS[draw.__name__] = Drawing(title, alt, styled, compares)
+        return styled
+
+    return keep
+
+
+def opened(source: Source) -> Results:
+    """Return results, read from their folder if ``source`` is a path."""
+    if not isinstance(source, str | os.PathLike):
+        return source
+    comparison = (Path(source) / COMPARISON).is_file()
+    return (ModelComparison if comparison else Evaluation).load(source)
+
+
+def compared(source: Source) -> ModelComparison:
+    """Open a comparison of models; NothingToDrawError: the results are of an evaluation."""
+    found = opened(source)
+    if not isinstance(found, ModelComparison):
+        raise NothingToDrawError("the results are of an evaluation, not of a comparison of models")
+    return found
+
+
+def scenarios_of(results: Results) -> dict[str, str]:
+    """Return event -> true scenario, of the events of PHASE whose truth is known."""
+    return {event.id: name for event in results.events if (name := true_scenario(event))}
+
+
+# --- layout ---------------------------------------------------------------------------------------
+
+
+def fitting(texts: Iterable[str], width: float = _WIDEST, most: float = NORMAL) -> float:
+    """Return the font size, points, at which the longest text fits into ``width`` inches."""
+    return min(most, 72 * width / (_CHARACTER * max((len(text) for text in texts), default=1)))
+
+
+def width_of(shown: Iterable[AnswerSet]) -> float:
+    """Return the approximate inches for names beside a figure, margins included."""
+    labels = [answers.label for answers in shown]
+    return _CHARACTER * max(map(len, labels), default=0) * fitting(labels) / 72 + 0.2
+
+
+def name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
+    """Write the names of the rows on the left, in their colours."""
+    labels = [answers.label for answers in shown]
+    axes.set_yticks(range(len(shown)), labels, fontsize=fitting(labels))
+    axes.tick_params(axis="y", length=0)
+    for text, answers in zip(axes.get_yticklabels(), shown, strict=True):
+        text.set_color(answers.colour)
+
+
+def in_words(counts: Iterable[int]) -> str:
+    """Return counts, such as models' numbers of events, as text: "n = 9 to 10"."""
+    known = sorted(counts)
+    least, most = known[0], known[-1]
+    return f"n = {most}" if least == most else f"n = {least} to {most}"
+
+
+def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list[Path]:
+    """Write all figures that the results allow into ``figures/``, as PNG; return the files.
+
+    With ``progress`` the figures left out, and why, are printed on standard error.
+
+    Raises:
+        InvalidEventError, UnknownNameError: a file in the folder is damaged.
+        OutputError: a file cannot be written.
+    """
+    results = opened(source)
+    target = writable_folder(folder / FOLDER)
+    files = []
+    for name, drawing in drawings_of(results).items():
+        file = target / f"{name}.png"
+        try:
+            drawing.draw(results, file)
+        except NothingToDrawError as reason:
+            file.unlink(missing_ok=True)  # outdated figure of earlier results
+            if progress:
+                print(f"no figure {name}: {reason}", file=sys.stderr)
+        else:
+            files.append(file)
+    return files
+
+
+def drawings_of(results: Results) -> dict[str, Drawing]:
+    """Return the drawings for results of this kind."""
+    compares = isinstance(results, ModelComparison)
+    return {name: one for name, one in DRAWINGS.items() if compares or not one.compares}
