@@ -37,6 +37,12 @@ _STEPWISE: Final = (*_SAMPLED[:-1], "over_time.png", "why.png", "watch.mp4")
 
 _RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
 
+_OF_SAMPLING: Final = (
+    *("kernel", "preset", "chains", "iterations", "budget", "dask", "on_failure", "retries"),
+    *("burn_in", "weights", "simulation_seconds", "keep_checkpoint"),
+)
+"""Options of ``infer`` that ``--watch`` has no use for."""
+
 
 def infer(options: Options) -> int:
     """Print, draw and save the posterior over goals, relation and strengths of an event.
@@ -80,8 +86,8 @@ def infer(options: Options) -> int:
     with _results_folder(options, options.out, _RESULTS) as out:
         model = own.model(options, options.planner if options.watch else None, **of_likelihood)
         if options.watch:
-            sampling = options.given("kernel", "preset", "chains", "iterations", "budget")
-            if wrong := [f"--{name}" for name in sampling] + [f"--option {n}" for n in of_kernel]:
+            wrong = [f"--{name.replace('_', '-')}" for name in options.given(*_OF_SAMPLING)]
+            if wrong := wrong + [f"--option {name}" for name in of_kernel]:
                 raise InvalidSettingError(
                     f"--watch shows the closed loop, which samples nothing: no {', '.join(wrong)}"
                 )
