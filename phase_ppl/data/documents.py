@@ -105,10 +105,10 @@ def parse_document(content: bytes | str) -> dict[str, Any]:
 
 
 def _check_fields(pairs: Iterable[tuple[str, Any]]) -> None:
-    _check_once((name for name, _ in pairs), "holds an object with two fields")
+    check_once((name for name, _ in pairs), "holds an object with two fields")
 
 
-def _check_once(names: Iterable[str], what: str) -> None:
+def check_once(names: Iterable[str], what: str) -> None:
     """Raise InvalidEventError, with ``what`` and the name, if a name is there twice."""
     twice = [name for name, n in Counter(names).items() if n > 1]
     if twice:
@@ -170,7 +170,7 @@ def check_ids(ids: Sequence[str]) -> None:
     """Raise InvalidEventError if there are no ids, or an id is there twice."""
     if not ids:
         raise InvalidEventError("holds no videos: the list is empty")
-    _check_once(ids, "holds two videos with the id")
+    check_once(ids, "holds two videos with the id")
 
 
 def check_schema(record: Mapping[str, Any], schema: str, where: object = "") -> None:
