@@ -25,7 +25,6 @@ from phase_ppl.cli.commands import (
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.files import locked, writable_folder, write_json
-from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -222,9 +221,7 @@ def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
         written = _STEPWISE
     for name in set(_RESULTS) - set(written):  # of another run, to be overwritten
         (out / name).unlink(missing_ok=True)
-    print(f"\nWritten to {out}: {', '.join(written)}")
-    if event.scene.world == PHASE:
-        print(report_hint(out))
+    print(f"\nWritten to {out}: {', '.join(written)}\n{report_hint(out)}")
 
 
 # --- watching --------------------------------------------------------------------------------
