@@ -295,8 +295,8 @@ BAD_INPUT = [
     ("infer collaborate --kernel local_hm", "'local_mh'"),
     ("infer collaborate --prior unifrom", "'uniform'"),
     ("infer collaborate --likelihood radial", "which takes a kernel that samples"),
-    ("infer collaborate --watch --kernel prior_mh --option rule=paper",
-     "--watch shows the closed loop, which samples nothing: no --kernel, --option rule"),
+    ("infer collaborate --watch --kernel prior_mh --on-failure retry --option rule=paper",
+     "the closed loop, which samples nothing: no --kernel, --on-failure, --option rule"),
     ("infer collaborate --chains 3", "chains=3 is for sampling, and no kernel is named"),
     ("infer collaborate --model stepwise --kernel smc --out o --on-failure retry",
      "on_failure='retry' is for simulations"),
@@ -410,10 +410,12 @@ class TestQuery:
         self, folder: Path, tmp_path: Path, capsys: Capture
     ) -> None:
         own = tmp_path / "own.txt"
-        own.write_text("# pairs\nsame: goal_red = goal_green\n")
+        own.write_text("# pairs\nsame: goal_red = goal_green\np: goal_red = goal_green\n")
         ask = ["query", str(folder), "P(same=True or goal_red=get to green agent)"]
         ask += ["--define", str(own)]
         assert told(capsys, *ask).endswith(" = 1.00 ± 0.19\n")
+        table = ["P(p):", "  0.75 ± 0.25  True", "  0.25 ± 0.25  False"]
+        assert told(capsys, *ask[:2], "P(p)", *ask[3:]).splitlines() == table
         own.write_text("same: goal_red = goal_gren\n")
         assert main(ask) == 2
         assert "goal_red = goal_gren\n             ^" in capsys.readouterr().err
@@ -443,7 +445,7 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
         assert said.splitlines() == list(event.scene.world.goals)
     assert "unknown world 'hut'" in fails(capsys, "goals", "--world", "hut")
     simulate = ["simulate", kept, "--frames", 3, "--out", out]
-    roles = ["--goal", "Ann=pot to fire", "--relation", "Ben=hinder=Ann", "--strength", "Ben=300"]
+    roles = ["--goal", "Ann = pot to fire", "--relation", "Ben=hinder=Ann", "--strength", "Ben=300"]
     told(capsys, *simulate, *roles)
     made = phase_ppl.load_event(out)
     assert made.truth == phase_ppl.Hypothesis.of(
@@ -458,6 +460,7 @@ def test_goals_and_simulations_of_worlds_of_ones_own(tmp_path: Path, capsys: Cap
         ("--goal-red", "get to Ann", "--goal-green", "get to Ben"): "agents of 'hut' are Ann, Ben",
         ("--goal", "Ann"): "'Ann' is not of the form NAME=GOAL",
         ("--goal", "Ann=a chat", "--goal-red", "a chat"): "either --goal-red and --goal-green, or",
+        ("--goal", "Ann=a chat", "--alpha-red", "1"): "either --goal-red and --goal-green, or",
         ("--goal", "Ann=a chat", "--relation", "Ben=Ann"): "expected WHO=help=WHOM",
         ("--goal", "Ann=a chat", "--goal", "Ben=pot to fire", "--strength", "Ben=big"): "'big'",
     }.items():

@@ -294,7 +294,7 @@ class _Pairs(argparse.Action):
     """NAME=VALUE pairs; the option may be given several times."""
 
     def __call__(self, parser: Any, options: Any, text: Any, option: Any = None) -> None:
-        name, equals, value = text.partition("=")
+        name, equals, value = (part.strip() for part in text.partition("="))
         found = getattr(options, self.dest)
         if not (equals and name):
             raise argparse.ArgumentError(self, f"{text!r} is not of the form {self.metavar}")

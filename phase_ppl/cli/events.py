@@ -71,11 +71,15 @@ def simulate(options: Options) -> None:
 
 def _roles(options: Options, event: Event) -> phase_ppl.Hypothesis:
     """Return the hypothesis of the options."""
-    of_phase = options.goal_red, options.goal_green
+    of_phase = [
+        f"{what}_{name}" for what in ("goal", "alpha", "strength") for name in ("red", "green")
+    ]
     world = event.scene.world
     if options.goal or options.relation or options.strength:
-        if any(of_phase):
-            raise InvalidSettingError("give either --goal-red and --goal-green, or --goal")
+        if options.given(*of_phase):
+            raise InvalidSettingError(
+                "give either --goal-red and --goal-green, or --goal, not parts of both"
+            )
         relations = {}
         for text in options.relation:
             parts = [part.strip() for part in text.split("=")]
@@ -83,7 +87,7 @@ def _roles(options: Options, event: Event) -> phase_ppl.Hypothesis:
                 raise InvalidSettingError(f"--relation {text}: expected WHO=help=WHOM")
             relations[parts[0], parts[2]] = parts[1]
         return phase_ppl.Hypothesis.of(world, options.goal, relations, options.strength)
-    if world != phase_ppl.worlds.PHASE or None in of_phase:
+    if world != phase_ppl.worlds.PHASE or None in (options.goal_red, options.goal_green):
         raise InvalidSettingError(
             "expected --goal-red and --goal-green, or, in any world, --goal NAME=GOAL; the agents "
             f"of {world.name!r} are {', '.join(world.agents)}"

@@ -25,7 +25,6 @@ from phase_ppl.cli.commands import (
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.event import SHOWN_SECONDS_PER_FRAME, Event
 from phase_ppl.world.files import locked, writable_folder, write_json
-from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -36,6 +35,12 @@ _STEPWISE: Final = (*_SAMPLED[:-1], "over_time.png", "why.png", "watch.mp4")
 """Files of results, by kind of posterior."""
 
 _RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
+
+_OF_SAMPLING: Final = (
+    *("kernel", "preset", "chains", "iterations", "budget", "dask", "on_failure", "retries"),
+    *("burn_in", "weights", "simulation_seconds", "keep_checkpoint"),
+)
+"""Options of ``infer`` that ``--watch`` has no use for."""
 
 
 def infer(options: Options) -> int:
@@ -80,8 +85,8 @@ def infer(options: Options) -> int:
     with _results_folder(options, options.out, _RESULTS) as out:
         model = own.model(options, options.planner if options.watch else None, **of_likelihood)
         if options.watch:
-            sampling = options.given("kernel", "preset", "chains", "iterations", "budget")
-            if wrong := [f"--{name}" for name in sampling] + [f"--option {n}" for n in of_kernel]:
+            wrong = [f"--{name.replace('_', '-')}" for name in options.given(*_OF_SAMPLING)]
+            if wrong := wrong + [f"--option {name}" for name in of_kernel]:
                 raise InvalidSettingError(
                     f"--watch shows the closed loop, which samples nothing: no {', '.join(wrong)}"
                 )
@@ -216,9 +221,7 @@ def _write_results(post: Any, event: Event, out: Path, **told: str) -> None:
         written = _STEPWISE
     for name in set(_RESULTS) - set(written):  # of another run, to be overwritten
         (out / name).unlink(missing_ok=True)
-    print(f"\nWritten to {out}: {', '.join(written)}")
-    if event.scene.world == PHASE:
-        print(report_hint(out))
+    print(f"\nWritten to {out}: {', '.join(written)}\n{report_hint(out)}")
 
 
 # --- watching --------------------------------------------------------------------------------

@@ -138,9 +138,11 @@ def _ranked(found: Any) -> list[tuple[tuple[str, ...], phase_ppl.Estimate]]:
     """Return (labels, probability) of positive probabilities, descending, ties in order."""
     if isinstance(found, list):
         return [((label,), p) for label, p in found]
-    table = found.to_dataframe("p").query("p > 0").sort_values("p", ascending=False, kind="stable")
-    labels = table.index.to_frame().astype(str).itertuples(index=False, name=None)
-    numbers = map(phase_ppl.Estimate, table["p"], table["error"])
+    # no data frame: a quantity may be called as its columns
+    values, errors = found.to_series(), found["error"].to_series()
+    shown = values[values > 0].sort_values(ascending=False, kind="stable")
+    labels = shown.index.to_frame().astype(str).itertuples(index=False, name=None)
+    numbers = map(phase_ppl.Estimate, shown, errors.loc[shown.index])
     return list(zip(labels, numbers, strict=True))
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import codecs
 import contextlib
 import csv
+import json
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
@@ -64,8 +65,8 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the JSON object in a file.
 
     Raises:
-        InvalidEventError: there is no such file, it holds no JSON object, or a number is not
-            finite. The message names the file and the place.
+        InvalidEventError: there is no such file, it holds no JSON object, an object has two
+            fields of one name, or a number is not finite. The message names the file and the place.
     """
     with in_front(f"{path}: "):
         return read_document(path)
@@ -85,8 +86,12 @@ def parse_document(content: bytes | str) -> dict[str, Any]:
         raise InvalidEventError("is empty")
     if isinstance(content, str):
         content = content.encode(errors="replace")
+    content = content.removeprefix(codecs.BOM_UTF8)
     try:
-        return msgspec.json.decode(content.removeprefix(codecs.BOM_UTF8), type=dict[str, Any])
+        document = msgspec.json.decode(content, type=dict[str, Any])
+        # msgspec keeps the last of two fields of a name; numbers stay text here, which is fast
+        json.loads(content, object_pairs_hook=_check_fields, parse_float=str, parse_int=str)
+        return document
     except UnicodeError:
         raise InvalidEventError("is no text in UTF-8") from None
     except RecursionError:
@@ -97,6 +102,17 @@ def parse_document(content: bytes | str) -> dict[str, Any]:
         byte = re.search(r"\(byte (\d+)\)", str(error))
         line = content.count(b"\n", 0, int(byte[1]) if byte else None) + 1
         raise InvalidEventError(f"is not JSON: line {line}: {error}") from None
+
+
+def _check_fields(pairs: Iterable[tuple[str, Any]]) -> None:
+    check_once((name for name, _ in pairs), "holds an object with two fields")
+
+
+def check_once(names: Iterable[str], what: str) -> None:
+    """Raise InvalidEventError, with ``what`` and the name, if a name is there twice."""
+    twice = [name for name, n in Counter(names).items() if n > 1]
+    if twice:
+        raise InvalidEventError(f"{what} {shown(twice[0])}")
 
 
 # --- fields ----------------------------------------------------------------------------------
@@ -154,9 +170,7 @@ def check_ids(ids: Sequence[str]) -> None:
     """Raise InvalidEventError if there are no ids, or an id is there twice."""
     if not ids:
         raise InvalidEventError("holds no videos: the list is empty")
-    twice = [name for name, n in Counter(ids).items() if n > 1]
-    if twice:
-        raise InvalidEventError(f"holds two videos with the id {shown(twice[0])}")
+    check_once(ids, "holds two videos with the id")
 
 
 def check_schema(record: Mapping[str, Any], schema: str, where: object = "") -> None:

@@ -71,7 +71,7 @@ from typing import Annotated, Any, Final
 import msgspec
 import numpy as np
 
-from phase_ppl.data.documents import converted, event_id, per_name
+from phase_ppl.data.documents import check_once, converted, event_id, per_name
 from phase_ppl.world.errors import InvalidEventError, instance_of, shown
 from phase_ppl.world.event import (
     FRAMES_PER_SECOND,
@@ -378,8 +378,7 @@ def _event_of_video(record: Mapping[str, Any], *, head: _Videos) -> Event:
     sizes = [(one.name, one.radius) for one in observed.entities]
     centres = [(one.name, one.centre) for one in observed.landmarks]
     for where, pairs in (("entities", sizes), ("landmarks", centres)):
-        if len(dict(pairs)) < len(pairs):
-            raise InvalidEventError(f"observed.{where} has a name twice")
+        check_once((name for name, _ in pairs), f"observed.{where} has twice the name")
     scene = Scene(
         observation.trajectory[0],
         per_name(dict(sizes), ENTITIES, "observed.entities"),

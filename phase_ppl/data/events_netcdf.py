@@ -32,6 +32,7 @@ import xarray as xr
 
 from phase_ppl.data.documents import (
     check_ids,
+    check_once,
     event_id,
     in_front,
     naming,
@@ -227,7 +228,8 @@ def _order(dataset: xr.Dataset, dim: str, names: Sequence[str]) -> list[int]:
     """Return the positions of the labels of ``dim``, in the package's order."""
     if dim not in dataset.coords:
         raise InvalidEventError(f"has no coordinate {dim}, which says what is where along it")
-    labels = map(_plain, dataset.variables[dim].values.tolist())
+    labels = [_plain(label) for label in dataset.variables[dim].values.tolist()]
+    check_once(labels, f"coordinate {dim} has twice the label")
     return per_name(
         {label: place for place, label in enumerate(labels)}, names, f"coordinate {dim}"
     )

@@ -11,8 +11,8 @@
       rejected.json       why each was rejected, and its measures
       cost.json           time and new events of the last call
 
-A part is written whole or not at all. So interrupted generation goes on with the missing slots, and
-the finished set is the same.
+A part is written whole or not at all. So interrupted generation goes on with the slots that have
+none, or a damaged one, and the finished set is the same.
 
 A set of more than 1000 slots has a folder for each thousand, ``blocks/00000`` and so on. It holds
 events.nc, rejected.nc and rejected.json of these slots, and entries.json in place of the manifest's

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.data import documents
+from phase_ppl.data.documents import parse_document
 from phase_ppl.data.events_json import event_record
 from phase_ppl.data.load import load_event, load_events, save_event
 from phase_ppl.world.errors import (
@@ -77,6 +78,8 @@ FILES: list[tuple[bytes, str]] = [
     (b'{"format": "phase-ppl-event-1", "id": NaN}', "is not JSON: line 1: "),
     (b'{"format": 1e999}', "Number out of range"),
     (b'{"format": ' + b"9" * 5000 + b"}", "Integer value out of range"),
+    (b'{"format": "x", "format": "y"}', "holds an object with two fields 'format'"),
+    (b'{"format": "x", "a": [{"b": 1, "c": {}, "b": 1}]}', "with two fields 'b'"),
     (b'{"a":' * 100_000, "nested too deeply"),
     (b'{"format": "phase-ppl-event-1"}', "id is None, expected printable text"),
     (b'{"format": "phase-ppl-event-1", "id": "a\\nb"}', "id is 'a\\nb'"),
@@ -204,3 +207,10 @@ def test_a_damaged_file_is_an_event_or_refused_by_name(
         assert load_event(tmp_path / "again.json").id == event.id
     assert str(path) in complaint
     assert "\n" not in complaint
+
+
+def test_names_given_twice_are_found_in_any_number_of_them() -> None:
+    # compared each with each, these would take minutes
+    names = [f'"{n}": 0' for n in range(50_000)]
+    with pytest.raises(InvalidEventError, match="two fields '49999'"):
+        parse_document("{" + ", ".join([*names, '"49999": 1']) + "}")

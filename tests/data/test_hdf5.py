@@ -272,7 +272,9 @@ WRONG: list[tuple[Any, str]] = [
     (_with(time=["a", "b", "c", "d"]), "time holds 'a', expected numbers"),
     (_with(judgments=((), "{")), "judgments: is not JSON: line 1"),
     (_with(predictions=((), "[]")), "predictions: is no JSON object: Expected `object`"),
-    (_with(entity=["red agent", "red agent", "x", "y"]), "unknown field of coordinate entity 'x'"),
+    (_with(entity=["red agent", "red agent", "x", "y"]), "entity has twice the label 'red agent'"),
+    (event_dataset(make_event()).isel(entity=[0, 1, 2, 3, 0]), "has twice the label 'red agent'"),
+    (_with(entity=["x", *ENTITIES[1:]]), "unknown field of coordinate entity 'x'"),
     (_with(entity=[*ENTITIES[:3], "pink ball"]),
      "coordinate entity 'pink ball'; did you mean 'pink item'"),
 ]  # fmt: skip

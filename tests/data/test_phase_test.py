@@ -123,7 +123,11 @@ CHANGES: list[tuple[tuple[str | int, ...], Any, str]] = [
         {"name": "red agent"},
         "observed.entities[0]: Object missing required field 'radius'",
     ),
-    (("observed", "entities", 0, "name"), "blue item", "observed.entities has a name twice"),
+    (
+        ("observed", "entities", 0, "name"),
+        "blue item",
+        "observed.entities has twice the name 'blue item'",
+    ),
     (("observed", "entities", 0, "name"), "red item", "'red item'; did you mean"),
     (
         ("observed", "entities", 1, "radius"),

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import time
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -72,9 +73,16 @@ def read_part(folder: Path, slot: Slot) -> Part:
                 draw["event"] = event_from_record(draw["event"])
         return part
     except (KeyError, TypeError, PhasePPLError) as error:
-        raise InvalidEventError(
-            f"{source}: is damaged ({error}); without it resume makes it anew"
-        ) from None
+        raise InvalidEventError(f"{source}: is damaged ({error})") from None
+
+
+def _is_made(folder: Path, slot: Slot) -> bool:
+    """Return whether a slot has a part; a damaged one counts as none, with a warning."""
+    try:
+        return part_file(folder, slot).is_file() and bool(read_part(folder, slot))
+    except InvalidEventError as error:
+        warnings.warn(f"{error}; it is made anew", RuntimeWarning, 3)
+        return False
 
 
 def _digest(part: Part) -> str:
@@ -240,7 +248,8 @@ def generate(
         reflect, recolour: whether events are reflected, and colours exchanged, at random; by
             default as in PHASE. Like copies, only PHASE has them.
         keep_rejected: whether rejected draws are kept, with the reason.
-        resume: go on with the unfinished set in ``out``.
+        resume: go on with the unfinished set in ``out``; its damaged events are made anew, with a
+            warning.
         other_versions: resume even if other versions of this package or its libraries made that;
             the manifest keeps both.
         workers: processes; by default one per usable core. With an ``executor``, how many events
@@ -296,7 +305,7 @@ def generate(
                 raise OutputError(f"{folder} holds a data set of another plan: {'; '.join(apart)}")
         parts = writable_folder(folder / PARTS)
         if not (folder / MANIFEST).is_file():
-            missing = [slot for slot in slots if not part_file(folder, slot).is_file()]
+            missing = [slot for slot in slots if not _is_made(folder, slot)]
             if missing:
                 made_by = versions_so_far(made_by, folder, other_versions)
                 write_json(folder / PLAN, {**record, "versions": made_by})
