@@ -195,6 +195,23 @@ def test_three_agents_are_learned_where_the_table_has_room() -> None:
         assert total_variation(post.marginal(name).values, mass.sum(axis=others)) < 0.08
 
 
+def test_nobody_is_drawn_to_help_or_hinder_who_cannot_act_on_it() -> None:
+    # with nothing to touch but red, nobody can keep green away from it, or help green to it
+    world = World(
+        ["red agent", "green agent"], ["ball"], {"home": (12, 8)}, touchable=["red agent"]
+    )
+    space, prior = space_of(world), MODEL.in_world(world).prior
+    codes = np.indices((len(space.ways), space.n_goals, space.n_goals))
+    columns = dict(zip((space.company_site, *space.goal_sites), codes.reshape(3, -1), strict=True))
+    possible = (space.effective(columns) >= 0).all(axis=1)
+    own = ~space.impossible[0, columns["goal_red"]] & ~space.impossible[1, columns["goal_green"]]
+    assert (own & ~possible).any()
+    way, red, green = first_proposal(np.zeros((2, space.n_goals)), prior).goals
+    mass = np.exp(way[:, None, None] + red[:, :, None] + green).ravel()
+    assert mass[possible].sum() == pytest.approx(1, abs=1e-6)
+    assert (mass[own & possible] > 0).all()
+
+
 def test_a_table_without_room_is_refused_in_one_line() -> None:
     scene = TRIO.random_scene(2)
     event = Event(scene, Observation(np.repeat(scene.start[None], N_FRAMES, axis=0)))
