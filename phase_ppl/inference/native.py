@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import SCHEMA
-from phase_ppl.inference.draws import particles_of, tree_of
+from phase_ppl.inference.draws import PARTICLE_COLUMNS, particles_of, tree_of
 from phase_ppl.inference.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.registry import KERNELS
 from phase_ppl.inference.run import check_event
@@ -141,8 +141,7 @@ class OpenProgram(EventProgram):
                 f"the samples lack {SEED_SITE}, the simulator's seed of each draw: add "
                 f"extra_fields=('{SEED_SITE}',) to mcmc.run, if the kernel's state has it"
             )
-        kept = (SEED_SITE, "accepted", "window", "log_weight", "log_evidence")
-        columns |= {name: np.asarray(found[name]) for name in kept if name in found}
+        columns |= {name: np.asarray(found[name]) for name in PARTICLE_COLUMNS if name in found}
         if "accepted" not in columns:  # NumPyro's kernels: accepted if the draw changed
             seed = columns[SEED_SITE]
             columns["accepted"] = np.diff(seed, axis=1, prepend=seed[:, :1]) != 0
