@@ -23,7 +23,7 @@ from phase_ppl.inference.draws import PARTICLE_COLUMNS, particles_of, tree_of
 from phase_ppl.inference.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.registry import KERNELS
 from phase_ppl.inference.run import check_event
-from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.settings import SimpleSettings, check_settings
 from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.bridge import Record, SimulatorBridge
 from phase_ppl.models.likelihood import is_stepwise
@@ -217,13 +217,11 @@ def program(
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
     instance_of("model", model, Model, "a phase_ppl.Model")
-    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
+    check_settings(settings, with_beta=False)
     if is_stepwise(model.likelihood):
         raise InvalidSettingError(
             "a stepwise likelihood simulates nothing: phase_ppl.infer(event, model) sums it"
         )
-    if settings.beta is not None:
-        raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
     runner = Runner(
         model.build_simulator(),
         event.scene,
