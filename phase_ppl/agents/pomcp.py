@@ -31,9 +31,7 @@ from phase_ppl.world.rooms import UNREACHABLE
 
 SIDEWAYS_COST: Final = 0.02  # cost of each translation other than straight ahead
 
-_ON, _TOUCH, _ATTACH, _CLOSE = (
-    int(p) for p in (Predicate.ON, Predicate.TOUCH, Predicate.ATTACH, Predicate.CLOSE)
-)
+_ON, _TOUCH, _ATTACH = (int(p) for p in (Predicate.ON, Predicate.TOUCH, Predicate.ATTACH))
 _FIRST_SIDEWAYS, _LAST_SIDEWAYS = int(Action.DOWN), int(Action.DOWN_RIGHT)
 _NAVIGATION: Final = (Action.TURN_LEFT, Action.TURN_RIGHT, Action.UP, Action.STOP, Action.NO_FORCE)
 _GRIP: Final = (Action.ATTACH, Action.DETACH)

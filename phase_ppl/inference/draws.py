@@ -256,7 +256,7 @@ def _records_of_draws(steps: Sequence[Columns], records: Sequence[Record]) -> ND
     }
     index = np.empty((len(steps[0]["sim_seed"]), len(steps)), np.int64)
     for draw, step in enumerate(steps):
-        sites = {k.removeprefix(SITE): v for k, v in step.items() if k.startswith(SITE)}
+        sites = sites_of(step)
         for chain, seed in enumerate(step["sim_seed"]):
             here = {name: values[chain] for name, values in sites.items()}
             row = rows.get(request_key(here, int(seed)))

@@ -12,7 +12,7 @@ from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
 from phase_ppl.inference.registry import KernelInfo, info_of
 from phase_ppl.inference.run import Kernel, Run
-from phase_ppl.inference.settings import PRESETS, SimpleSettings, completed
+from phase_ppl.inference.settings import PRESETS, SimpleSettings, check_settings, completed
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, instance_of, shown
 from phase_ppl.world.event import Event
@@ -141,10 +141,7 @@ def entry_of(
                 f"kernel {info.name!r}: {name} is the same for all kernels; give it to compare()"
             )
     own_settings = options.pop("settings", settings)
-    if not isinstance(own_settings, SimpleSettings):
-        raise InvalidSettingError(f"settings={shown(own_settings)}, expected SimpleSettings")
-    if own_settings.beta is not None:
-        raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
+    check_settings(own_settings, with_beta=False)
     own_chains = options.pop("chains", chains)
     return Entry(label or info.name, kernel, options, own_chains, own_settings, own, info)
 

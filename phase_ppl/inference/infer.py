@@ -14,7 +14,7 @@ from phase_ppl.data.motion import is_slow
 from phase_ppl.inference import run as runs
 from phase_ppl.inference.run import Kernel, Run, check_event, model_again
 from phase_ppl.inference.sampler import RunOptions, sample
-from phase_ppl.inference.settings import KERNEL, Budget, SimpleSettings
+from phase_ppl.inference.settings import KERNEL, Budget, SimpleSettings, check_settings
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
@@ -180,7 +180,7 @@ def infer(
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
     settings = SimpleSettings() if settings is None else settings
-    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
+    check_settings(settings)
     of_run = kernel, kernel_options, settings, chains, seed
     if isinstance(event, StepwisePosterior):
         from phase_ppl.inference.table_run import event_of, model_of, sample_table
@@ -272,7 +272,7 @@ def resume(
     if settings is None:
         stored = _stored(saved, "settings", "the settings {settings} are not all plain data")
         settings = saved.made(SimpleSettings, stored)
-    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
+    check_settings(settings)
     if model is None:
         own = "prior {model[prior]}, simulator {model[simulator]}, {model[likelihood]}"
         reason = f"the model has parts of its own ({own}), which a file cannot hold"

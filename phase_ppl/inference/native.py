@@ -19,11 +19,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import SCHEMA
-from phase_ppl.inference.draws import particles_of, tree_of
+from phase_ppl.inference.draws import PARTICLE_COLUMNS, particles_of, tree_of
 from phase_ppl.inference.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.registry import KERNELS
 from phase_ppl.inference.run import check_event
-from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.settings import SimpleSettings, check_settings
 from phase_ppl.inference.tables import bottom_up_tables
 from phase_ppl.models.bridge import Record, SimulatorBridge
 from phase_ppl.models.likelihood import is_stepwise
@@ -141,8 +141,7 @@ class OpenProgram(EventProgram):
                 f"the samples lack {SEED_SITE}, the simulator's seed of each draw: add "
                 f"extra_fields=('{SEED_SITE}',) to mcmc.run, if the kernel's state has it"
             )
-        kept = (SEED_SITE, "accepted", "window", "log_weight", "log_evidence")
-        columns |= {name: np.asarray(found[name]) for name in kept if name in found}
+        columns |= {name: np.asarray(found[name]) for name in PARTICLE_COLUMNS if name in found}
         if "accepted" not in columns:  # NumPyro's kernels: accepted if the draw changed
             seed = columns[SEED_SITE]
             columns["accepted"] = np.diff(seed, axis=1, prepend=seed[:, :1]) != 0
@@ -218,13 +217,11 @@ def program(
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
     instance_of("model", model, Model, "a phase_ppl.Model")
-    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
+    check_settings(settings, with_beta=False)
     if is_stepwise(model.likelihood):
         raise InvalidSettingError(
             "a stepwise likelihood simulates nothing: phase_ppl.infer(event, model) sums it"
         )
-    if settings.beta is not None:
-        raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
     runner = Runner(
         model.build_simulator(),
         event.scene,

@@ -75,7 +75,7 @@ _NEGLIGIBLE: Final = 16.0
 _OVERTIME: Final = 1.1
 """Overtime, as a share of the budget of seconds plus one second, after which an iteration stops."""
 
-_OF_SIMULATIONS: Final = ("executor", "on_failure", "retries", "simulation_seconds")
+OF_RUNNER: Final = ("executor", "on_failure", "retries", "simulation_seconds")
 """Options of a run that are the runner's."""
 
 _known_simulators: Final[weakref.WeakSet[Any]] = weakref.WeakSet()
@@ -145,7 +145,7 @@ def sample(
 
     ``checked`` is called after all checks, before the run begins.
     """
-    given = {name: getattr(options, name) for name in _OF_SIMULATIONS}
+    given = {name: getattr(options, name) for name in OF_RUNNER}
     place = run.model.build_simulator(), run.event.scene, run.event.observation
     with contextlib.closing(Runner(*place, workers=options.workers, **given)) as runner:
         sampler = Sampler(run, options, runner, saved)

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, get_args
 from phase_ppl.inference.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
 from phase_ppl.world.errors import (
     InvalidSettingError,
+    instance_of,
     nonnegative_number,
     number_or_nan,
     positive_number,
@@ -101,6 +102,13 @@ class SimpleSettings:
                 )
         none = {name: value for name, value in usual.items() if getattr(self, name) is None}
         return dataclasses.replace(self, **none)  # type: ignore[arg-type]
+
+
+def check_settings(given: object, with_beta: bool = True) -> None:
+    """Raise InvalidSettingError unless these are settings, or if beta is the model's alone."""
+    instance_of("settings", given, SimpleSettings, "a phase_ppl.SimpleSettings")
+    if not with_beta and getattr(given, "beta", None) is not None:
+        raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
 
 
 BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.seconds(n)"

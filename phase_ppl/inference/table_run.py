@@ -34,7 +34,7 @@ from phase_ppl.inference.draws import (
 )
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.run import Data, Length, Run, clock, compiled_chains, make_kernel
-from phase_ppl.inference.sampler import Interrupted, RunOptions, started_again
+from phase_ppl.inference.sampler import OF_RUNNER, Interrupted, RunOptions, started_again
 from phase_ppl.models import priors
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.effective import (
@@ -61,10 +61,7 @@ ITERATIONS: Final = 1000
 _BLOCK: Final = 64  # iterations that are compiled as one
 _DRAW_BYTES, _FRAME_BYTES = 400, 28  # of memory that a draw takes, and each of its frames
 _MOST_BYTES: Final = 2 * 10**9  # most memory of a run with a budget of seconds
-_OF_SIMULATIONS: Final = (
-    *("executor", "on_failure", "retries", "simulation_seconds"),
-    *("checkpoint", "weights"),
-)
+_OF_SIMULATIONS: Final = (*OF_RUNNER, "checkpoint", "weights")
 
 
 def event_of(read: StepwisePosterior) -> Event:

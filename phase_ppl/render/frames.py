@@ -292,6 +292,9 @@ def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> 
         scene: arena, walls, landmarks and sizes.
         poses: (entity, coord) with coord = x, y [units], angle [rad].
         fields_of_view: whether to show what each agent can see.
+
+    Raises:
+        InvalidEventError: the poses have the wrong shape, or are not all finite.
     """
     return np.asarray(Painter(scene, fields_of_view).draw(poses), np.uint8)
 
@@ -399,6 +402,11 @@ def image(
     """Write one frame, -1 for the last one, as a PNG; 640 x 480 in PHASE.
 
     ``what``, ``scene`` and ``fields_of_view`` are as in :func:`phase_ppl.render.video`.
+
+    Raises:
+        InvalidSettingError: there is no such frame, or a trajectory comes without a scene.
+        InvalidEventError: the trajectory has the wrong shape, or no frames.
+        OutputError: the file cannot be written.
     """
     scene, trajectory = scene_and_trajectory(what, scene)
     n_frames = len(trajectory)
@@ -421,6 +429,12 @@ def strip(
 
     Lines show the paths since the picture before; the times below are simulated seconds. ``what``,
     ``scene`` and ``fields_of_view`` are as in :func:`phase_ppl.render.video`.
+
+    Raises:
+        InvalidSettingError: there are fewer than ``n`` frames, or a trajectory comes without a
+            scene.
+        InvalidEventError: the trajectory has the wrong shape, or no frames.
+        OutputError: the file cannot be written.
     """
     picture = draw_strip(what, n, scene, fields_of_view)
     with atomic_output(path, (".png",)) as part:
@@ -503,6 +517,11 @@ def contact_sheet(
 
     Returns:
         The files.
+
+    Raises:
+        InvalidEventError: there are no events.
+        InvalidSettingError: ``columns`` or ``per_page`` is no whole number >= 1.
+        OutputError: a file cannot be written.
     """
     if not events:
         raise InvalidEventError("there are no events to draw")

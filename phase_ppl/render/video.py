@@ -179,6 +179,11 @@ def video(
 
     Returns:
         The film, which a notebook plays.
+
+    Raises:
+        InvalidSettingError: a number is out of range, or a trajectory comes without a scene.
+        InvalidEventError: a trajectory has the wrong shape, or no frames.
+        OutputError: the film cannot be written, or there is no ffmpeg.
     """
     positive_number("fps", fps)
     as_gif = as_path(path).suffix.lower() == ".gif"
@@ -250,6 +255,11 @@ def videos(
 
     Returns:
         The files, in the order of the events.
+
+    Raises:
+        InvalidEventError: two events have the same id.
+        InvalidSettingError: ``workers`` is out of range.
+        OutputError: the folder or a film cannot be written, or there is no ffmpeg.
     """
     from phase_ppl.simulator.processes import results
 

@@ -267,7 +267,11 @@ def simulate_together(
 def simulate_trajectory(
     simulator: Simulator, scene: Scene, hypothesis: Hypothesis, seed: int, n_frames: int
 ) -> FloatArray:
-    """Return a simulated trajectory (time, entity, coord), without an observation."""
+    """Return a simulated trajectory (time, entity, coord) x, y [units], angle [rad].
+
+    Raises:
+        SimulationError: the simulator raised, ended early, or yielded a bad frame.
+    """
     shape = len(scene.world.entities), 3
     start = functools.partial(simulator, scene, hypothesis.effective(), random_generator(seed))
     try:

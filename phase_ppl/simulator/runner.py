@@ -214,6 +214,11 @@ class Runner:
             hypotheses, seeds: (n,) what to simulate. Identical requests are run once and share one
                 result.
             error_ceilings: (n,) summed error beyond which each one is stopped, units.
+
+        Raises:
+            Cancelled, OutOfTime: the run was cancelled, or its deadline has passed.
+            InvalidSettingError: an error ceiling is nan.
+            SimulationError: a simulation failed, with "raise"; or the executor takes no more work.
         """
         ceilings = [math.inf] * len(seeds) if error_ceilings is None else error_ceilings
         if any(map(math.isnan, ceilings)):
@@ -274,10 +279,12 @@ class Runner:
         if requests:
             hypotheses, seeds, _ = zip(*requests, strict=True)
             simulator, scene, observed = self._work
+            limit = self._limit()
             results = in_time(
                 lambda: simulate_together(simulator, scene, hypotheses, seeds, observed),
-                lambda reason: [self._failed(request, reason) for request in requests],
-                self._limit() * len(seeds),
+                # the batch may take the time of all, but the limit is of one
+                lambda _: [self._failed(request, too_long(limit)) for request in requests],
+                limit * len(seeds),
                 [self._stop],
                 self.deadline,
             )

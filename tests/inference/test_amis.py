@@ -15,6 +15,7 @@ from jax import random
 from numpyro.infer import MCMC
 
 import phase_ppl as ppl
+from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference import sampler
 from phase_ppl.inference.checkpoint import Checkpoint
 from phase_ppl.inference.kernels.amis import AMIS, first_proposal
@@ -112,6 +113,25 @@ def test_it_finds_the_exact_posterior_with_few_simulations() -> None:
     assert effective_size(found()) > 0.3 * found().cost["simulations"]
 
 
+def test_strata_need_densities_and_have_no_luck() -> None:
+    with pytest.raises(InvalidSettingError, match=r"density of each proposal, .* 'amis' does"):
+        ppl.Posterior(found().tree, "stratified")
+    # with the densities that the draws' weights are of, strata say the same
+    tree = found().tree.copy()
+    simulations, place = tree["simulations"].dataset, simulation_of_draw(tree).ravel()
+    log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values
+    log_proposal = np.full(len(log_joint), np.nan)
+    log_weight = tree["sample_stats"]["log_weight"].values.ravel()
+    log_proposal[place] = log_joint[place] - log_weight
+    tree["simulations"].dataset = simulations.assign(log_proposal=("simulation", log_proposal))
+    # without the first draws, there are more simulations than draws
+    post = ppl.Posterior(tree, "stratified", burn_in=1)
+    for axis, key in ((1, "red"), (0, "green")):
+        expected = exact().sum(axis=axis)
+        assert total_variation(post.marginal(f"goal_{key}").values, expected) < 0.12
+        assert 0 <= post.mode(f"goal_{key}").error < 1
+
+
 def test_proposals_that_mislead_are_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     def misled(suggested: Any, prior: Any) -> Any:
         wrong = np.full((2, N_GOALS), -20.0)
@@ -193,6 +213,23 @@ def test_three_agents_are_learned_where_the_table_has_room() -> None:
     for agent, name in enumerate(space.goal_sites):
         others = tuple(axis for axis in range(3) if axis != agent)
         assert total_variation(post.marginal(name).values, mass.sum(axis=others)) < 0.08
+
+
+def test_nobody_is_drawn_to_help_or_hinder_who_cannot_act_on_it() -> None:
+    # with nothing to touch but red, nobody can keep green away from it, or help green to it
+    world = World(
+        ["red agent", "green agent"], ["ball"], {"home": (12, 8)}, touchable=["red agent"]
+    )
+    space, prior = space_of(world), MODEL.in_world(world).prior
+    codes = np.indices((len(space.ways), space.n_goals, space.n_goals))
+    columns = dict(zip((space.company_site, *space.goal_sites), codes.reshape(3, -1), strict=True))
+    possible = (space.effective(columns) >= 0).all(axis=1)
+    own = ~space.impossible[0, columns["goal_red"]] & ~space.impossible[1, columns["goal_green"]]
+    assert (own & ~possible).any()
+    way, red, green = first_proposal(np.zeros((2, space.n_goals)), prior).goals
+    mass = np.exp(way[:, None, None] + red[:, :, None] + green).ravel()
+    assert mass[possible].sum() == pytest.approx(1, abs=1e-6)
+    assert (mass[own & possible] > 0).all()
 
 
 def test_a_table_without_room_is_refused_in_one_line() -> None:

@@ -348,7 +348,7 @@ def test_a_batch_that_hangs_is_failures() -> None:
 
     with runner(Hangs(), simulation_seconds=0.1) as limited:
         results = limited.run([GO, WEAK], [1, 2])
-    assert ["took longer" in str(r.failure) for r in results] == [True, True]
+    assert ["took longer than the 0.1 s" in str(r.failure) for r in results] == [True, True]
 
 
 # --- what fails ------------------------------------------------------------------------------

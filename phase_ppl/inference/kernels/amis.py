@@ -357,17 +357,23 @@ def _summed(logits: FloatArray) -> FloatArray:
 
 @remembered(16)
 def _log_prior_of_stated(prior: Program) -> FloatArray:
-    """Return (way, goal, ..., goal) log prior masses of the way and of all stated goals."""
-    if not isinstance(prior, WorldPrior):
+    """Return (way, goal, ..., goal) log prior masses of the way and of all stated goals.
+
+    -inf where somebody helps or hinders who cannot act on it: nothing of that is simulated.
+    """
+    if isinstance(prior, WorldPrior):
+        found = masses_of(prior)
+        goals = np.broadcast_to(found.goals, (len(found.company), *found.goals.shape))
+        table = _summed(goals) + found.company.reshape(-1, *[1] * len(found.goals))
+    else:
         table = prior_table(prior, (sum(STRENGTH_RANGE) / 2,))[..., 0, 0]
-        return np.moveaxis(table, -1, 0)
-    found = masses_of(prior)
-    goals = np.broadcast_to(found.goals, (len(found.company), *found.goals.shape))
-    return _summed(goals) + found.company.reshape(-1, *[1] * len(found.goals))
+        table = np.moveaxis(table, -1, 0)
+    possible = (_acted_on(space_of_prior(prior)) >= 0).all(axis=0)
+    return np.where(possible, table, -np.inf)
 
 
 def _acted_on(space: HypothesisSpace) -> NDArray[np.int64]:
-    """Return (agent, way, goal, ..., goal) the effective goals of ways and stated goals."""
+    """Return (agent, way, goal, ..., goal) effective goals of ways and stated goals; -1: none."""
     shape = (len(space.ways), *[space.n_goals] * space.n_agents)
     names = (space.company_site, *space.goal_sites)
     columns = dict(zip(names, np.indices(shape).reshape(len(shape), -1), strict=True))
@@ -393,11 +399,11 @@ def _corrected(
     shape = (space.n_goals,) * space.n_agents
     size, code = math.prod(shape), np.ravel_multi_index(tuple(goals.T), shape)
     n, total = np.bincount(code, minlength=size), np.bincount(code, square, size)
-    possible = (acts_on >= 0).all(axis=0)
-    of_all = np.ravel_multi_index(tuple(np.where(possible, acts_on, 0)), shape)
+    # the prior excludes ways in which somebody cannot act
+    of_all = np.ravel_multi_index(tuple(acts_on.clip(min=0)), shape)
     with np.errstate(divide="ignore"):  # goals that were not simulated
         sums = np.logaddexp(np.log(total[of_all]), np.log(PSEUDO) + scale + 2 * expected)
-    return np.where(possible, 0.5 * (sums - np.log(n[of_all] + PSEUDO)), -np.inf)
+    return np.asarray(0.5 * (sums - np.log(n[of_all] + PSEUDO)))
 
 
 def _joined(batches: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

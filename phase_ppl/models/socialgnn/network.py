@@ -170,6 +170,9 @@ def fit(
 
     The seed decides the first weights, the order and looks of events, and the dropout.
     ``after_epoch`` is called after each epoch.
+
+    Raises:
+        InvalidSettingError: the loss is no number any more.
     """
     with torch_threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

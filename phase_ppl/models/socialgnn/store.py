@@ -186,7 +186,11 @@ class Trained(NamedTuple):
 
 
 def halved(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]:
-    """Return arrays in half precision, in which they are stored and used."""
+    """Return arrays in half precision, in which they are stored and used.
+
+    Raises:
+        InvalidSettingError: a number is not finite, or too large.
+    """
     with np.errstate(over="ignore"):
         found = {name: array.astype(np.float16) for name, array in arrays.items()}
     for name, array in found.items():
@@ -206,7 +210,11 @@ def save(members: Sequence[Arrays], file: str | Path, report: bytes = b"") -> No
 
 
 def load(path: str | os.PathLike[str]) -> Trained:
-    """Return the networks of an npz file, or of the folder that training wrote."""
+    """Return the networks of an npz file, or of the folder that training wrote.
+
+    Raises:
+        InvalidSettingError: there is no such file, or it holds no weights of a SocialGNN.
+    """
     if not isinstance(path, str | os.PathLike):
         raise InvalidSettingError(f"weights={shown(path)}, expected the name of a file or folder")
     source = Path(path)

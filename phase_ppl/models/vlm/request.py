@@ -286,7 +286,11 @@ class Parsed(NamedTuple):
 
 
 def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
-    """Return the probabilities that an answer gives."""
+    """Return the probabilities that an answer gives; ``remaining`` is one of :data:`REMAINING`.
+
+    Raises:
+        AnswerError: it has a fault that is not repaired.
+    """
     repairs: list[str] = []
     body = _without_fence(text, repairs)
     try:

@@ -56,18 +56,23 @@ class Service:
     """A service that is asked over the network through its library."""
 
     name: str  # one of ``SERVICES``
-    model: str  # as of the model ``vlm``; None leaves the last two to the service
+    model: str  # as the service calls it
     base_url: str
     # the environment variables that may hold the key, the first that does counts
     variables: tuple[str, ...]
-    show: str
-    timeout: float = 300.0
-    temperature: float | None = None
-    video_fps: float | None = None
+    show: str  # "video" or "pictures"
+    timeout: float = 300.0  # seconds from a request to the end of its answer
+    temperature: float | None = None  # None: the service decides
+    video_fps: float | None = None  # frames of the video that are looked at, per second; likewise
     needs_key: bool = True  # whether it is an error if there is none
 
     def __call__(self, request: Request, retries: int = 0) -> Reply:
-        """Return the answer to a request, made again by the library up to ``retries`` times."""
+        """Return the answer to a request, made again by the library up to ``retries`` times.
+
+        Raises:
+            NoReply: there is no answer.
+            InvalidSettingError: there is no key, or it is refused; or there is no such model.
+        """
         key = self._key()
         _ = request.video if self.show == "video" else request.pictures  # that fails by itself
         failure: NoReply | InvalidSettingError
@@ -281,7 +286,15 @@ def _openai_parts(request: Request) -> Iterator[dict[str, Any]]:
 def make_service(
     name: object, model: str | None, show: str | None, given: Mapping[str, Any], to_be_asked: bool
 ) -> Service:
-    """Return a service, ready to be asked."""
+    """Return a service, ready to be asked.
+
+    ``given`` has the options ``timeout`` [s], ``temperature``, ``video_fps``, ``key_env`` and
+    ``base_url``, where they are not the usual ones.
+
+    Raises:
+        UnknownNameError: there is no such service.
+        InvalidSettingError: an option is out of range, or does not go with the service.
+    """
     if not isinstance(name, str) or name not in SERVICES:
         raise unknown_name("client", name, SERVICES)
     settings: dict[str, Any] = dict(_USUAL[name])
