@@ -150,7 +150,7 @@ def options_of(
     """
     from phase_ppl.evaluation.registry import model_info
 
-    taken = inspect.signature(phase_ppl.evaluate).parameters
+    parameters = inspect.signature(phase_ppl.evaluate).parameters
     shared = dict(plain)
     of_one: dict[str, dict[str, Any]] = {label: {} for label in models}
     for text, value in named.items():
@@ -158,7 +158,7 @@ def options_of(
         if dot:
             check_name(f"model in --option {text}:", label, models)
         place = of_one[label] if dot else shared
-        if name in place or name in taken:
+        if name in place or name in parameters:
             why = "given twice" if name in place else "no option of a model"
             raise InvalidSettingError(f"--option {text}: {why}")
         place[name] = value

@@ -30,8 +30,8 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from tests.evaluation.toys import still
-from tests.evaluation.vlm.answers import from_openai, goals, text
-from tests.evaluation.vlm.server import running, sends
+from tests.models.vlm.answers import from_openai, goals, text
+from tests.models.vlm.server import running, sends
 
 EVENT = still()
 

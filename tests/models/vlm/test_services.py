@@ -18,8 +18,8 @@ from phase_ppl.models.vlm.request import NoReply, Picture, Reply, Request, parse
 from phase_ppl.models.vlm.services import SERVICES, Service, make_service
 from phase_ppl.world.errors import AnswerError, InvalidSettingError
 from tests.evaluation.toys import still
-from tests.evaluation.vlm.answers import from_google, from_openai
-from tests.evaluation.vlm.server import (
+from tests.models.vlm.answers import from_google, from_openai
+from tests.models.vlm.server import (
     Server,
     hangs_up,
     running,

@@ -15,7 +15,7 @@ from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.models.vlm.request import parse
 from phase_ppl.world.errors import AnswerError
 from phase_ppl.world.goals import GOALS
-from tests.evaluation.vlm.answers import SHARES, answer, goals, text
+from tests.models.vlm.answers import SHARES, answer, goals, text
 
 
 def relation(friendly: float, neutral: float, adversarial: float, name: str = "friendly") -> Any:
