@@ -183,9 +183,10 @@ class Hypothesis(Printed):
 
     Attributes:
         world: whose agents and goals.
-        stated: (agent,) own goal of each, an index into ``world.goals``; None of one without.
-            ``goal_<agent>``, with the agents' ``world.keys``, is the same; of one without, what it
-            would want for itself as it does for whom it helps or hinders.
+        stated: (agent,) own goal of each, an index into ``world.goals``. That of one who helps or
+            hinders has no effect, and may be None. ``goal_<agent>``, with the agents'
+            ``world.keys``, is the same; for None it is what it would want for itself as it does for
+            whom it helps or hinders.
         towards: (agent,) another agent, and 1 where it is helped, -1 where it is hindered; None.
         strengths: (agent,) maximum forces, newtons; ``strength_<agent>`` is one of them.
 
@@ -386,7 +387,7 @@ class Hypothesis(Printed):
                 "relation_between, scenario_between or stances"
             )
         what, _, key = name.partition("_")
-        if what not in ("goal", "strength"):  # asked before there is a world, by pickle
+        if what not in ("goal", "strength"):
             raise AttributeError(f"a hypothesis has no {name}")
         if key not in self.world.keys:
             raise AttributeError(f"a hypothesis about {self.world.name!r} has no {name}")

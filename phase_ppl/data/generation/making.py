@@ -211,10 +211,10 @@ def measures(recording: Recording) -> dict[str, Any]:
     return {**found, "held": recording.holds.mean(axis=0).tolist()}
 
 
-def _reached(roles: Hypothesis, found: Measures) -> list[bool]:
-    """Return (agent,) whether it has a goal of its own that became true."""
-    own = zip(roles.stated, found["at_start"], found["at_end"], strict=True)
-    return [goal is not None and end and not start for goal, start, end in own]
+def _reached(wanted: Hypothesis, found: Measures) -> list[bool]:
+    """Return (agent,) whether it pursues a goal of its own that became true."""
+    each = zip(wanted.towards, found["at_start"], found["at_end"], strict=True)
+    return [other is None and end and not start for other, start, end in each]
 
 
 def _named(world: World, pair: tuple[int, int]) -> str:
