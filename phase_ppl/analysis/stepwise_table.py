@@ -48,7 +48,8 @@ MOST_READ: Final = 100_000
 """Hypotheses, goals with strengths, that a simulator of one's own is asked about at most."""
 
 MOST_ROWS: Final = 400_000
-"""Rows of one table at most, each a hypothesis with a combination of strengths."""
+"""Hypotheses with combinations of strengths up to which all are in one table, where strengths are
+independent of goals; of more, strengths are drawn."""
 
 _LEAST: Final = 1e-12  # hypotheses with a smaller share of the mass of the best are left out
 _FROM_PRIOR: Final = 0.1  # share of goals that are drawn from the prior
@@ -665,23 +666,23 @@ class Table:
         if self.own:
             return self._masses(frame, self._weight).reshape(self.n_tables, -1)
         masses = self.log_masses(frame)
-        if not self._with_strengths:
+        if not self._with_strengths(len(self.hypotheses.way)):
             return masses
         with np.errstate(divide="ignore"):
             strengths = np.log(self.strengths(frame))
         return np.asarray((masses[:, :, None] + strengths).reshape(len(masses), -1))
 
-    @property
-    def _with_strengths(self) -> bool:
-        """Whether all hypotheses with all strengths are few enough to be in one table."""
-        return len(self.hypotheses.way) * len(self.combinations) <= MOST_ROWS
+    def _with_strengths(self, n: int) -> bool:
+        """Whether so many hypotheses with all strengths are in one table."""
+        depend = self.own or self.prior.log_prior is not None
+        return depend or n * len(self.combinations) <= MOST_ROWS
 
     def all_columns(self) -> dict[str, NDArray[Any]]:
         """Return the codes of all hypotheses, with all strengths unless these are too many."""
-        if not self._with_strengths:
+        n_rows, n = len(self.hypotheses.way), len(self.combinations)
+        if not self._with_strengths(n_rows):
             return self.columns()
-        n = len(self.combinations)
-        return self.columns(*np.divmod(np.arange(len(self.hypotheses.way) * n), n))
+        return self.columns(*np.divmod(np.arange(n_rows * n), n))
 
     def columns(
         self, rows: IntArray | None = None, combination: IntArray | None = None
@@ -705,15 +706,15 @@ class Table:
         """Return hypotheses with any mass to speak of, and (set, row) weights without each set."""
         weights, n = self.weights(frame), len(self.combinations)
         kept = np.flatnonzero(weights[0] > _LEAST * weights[0].max())
-        if len(kept) * n <= MOST_ROWS:
-            strengths = self.strengths(frame)
-            strengths = strengths[kept] if len(strengths) > 1 else strengths
-            weights = weights[:, kept, None] * strengths
+        if self._with_strengths(len(kept)):
             if self.own:  # each part of the samples has strengths of its own
                 weights = _shares(
                     self._masses(frame, self._weight)[:, kept].reshape(len(weights), -1)
                 )
-            weights = weights.reshape(len(weights), -1)
+            else:
+                strengths = self.strengths(frame)
+                strengths = strengths[kept] if len(strengths) > 1 else strengths
+                weights = (weights[:, kept, None] * strengths).reshape(len(weights), -1)
             some = np.flatnonzero(weights[0] > _LEAST * weights[0].max())
             row, combination = np.divmod(some, n)
             kept, weights = kept[row], weights[:, some]
