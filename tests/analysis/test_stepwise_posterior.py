@@ -385,6 +385,7 @@ def test_what_is_no_reading_is_refused(tmp_path: Path) -> None:
         (reading(columns={"log_likelihood": nan}), "no log densities"),
         (reading().isel(planner_seed=[0]), "planner_seed has 1 entry"),
         (post.dataset.drop_vars("density"), "it lacks density"),
+        (post.dataset.drop_vars("marginals"), "it lacks marginals"),
         (reading(world=post.dataset.attrs["world"]), "log_prior has dimensions"),
         (reading(world="{"), "its world"),
     ):
