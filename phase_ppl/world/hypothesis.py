@@ -94,15 +94,6 @@ RELATION_TABLE: Final = np.array(
 ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 """Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
 
-ALPHA_WORDS: Final = (
-    "neither helps nor hinders",
-    "red helps green",
-    "green helps red",
-    "red hinders green",
-    "green hinders red",
-)
-"""The same in words."""
-
 
 @functools.cache
 def effective_table() -> NDArray[np.int32]:
