@@ -422,7 +422,7 @@ class Hypothesis(Printed):
                 raise InvalidSettingError(f"a hypothesis needs {', '.join(missing)}")
             return cls(**record)
         if not isinstance(record.get("goals"), Mapping):
-            raise InvalidSettingError("roles need goals, by the names of agents")
+            raise InvalidSettingError("a hypothesis needs goals, by the names of agents")
         told = record.get("relation", [])
         if not isinstance(told, list) or not all(isinstance(r, list) and len(r) == 3 for r in told):
             raise InvalidSettingError(
