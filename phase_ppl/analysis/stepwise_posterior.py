@@ -72,8 +72,7 @@ class StepwisePosterior(EventPosterior):
     Args:
         found: what was read (:mod:`phase_ppl.analysis.stepwise_file`).
         frame: the posterior given the frames up to this one; by default all.
-        prior: the program whose masses ``found`` has, for questions about further sites of it, in
-            PHASE.
+        prior: the program whose masses ``found`` has, for questions about further sites of it.
         scenario: as of :class:`phase_ppl.analysis.posterior.Posterior`.
         table: of ``found``, if there is one.
 
